@@ -1,0 +1,81 @@
+"""The errors of the bench: one root, and two branches that must not be confused.
+
+``BadInput``: we, or the user, asked for something wrong (exit status 2).
+``PeerFault``: the bus or the drive did something wrong, or nothing (exit status 3).
+
+A failure carries its evidence, and its message says what to do next.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+class BenchError(Exception):
+    """Root of every error that a user may see without a traceback."""
+
+    exit_status = 3
+
+
+@dataclass(eq=False)
+class BadInput(BenchError):
+    """A value in a file or on the command line that cannot be used."""
+
+    source: str
+    """The file, or the command-line option, that holds the value."""
+    key: str
+    """Dotted path of the key, e.g. ``drive.axis1.node``; empty if the whole file is meant."""
+    value: Any
+    """What was found; ``MISSING`` where nothing was."""
+    expected: str
+    """What would have been accepted."""
+    remedy: str = ""
+    """What to do next, if ``expected`` does not say it already."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        place = f"{self.source}: {self.key}" if self.key else self.source
+        text = f"{place}: found {self.value!r}, expected {self.expected}"
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+
+class Missing:
+    """Stands for a value that is absent, in a :class:`BadInput`."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+MISSING = Missing()
+
+
+@dataclass(eq=False)
+class PeerFault(BenchError):
+    """The bus or a device on it failed; ``evidence`` is what was seen of it."""
+
+    summary: str
+    evidence: str = ""
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return "; ".join(part for part in (self.summary, self.evidence, self.remedy) if part)
+
+
+class BusDown(PeerFault):
+    """The CAN interface cannot be opened, or went away."""
+
+
+class NoAnswer(PeerFault):
+    """A node did not answer within its deadline."""
+
+
+class DriveInFault(PeerFault):
+    """A drive reports a fault, or fell out of the state that it was to be in."""
+
+
+class TransferAborted(PeerFault):
+    """A device refused an SDO transfer; ``evidence`` holds the abort code and its text."""
+
+
+class LimitExceeded(PeerFault):
+    """A host safety limit was crossed and the run was stopped."""

@@ -1,0 +1,75 @@
+"""Time as the whole bench knows it: integer nanoseconds on one monotonic axis.
+
+This is the one file that may import ``time``. Everything else is handed a
+:class:`Clock` or an :data:`Instant`, so that the same code runs on a real bus
+and in simulated time.
+"""
+
+import time
+from typing import NewType, Protocol
+
+Instant = NewType("Instant", int)
+"""A point on a clock's axis, ns since that clock's origin."""
+
+Duration = NewType("Duration", int)
+"""A difference of two instants, ns."""
+
+NS_PER_US = 1_000
+NS_PER_MS = 1_000_000
+NS_PER_S = 1_000_000_000
+
+
+class Clock(Protocol):
+    """What the loop may ask of time. Only ``sleep_until`` and ``bus.recv`` let time pass."""
+
+    def now(self) -> Instant:
+        """The present instant, ns."""
+        ...
+
+    def sleep_until(self, when: Instant) -> None:
+        """Return at ``when`` or later; at once if it has passed."""
+        ...
+
+
+class MonotonicClock:
+    """CLOCK_MONOTONIC, shared by all processes of one machine."""
+
+    def now(self) -> Instant:
+        return Instant(time.monotonic_ns())
+
+    def sleep_until(self, when: Instant) -> None:
+        remaining_ns = when - time.monotonic_ns()
+        if remaining_ns > 0:
+            time.sleep(remaining_ns / NS_PER_S)
+
+
+def instant_after(start: Instant, elapsed_s: float) -> Instant:
+    """The instant ``elapsed_s`` seconds after ``start``, rounded to the nearest ns."""
+    return Instant(start + round(elapsed_s * NS_PER_S))
+
+
+def duration_s(seconds: float) -> Duration:
+    """Seconds to the nearest ns."""
+    return Duration(round(seconds * NS_PER_S))
+
+
+def wall_clock_offset() -> Duration:
+    """Wall clock minus monotonic clock, ns: the tightest of several bracketed readings.
+
+    Kernel receive stamps (SO_TIMESTAMPNS) are wall clock; this maps them to the
+    bench's axis at the edge.
+    """
+    best_width, best_offset = None, 0
+    for _ in range(8):
+        before = time.monotonic_ns()
+        wall = time.time_ns()
+        after = time.monotonic_ns()
+        width = after - before
+        if best_width is None or width < best_width:
+            best_width, best_offset = width, wall - (before + after) // 2
+    return Duration(best_offset)
+
+
+def utc_stamp() -> str:
+    """The wall clock as ``YYYYmmddTHHMMSSZ``: names folders of runs, never enters a record."""
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())

@@ -1,0 +1,46 @@
+"""The frame and the device, as the simulated world sees them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from drivers.timebase import Instant
+
+
+class Frame(NamedTuple):
+    """A classical CAN data or remote frame."""
+
+    can_id: int
+    """11 bits, or 29 if ``extended``."""
+    data: bytes = b""
+    """0..8 bytes; empty for a remote frame."""
+    extended: bool = False
+    remote: bool = False
+    remote_length: int = 0
+    """DLC of a remote frame; not used for a data frame."""
+
+
+class Device(Protocol):
+    """A device without I/O: frames and time in, frames out.
+
+    The host calls ``start`` once, then ``receive`` for each frame of the bus that the
+    device did not send itself, and ``wake`` whenever ``wake_at`` is reached. ``now``
+    never runs backwards. Each call returns the frames to send, in order, and may
+    change ``wake_at``.
+    """
+
+    @property
+    def wake_at(self) -> Instant | None:
+        """When the device wants its next ``wake``; None: only on a frame."""
+        ...
+
+    def start(self, now: Instant) -> Sequence[Frame]:
+        """Power on."""
+        ...
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        """A frame ended on the bus at ``now``."""
+        ...
+
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        """``wake_at`` has been reached (``now`` may be later)."""
+        ...
