@@ -1,12 +1,11 @@
 """What passes between a drive and a loop in one cycle, in SI units."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from drivers.timebase import Instant
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """One coherent set of actual values from a drive, as it came off the bus."""
 
     sequence: int
@@ -22,8 +21,7 @@ class Reading:
     """Bus stamp of the frame that completed the reading."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """A torque set-point and the time for which it is meant."""
 
     sequence: int

@@ -1,0 +1,225 @@
+"""One axis of the loop: from its drive's readings to its next command, and the record of both."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from drivers.errors import LimitExceeded
+from drivers.exchange import Command, Reading
+from drivers.timebase import Duration, Instant
+from hil.clock_map import ClockMap
+from hil.compensation import Compensator
+from hil.controllers import Controller
+from hil.delay import DelayMeter, Fate
+from hil.safety import SafetyGuard
+from hil.samples import CycleRecord, Sample, StateEstimate
+from hil.scenario import LoadProfile, SpeedProfile
+
+NOT_SENT = Instant(-1)
+SYNCS_REMEMBERED = 64
+
+
+class Drive(Protocol):
+    """What an axis needs of a drive, simulated or real."""
+
+    def take_readings(self) -> list[Reading]:
+        """The complete readings since the last call, oldest first."""
+        ...
+
+    def write(self, command: Command) -> Instant:
+        """Send a set-point; when it was handed to the bus."""
+        ...
+
+
+class LoadMachine(Protocol):
+    """What puts a load on the shaft."""
+
+    def set_torque(self, torque_nm: float) -> None:
+        """Ask for a load torque, N m; positive opposes positive speed. Does not block."""
+        ...
+
+
+class Decision(NamedTuple):
+    """What was done in one cycle, while the fate of its own reading may still be open."""
+
+    sequence: int
+    due_at: Instant
+    woke_at: Instant
+    sync_sent_at: Instant
+    estimate: StateEstimate
+    reference_rad_s: float
+    load_torque_nm: float
+    command: Command
+    command_sent_at: Instant
+
+
+class Tick(NamedTuple):
+    """What all axes of a cycle share."""
+
+    sequence: int
+    due_at: Instant
+    woke_at: Instant
+    sync_sent_at: Instant
+    time_s: float
+    """Since the run began."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisParts:
+    """What an axis is put together from."""
+
+    name: str
+    drive: Drive
+    controller: Controller
+    compensator: Compensator
+    guard: SafetyGuard
+    reference: SpeedProfile
+    load: LoadProfile
+    load_machine: LoadMachine | None
+    clock_map: ClockMap
+    meter: DelayMeter
+
+
+class Axis:
+    """State of one axis from cycle to cycle."""
+
+    def __init__(
+        self,
+        number: int,
+        parts: AxisParts,
+        period: Duration,
+        sync_latency: Duration,
+        record: Callable[[CycleRecord], None],
+    ) -> None:
+        self.parts = parts
+        self.meter = parts.meter
+        self._number = number
+        self._period = period
+        self._sync_latency = sync_latency
+        self._record = record
+        self._syncs: deque[tuple[int, Instant]] = deque(maxlen=SYNCS_REMEMBERED)
+        self._decisions: deque[Decision] = deque()
+        self._fresh = False
+        self._load_nm = 0.0
+
+    def calibrate(self, sync_sent_at: Instant) -> bool:
+        """Take readings that can only answer the SYNC sent at ``sync_sent_at``; whether one came."""
+        readings = self.parts.drive.take_readings()
+        for reading in readings:
+            if reading.device_time_ns is not None:
+                self.parts.clock_map.observe(sync_sent_at, reading.device_time_ns, reading.received_at)
+        return bool(readings)
+
+    def begin(self, tick: Tick) -> None:
+        """A SYNC has gone out."""
+        self._syncs.append((tick.sequence, tick.sync_sent_at))
+        self.meter.sync_sent(tick.sequence, tick.due_at)
+
+    def collect(self) -> None:
+        """Take in what has arrived."""
+        for reading in self.parts.drive.take_readings():
+            sample = self._place(reading)
+            if sample is None:
+                self.meter.unmatched += 1
+            elif self.meter.arrived(sample):
+                self._check(self.parts.guard.check_reading(reading))
+                self.parts.compensator.receive(sample)
+                self._fresh = True
+
+    def has_expected(self, sequence: int, decide_after: Duration) -> bool:
+        """Whether nothing more is to be expected before the decision of this cycle.
+
+        A reading that usually takes longer than until the decision is awaited in a later cycle.
+        """
+        overdue = self.meter.typical_delay - decide_after
+        behind = -(-overdue // self._period) if overdue > 0 else 0
+        return self.meter.newest >= sequence - behind
+
+    def decide(self, tick: Tick, apply_at: Instant) -> None:
+        """Compute, limit and send the command of this cycle."""
+        parts = self.parts
+        reference = parts.reference.value(tick.time_s)
+        self._apply_load(parts.load.value(tick.time_s))
+        estimate = parts.compensator.estimate(apply_at)
+        demand_nm = parts.controller.output(estimate, reference)
+        torque_nm = parts.guard.limit(demand_nm)
+        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
+        self._fresh = False
+        sent_at = parts.drive.write(command)
+        parts.controller.update(estimate, command)
+        self._decisions.append(
+            Decision(
+                tick.sequence,
+                tick.due_at,
+                tick.woke_at,
+                tick.sync_sent_at,
+                estimate,
+                reference,
+                self._load_nm,
+                command,
+                sent_at,
+            )
+        )
+
+    def settle(self) -> None:
+        """Record the cycles whose readings' fates are known."""
+        for fate in self.meter.settle():
+            self._finish(fate)
+
+    def settle_all(self) -> None:
+        """End of the run: record what is left."""
+        for fate in self.meter.settle_all():
+            if self._decisions:
+                self._finish(fate)
+
+    def _finish(self, fate: Fate) -> None:
+        decision = self._decisions.popleft()
+        self._record(
+            CycleRecord(
+                decision.sequence,
+                self._number,
+                decision.due_at,
+                decision.woke_at,
+                decision.sync_sent_at,
+                fate.observation,
+                fate.delay,
+                decision.estimate,
+                decision.reference_rad_s,
+                decision.load_torque_nm,
+                decision.command,
+                decision.command_sent_at,
+            )
+        )
+
+    def _place(self, reading: Reading) -> Sample | None:
+        """Which SYNC a reading answers, and when it was taken; None if no remembered SYNC fits."""
+        if reading.device_time_ns is None or not self.parts.clock_map.ready:
+            return self._place_by_arrival(reading)
+        sampled_at, error_ns = self.parts.clock_map.place(reading.device_time_ns)
+        # A SYNC may be a quarter of a period late by the map's error or early by queueing.
+        latest_sent_at = sampled_at + self._period // 4
+        for sequence, sent_at in reversed(self._syncs):
+            if sent_at <= latest_sent_at:
+                if sampled_at - sent_at > self._period:
+                    return None
+                self.parts.clock_map.observe(sent_at, reading.device_time_ns, reading.received_at)
+                return Sample(sequence, reading, sampled_at, error_ns)
+        return None
+
+    def _place_by_arrival(self, reading: Reading) -> Sample | None:
+        for sequence, sent_at in reversed(self._syncs):
+            if sequence == reading.sequence:
+                error_ns = reading.received_at - sent_at
+                return Sample(sequence, reading, Instant(sent_at + self._sync_latency), error_ns)
+        return None
+
+    def _apply_load(self, torque_nm: float) -> None:
+        if torque_nm != self._load_nm and self.parts.load_machine is not None:
+            self.parts.load_machine.set_torque(torque_nm)
+            self._load_nm = torque_nm
+
+    def _check(self, reason: str | None) -> None:
+        if reason is not None:
+            raise LimitExceeded(f"{self.parts.name}: {reason}", remedy="the drive is being brought to rest")

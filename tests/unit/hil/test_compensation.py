@@ -1,0 +1,59 @@
+"""The two compensators."""
+
+import random
+
+from drivers.exchange import Reading
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.compensation import AT_REST, Arrival, Stamp
+from hil.samples import Sample
+
+
+def sample(sequence: int, speed: float | None = None) -> Sample:
+    at = Instant(sequence * NS_PER_MS)
+    value = float(sequence) if speed is None else speed
+    reading = Reading(sequence, 0.0, value, 0.0, 0x27, None, at)
+    return Sample(sequence, reading, at, 0)
+
+
+def at_ms(milliseconds: float) -> Instant:
+    return Instant(round(milliseconds * NS_PER_MS))
+
+
+def test_before_the_first_sample_the_drive_is_at_rest() -> None:
+    assert Arrival().estimate(at_ms(5)) == AT_REST
+    assert Stamp(Duration(NS_PER_MS)).estimate(at_ms(5)) == AT_REST
+
+
+def test_arrival_holds_through_a_dropout_and_never_goes_back() -> None:
+    compensator = Arrival()
+    for number in (1, 4, 2):
+        compensator.receive(sample(number))
+    assert compensator.estimate(at_ms(9)).sequence == 4
+    assert compensator.estimate(at_ms(10)).valid_at == at_ms(4)
+
+
+def test_stamp_uses_the_sample_of_exactly_the_agreed_age() -> None:
+    compensator = Stamp(Duration(3 * NS_PER_MS))
+    for number in range(1, 8):
+        compensator.receive(sample(number))
+        age_ms = number - compensator.estimate(at_ms(number)).sequence
+        assert age_ms == 3 if number > 3 else compensator.estimate(at_ms(number)) == AT_REST
+
+
+def test_stamp_gives_the_same_whatever_the_delays_were_if_they_kept_the_limit() -> None:
+    choices = random.Random(7)
+    arrivals = sorted((number + choices.uniform(0.0, 2.9), number) for number in range(1, 200))
+    compensator, punctual = Stamp(Duration(3 * NS_PER_MS)), Stamp(Duration(3 * NS_PER_MS))
+    pending = list(arrivals)
+    for cycle in range(1, 200):
+        punctual.receive(sample(cycle))
+        while pending and pending[0][0] <= cycle:
+            compensator.receive(sample(pending.pop(0)[1]))
+        assert compensator.estimate(at_ms(cycle)) == punctual.estimate(at_ms(cycle))
+
+
+def test_stamp_holds_the_older_sample_where_one_is_missing() -> None:
+    compensator = Stamp(Duration(2 * NS_PER_MS))
+    for number in (1, 2, 4):
+        compensator.receive(sample(number))
+    assert [compensator.estimate(at_ms(t)).sequence for t in (3, 4, 5, 6)] == [1, 2, 2, 4]

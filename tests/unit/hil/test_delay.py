@@ -1,0 +1,117 @@
+"""Fates of SYNC sequences."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.exchange import Reading
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.delay import UNKNOWN_DELAY, DelayMeter
+from hil.samples import Dropout, DropoutCause, Sample
+
+DEADLINE = Duration(2 * NS_PER_MS)
+
+
+def sample(sequence: int, delay_us: int) -> Sample:
+    sampled_at = Instant(sequence * NS_PER_MS)
+    received_at = Instant(sampled_at + delay_us * 1000)
+    return Sample(sequence, Reading(sequence, 0.0, 0.0, 0.0, 0x27, None, received_at), sampled_at, 0)
+
+
+def sent(meter: DelayMeter, *sequences: int) -> None:
+    for sequence in sequences:
+        meter.sync_sent(sequence, Instant(sequence * NS_PER_MS))
+
+
+def causes(meter: DelayMeter) -> list[DropoutCause | None]:
+    fates = meter.settle()
+    return [fate.observation.cause if isinstance(fate.observation, Dropout) else None for fate in fates]
+
+
+def test_a_reading_in_time_is_used() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1)
+    assert meter.arrived(sample(1, 300))
+    (fate,) = meter.settle()
+    assert fate.sequence == 1
+    assert fate.delay == 300_000
+    assert meter.settle() == []
+
+
+def test_a_reading_after_the_deadline_is_late_and_of_no_use() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1)
+    assert not meter.arrived(sample(1, 2001))
+    assert causes(meter) == [DropoutCause.LATE]
+
+
+def test_a_reading_overtaken_by_a_newer_one_is_stale() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1, 2)
+    assert meter.arrived(sample(2, 100))
+    assert not meter.arrived(sample(1, 1500))
+    assert causes(meter) == [DropoutCause.STALE, None]
+
+
+def test_a_reading_not_seen_within_the_horizon_is_lost_and_keeps_its_place() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, 1, 2)
+    meter.arrived(sample(2, 100))
+    assert causes(meter) == []
+    sent(meter, 3)
+    assert causes(meter) == []
+    sent(meter, 4)
+    assert causes(meter) == [DropoutCause.LOST, None]
+
+
+def test_a_duplicate_and_one_beyond_the_horizon_are_unmatched() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, 1)
+    meter.arrived(sample(1, 100))
+    assert not meter.arrived(sample(1, 150))
+    meter.settle()
+    assert not meter.arrived(sample(1, 900))
+    assert meter.unmatched == 2
+
+
+def test_what_is_open_at_the_end_is_lost() -> None:
+    meter = DelayMeter(DEADLINE, 20)
+    sent(meter, 1, 2)
+    meter.arrived(sample(2, 100))
+    fates = meter.settle_all()
+    assert [fate.delay for fate in fates] == [UNKNOWN_DELAY, 100_000]
+
+
+def test_the_typical_delay_is_the_median_not_the_mean() -> None:
+    meter = DelayMeter(Duration(100 * NS_PER_MS), 5)
+    for number in range(1, 2001):
+        sent(meter, number)
+        meter.arrived(sample(number, 40_000 if number % 4 == 0 else 500))
+        meter.settle()
+    assert meter.typical_delay == pytest.approx(500_000, rel=0.1)
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.lists(st.one_of(st.none(), st.integers(0, 8000)), min_size=1, max_size=60))
+def test_every_sequence_has_exactly_one_fate_in_order(delays_us: list[int | None]) -> None:
+    meter = DelayMeter(DEADLINE, 10)
+    events = [(number * 1000, 0, number) for number in range(1, len(delays_us) + 1)]
+    for number, delay in enumerate(delays_us, 1):
+        if delay is not None:
+            events.append((number * 1000 + delay, 1, number))
+    fates = []
+    for _, kind, number in sorted(events):
+        if kind == 0:
+            sent(meter, number)
+        else:
+            meter.arrived(sample(number, delays_us[number - 1] or 0))
+        fates += meter.settle()
+    fates += meter.settle_all()
+    assert [fate.sequence for fate in fates] == list(range(1, len(delays_us) + 1))
+    for fate, delay in zip(fates, delays_us, strict=True):
+        if delay is None:
+            assert fate.observation.cause is DropoutCause.LOST  # type: ignore[union-attr]
+        elif delay > 2000:
+            assert fate.observation.cause is DropoutCause.LATE  # type: ignore[union-attr]
+        else:
+            assert fate.delay == delay * 1000
