@@ -10,7 +10,10 @@ from typing import Protocol
 class Segment(Protocol):
     """One piece of a speed profile."""
 
-    at_s: float
+    @property
+    def at_s(self) -> float:
+        """When the segment begins, s."""
+        ...
 
     def value(self, elapsed_s: float, start_rad_s: float) -> float:
         """Speed ``elapsed_s`` after the segment began at ``start_rad_s``, rad/s."""
