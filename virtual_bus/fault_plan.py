@@ -1,0 +1,225 @@
+"""What a bad day on the bus looks like: faults as values, each with the frames that it may strike.
+
+A plan says nothing about chance: the seed belongs to :class:`virtual_bus.faults.FaultInjector`.
+A further kind of fault is one more class here, one more row in ``fault_plan_toml.py`` and, if it
+strikes frames, one more behaviour in ``faults.py``.
+"""
+
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, ClassVar
+
+from drivers.errors import MISSING, BadInput
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+
+BROADCAST = 0
+"""Stands for the node of a frame that belongs to no single one."""
+
+STANDARD_ID_MAX = 0x7FF
+EXTENDED_ID_MAX = 0x1FFF_FFFF
+NODE_MAX = 127
+DELAY_MAX = Duration(10 * NS_PER_S)
+"""No field bus holds a frame longer; what is held takes memory."""
+_AT_ONCE = Duration(0)
+
+
+class Direction(IntEnum):
+    """Which way a frame travels, whoever looks at it."""
+
+    HOST_TO_DRIVE = 0
+    DRIVE_TO_HOST = 1
+
+    @property
+    def label(self) -> str:
+        """As written in a plan: ``host_to_drive``."""
+        return self.name.lower()
+
+
+class FrameClass(Enum):
+    """What a frame is for, by its COB-ID in the pre-defined connection set (CiA 301 7.3.5)."""
+
+    PDO = "pdo"
+    SYNC = "sync"
+    SDO = "sdo"
+    EMCY = "emcy"
+    HEARTBEAT = "heartbeat"
+    NMT = "nmt"
+    TIME = "time"
+    LSS = "lss"
+    ALL = "all"
+
+
+COB_IDS: dict[FrameClass, range] = {
+    FrameClass.NMT: range(0x001),
+    FrameClass.SYNC: range(0x080, 0x081),
+    FrameClass.EMCY: range(0x081, 0x100),
+    FrameClass.TIME: range(0x100, 0x101),
+    FrameClass.PDO: range(0x180, 0x580),
+    FrameClass.SDO: range(0x580, 0x680),
+    FrameClass.HEARTBEAT: range(0x700, 0x780),
+    FrameClass.LSS: range(0x7E4, 0x7E6),
+}
+"""COB-IDs of each class; PDO 1..4 take the function codes 3..10."""
+
+_OF_ONE_NODE = (FrameClass.EMCY, FrameClass.PDO, FrameClass.SDO, FrameClass.HEARTBEAT)
+
+
+def node_of(can_id: int, extended: bool = False) -> int:
+    """The node that a frame belongs to by its COB-ID; :data:`BROADCAST` if to none."""
+    if extended or not any(can_id in COB_IDS[frames] for frames in _OF_ONE_NODE):
+        return BROADCAST
+    return can_id & NODE_MAX
+
+
+def require(holds: bool, key: str, value: Any, expected: str) -> None:
+    """Raise :class:`BadInput` about ``key`` unless ``holds``."""
+    if not holds:
+        raise BadInput("fault plan", key, value, expected)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """The frames that a fault may strike, and when."""
+
+    directions: tuple[Direction, ...] = (Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST)
+    frames: tuple[FrameClass | int, ...] = (FrameClass.PDO,)
+    """Classes, or COB-IDs; a number above 7FFh means an extended frame."""
+    nodes: tuple[int, ...] = ()
+    """Only classes' frames of these nodes; empty: of all, and broadcasts too."""
+    from_ns: Duration = _AT_ONCE
+    """Since the plan's time zero."""
+    until_ns: Duration | None = None
+    """Exclusive; None: to the end."""
+
+    def __post_init__(self) -> None:
+        require(bool(self.directions), "direction", self.directions, "at least one direction")
+        require(bool(self.frames), "frames", list(self.frames), "at least one class of frames or COB-ID")
+        for item in self.frames:
+            known = isinstance(item, FrameClass) or 0 <= item <= EXTENDED_ID_MAX
+            require(known, "frames", item, f"a COB-ID from 0 to {EXTENDED_ID_MAX:#x}")
+        for node in self.nodes:
+            require(1 <= node <= NODE_MAX, "nodes", node, f"a node id from 1 to {NODE_MAX}")
+        require(self.from_ns >= 0, "from_s", self.from_ns / NS_PER_S, "a time >= 0")
+        if self.until_ns is not None:
+            expected = f"a time after from_s = {self.from_ns / NS_PER_S:g}"
+            require(self.until_ns > self.from_ns, "until_s", self.until_ns / NS_PER_S, expected)
+
+    def selects(self, direction: Direction, can_id: int, extended: bool = False) -> bool:
+        """Whether a frame is among those meant, at any time."""
+        return direction in self.directions and any(
+            self._names(item, can_id, extended) for item in self.frames
+        )
+
+    def _names(self, item: FrameClass | int, can_id: int, extended: bool) -> bool:
+        if isinstance(item, int):
+            return item == can_id and extended == (item > STANDARD_ID_MAX)
+        if self.nodes and node_of(can_id, extended) not in self.nodes:
+            return False
+        return item is FrameClass.ALL or (not extended and can_id in COB_IDS[item])
+
+
+def _require_probability(key: str, value: float) -> None:
+    require(0.0 <= value <= 1.0, key, value, "a probability from 0 to 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IndependentLoss:
+    """Each frame is lost with the same probability, whatever happened to the others."""
+
+    kind: ClassVar[str] = "loss"
+    selection: Selection = field(default_factory=Selection)
+    probability: float
+
+    def __post_init__(self) -> None:
+        _require_probability("probability", self.probability)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BurstLoss:
+    """Losses in bursts: the chain of Gilbert (1960) and Elliott (1963) with two states.
+
+    Each frame of a link first moves the chain (which begins good), then is lost with the
+    probability of the state reached. With ``loss_bad`` 1 and ``loss_good`` 0 a burst has a
+    geometric length of mean 1 / p_bad_to_good frames, and in the long run
+    p_good_to_bad / (p_good_to_bad + p_bad_to_good) of the frames are lost.
+    """
+
+    kind: ClassVar[str] = "burst"
+    selection: Selection = field(default_factory=Selection)
+    p_good_to_bad: float
+    p_bad_to_good: float
+    loss_bad: float = 1.0
+    loss_good: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key in ("p_good_to_bad", "p_bad_to_good", "loss_bad", "loss_good"):
+            _require_probability(key, getattr(self, key))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeriodicLoss:
+    """Of every ``lost`` + 1 frames of a COB-ID the first passes and the others are lost."""
+
+    kind: ClassVar[str] = "periodic_loss"
+    selection: Selection = field(default_factory=Selection)
+    lost: int
+
+    def __post_init__(self) -> None:
+        require(self.lost >= 1, "lost", self.lost, "a whole number >= 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blackout:
+    """Every frame is lost: throughout the selection's window, or the first ``count`` of each COB-ID in it.
+
+    It needs one end of the two.
+    """
+
+    kind: ClassVar[str] = "blackout"
+    selection: Selection
+    count: int | None = None
+
+    def __post_init__(self) -> None:
+        ends = self.count is not None or self.selection.until_ns is not None
+        require(ends, "duration_s", MISSING, "a duration, or until_s, or count: a blackout has an end")
+        require(self.count is None or self.count >= 1, "count", self.count, "a whole number >= 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UniformDelay:
+    """A frame is held for a time drawn evenly from ``min_ns``..``max_ns``, both included.
+
+    Frames of one link (one direction, one node) keep their order, which may hold one
+    longer, unless ``reorder``. Several delays of a frame add up.
+    """
+
+    kind: ClassVar[str] = "delay"
+    selection: Selection = field(default_factory=Selection)
+    min_ns: Duration
+    max_ns: Duration
+    reorder: bool = False
+
+    def __post_init__(self) -> None:
+        longest = f"a delay from 0 to {DELAY_MAX // NS_PER_US} us"
+        key = "delay_us" if self.min_ns == self.max_ns else "delay_min_us"
+        require(0 <= self.min_ns <= DELAY_MAX, key, self.min_ns / NS_PER_US, longest)
+        least = f"a delay from delay_min_us = {self.min_ns / NS_PER_US:g} to {DELAY_MAX // NS_PER_US} us"
+        require(self.min_ns <= self.max_ns <= DELAY_MAX, "delay_max_us", self.max_ns / NS_PER_US, least)
+
+
+Loss = IndependentLoss | BurstLoss | PeriodicLoss | Blackout
+Fault = Loss | UniformDelay
+
+
+@dataclass(frozen=True, slots=True)
+class FaultPlan:
+    """All faults of one bus. A frame is lost if any of them loses it."""
+
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def span(self) -> Duration:
+        """When the last window opens or closes, ns after time zero: a run should be longer."""
+        edges = [fault.selection.from_ns for fault in self.faults]
+        edges += [end for fault in self.faults if (end := fault.selection.until_ns) is not None]
+        return max(edges, default=_AT_ONCE)
