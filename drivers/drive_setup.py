@@ -1,0 +1,253 @@
+"""What a drive is told before it is enabled: heartbeats, reactions, limits, mode and PDOs.
+
+Objects that a drive need not have degrade one by one: each that is missing, refused or held otherwise becomes
+a note. What the bench cannot do without raises.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from drivers.errors import PeerFault, TransferAborted
+from drivers.objects import RemoteObjects, SettingRefused
+from drivers.objects402 import Object
+from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoPlan, torque_plan, write_plan
+from drivers.profile402 import (
+    AbortConnectionOption,
+    DisableOperationOption,
+    FaultReactionOption,
+    Mode,
+    QuickStopOption,
+    ShutdownOption,
+    supported_mode_bit,
+)
+from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
+from drivers.sdo import object_name
+from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+
+DEVICE_TYPE = 0x1000
+COMMUNICATION_CYCLE_PERIOD = 0x1006
+DEVICE_NAME = 0x1008
+CONSUMER_HEARTBEAT_TIME = 0x1016
+PRODUCER_HEARTBEAT_TIME = 0x1017
+IDENTITY = 0x1018
+DRIVE_PROFILE = 402
+
+
+class Identity(NamedTuple):
+    """Who answers: 0x1018, 0x1008 and 0x1000. 0 and empty text stand for what the device does not tell."""
+
+    device_name: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    device_type: int
+
+    def __str__(self) -> str:
+        name = self.device_name or "unnamed device"
+        return f"{name} (vendor {self.vendor:08X}h, product {self.product:08X}h, serial {self.serial})"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """How the bench wants a drive; None leaves the drive's own value."""
+
+    sync_period_ns: Duration
+    plan: PdoPlan | None = None
+    """None: :func:`drivers.pdo.torque_plan`, with the drive's time stamp if it has one."""
+    synchronous_command: bool = False
+    """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
+    drive_heartbeat_ms: int = 50
+    drive_heartbeat_timeout_ms: int = 150
+    """A drive that is silent for longer counts as lost."""
+    host_heartbeat_ms: int = 50
+    host_heartbeat_timeout_ms: int = 150
+    """A drive that does not hear the host for this long stops by itself."""
+    torque_max_nm: float | None = None
+    speed_max_rad_s: float | None = None
+    quick_stop_deceleration_rad_s2: float | None = None
+    scale: ScaleOverride = field(default_factory=ScaleOverride)
+
+    def __post_init__(self) -> None:
+        if self.sync_period_ns <= 0:
+            raise ValueError("sync_period_ns must be positive")
+        if not 0 < self.host_heartbeat_ms < self.host_heartbeat_timeout_ms <= 0xFFFF:
+            raise ValueError(
+                "host_heartbeat_ms must be below host_heartbeat_timeout_ms, and that below 65536"
+            )
+        if not 0 < self.drive_heartbeat_ms < self.drive_heartbeat_timeout_ms <= 0xFFFF:
+            raise ValueError(
+                "drive_heartbeat_ms must be below drive_heartbeat_timeout_ms, and that below 65536"
+            )
+
+
+class Reaction(NamedTuple):
+    """An option code, INTEGER16, and what it stands for."""
+
+    object: Object
+    value: int
+    text: str
+
+
+REACTIONS = (
+    Reaction(
+        Object.ABORT_CONNECTION_OPTION, AbortConnectionOption.QUICK_STOP, "quick stop when the host is lost"
+    ),
+    Reaction(
+        Object.QUICK_STOP_OPTION, QuickStopOption.QUICK_STOP_RAMP, "quick stop by its ramp, then disabled"
+    ),
+    Reaction(Object.SHUTDOWN_OPTION, ShutdownOption.SLOW_DOWN_RAMP, "shutdown by ramp"),
+    Reaction(Object.DISABLE_OPERATION_OPTION, DisableOperationOption.SLOW_DOWN_RAMP, "disable by ramp"),
+    Reaction(
+        Object.FAULT_REACTION_OPTION, FaultReactionOption.QUICK_STOP_RAMP, "fault reaction by quick stop ramp"
+    ),
+)
+"""A drive that is left alone comes to rest by itself."""
+
+
+def read_identity(objects: RemoteObjects) -> Identity:
+    """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device."""
+    device_type = objects.read(DEVICE_TYPE)
+    if device_type & 0xFFFF != DRIVE_PROFILE:
+        raise PeerFault(
+            f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
+            f"device type {device_type:08X}h, profile {device_type & 0xFFFF} instead of {DRIVE_PROFILE}",
+            "check the node id",
+        )
+    vendor, product, revision, serial = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2, 3, 4))
+    return Identity(objects.read_text(DEVICE_NAME), vendor, product, revision, serial, device_type)
+
+
+def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
+    """The drive's units, from those of the factor objects that it has."""
+    values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
+    return scaling_from(values, override)
+
+
+def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> int:
+    """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19); returns the entry's sub-index.
+
+    Both are needed: raises SettingRefused or TransferAborted if the drive does not take them.
+    """
+    objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", settings.drive_heartbeat_ms)
+    host = objects.network.node_id
+    word = host << 16 | settings.host_heartbeat_timeout_ms
+    entry = consumer_entry(objects)
+    objects.write_verified(CONSUMER_HEARTBEAT_TIME, entry, "I", word)
+    return entry
+
+
+def consumer_entry(objects: RemoteObjects) -> int:
+    """Sub-index of 0x1016 that watches the host already, or the first that watches nobody.
+
+    A second entry for one node is forbidden, so the first search goes first.
+    """
+    host = objects.network.node_id
+    count = objects.read(CONSUMER_HEARTBEAT_TIME, 0, "B")
+    words = [objects.read(CONSUMER_HEARTBEAT_TIME, sub) for sub in range(1, count + 1)]
+    for sub, word in enumerate(words, start=1):
+        if word >> 16 & 0x7F == host:
+            return sub
+    for sub, word in enumerate(words, start=1):
+        if not word & 0xFFFF or not word >> 16 & 0x7F:
+            return sub
+    raise SettingRefused(
+        f"node {objects.node_id} has no room to watch the host's heartbeat",
+        f"all {count} entries of 1016h watch other nodes",
+        "clear one of them",
+    )
+
+
+def forget_host(objects: RemoteObjects, entry: int) -> None:
+    """Have the drive watch the host no more, so that it takes no leave for a loss."""
+    objects.write(CONSUMER_HEARTBEAT_TIME, entry, "I", 0)
+
+
+def write_reactions(objects: RemoteObjects) -> list[str]:
+    """Option codes; notes on those that the drive has not, or holds otherwise."""
+    notes = []
+    for index, value, text in REACTIONS:
+        notes += write_optional(objects, index, "h", value, text)
+    return notes
+
+
+def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
+    """Limits and periods; notes on those that the drive has not, or holds otherwise."""
+    notes: list[str] = []
+    if settings.torque_max_nm is not None:
+        raw = min(round(settings.torque_max_nm / scaling.torque_nm), 0xFFFF)
+        notes += write_optional(objects, Object.MAX_TORQUE, "H", raw, "torque limit")
+    if settings.speed_max_rad_s is not None:
+        raw = round(settings.speed_max_rad_s / RAD_S_PER_RPM)
+        notes += write_optional(objects, Object.MAX_MOTOR_SPEED, "I", raw, "speed limit, rev/min")
+    if settings.quick_stop_deceleration_rad_s2 is not None:
+        raw = max(1, round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2))
+        notes += write_optional(objects, Object.QUICK_STOP_DECELERATION, "I", raw, "quick stop deceleration")
+    period_us = settings.sync_period_ns // NS_PER_US
+    notes += write_optional(objects, COMMUNICATION_CYCLE_PERIOD, "I", period_us, "SYNC period, us")
+    return notes + _write_interpolation_time(objects, settings.sync_period_ns)
+
+
+def _write_interpolation_time(objects: RemoteObjects, period_ns: Duration) -> list[str]:
+    """0x60C2: sub 1 times ten to the sub 2 seconds, an UNSIGNED8 and an INTEGER8."""
+    for exponent, unit_ns in (
+        (-3, NS_PER_MS),
+        (-4, NS_PER_MS // 10),
+        (-5, NS_PER_MS // 100),
+        (-6, NS_PER_US),
+    ):
+        if period_ns % unit_ns == 0 and period_ns // unit_ns <= 0xFF:
+            text = "interpolation time"
+            notes = write_optional(objects, Object.INTERPOLATION_TIME_PERIOD, "b", exponent, text, sub=2)
+            value = period_ns // unit_ns
+            return notes or write_optional(objects, Object.INTERPOLATION_TIME_PERIOD, "B", value, text, sub=1)
+    return [f"60C2h: a period of {period_ns} ns cannot be told to the drive"]
+
+
+def write_optional(
+    objects: RemoteObjects, index: int, code: str, value: int, text: str, sub: int = 0
+) -> list[str]:
+    """Write and read back; a note if the object is missing, refuses, or holds another value afterwards."""
+    name = object_name(index, sub)
+    if objects.read_if_there(index, sub, code) is None:
+        return [f"{name} is missing: {text} left to the drive"]
+    try:
+        objects.write_verified(index, sub, code, value)
+    except TransferAborted as error:
+        return [f"{name} refused {value} ({text}): {error.evidence}"]
+    except SettingRefused as error:
+        return [f"{text}: {error.summary}, {value} was asked for"]
+    return []
+
+
+def check_torque_mode(objects: RemoteObjects) -> None:
+    """Raises PeerFault if 0x6502 is there and lacks cyclic synchronous torque."""
+    modes = objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
+    mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    if modes and not modes & supported_mode_bit(mode):
+        raise PeerFault(
+            f"node {objects.node_id} has no cyclic synchronous torque mode", f"6502h is {modes:08X}h"
+        )
+
+
+def choose_plan(objects: RemoteObjects, settings: DriveSettings) -> PdoPlan:
+    """The plan of the settings, or the standard one for what this drive can map."""
+    if settings.plan is not None:
+        return settings.plan
+    stamped = objects.read_if_there(HIGH_RESOLUTION_TIME_STAMP) is not None
+    return torque_plan(
+        objects.node_id, device_stamp=stamped, synchronous_command=settings.synchronous_command
+    )
+
+
+def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
+    """Write the plan. A drive that has 0x1013 but will not map it is served without."""
+    plan = choose_plan(objects, settings)
+    try:
+        return plan, write_plan(objects, plan)
+    except (TransferAborted, SettingRefused) as error:
+        if settings.plan is not None or plan.tpdos[1].place_of(HIGH_RESOLUTION_TIME_STAMP) is None:
+            raise
+        refusal = error
+    plan = torque_plan(objects.node_id, device_stamp=False, synchronous_command=settings.synchronous_command)
+    return plan, [f"1013h is not mapped: {refusal.evidence}", *write_plan(objects, plan)]

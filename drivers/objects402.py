@@ -1,0 +1,100 @@
+"""Object indices of CiA 402-2 and the unit words that scale them.
+
+A unit word (0x60A8 position, 0x60A9 velocity) is ``prefix | numerator | denominator | 0``, one octet each;
+the prefix is a signed power of ten (CiA 402-2 clause 8.4, codes of CiA 303-2).
+"""
+
+from enum import IntEnum
+
+
+class Object(IntEnum):
+    """Index of a CiA 402 object, with its unit: fixed by the standard, or "user" if a unit word scales it."""
+
+    ABORT_CONNECTION_OPTION = 0x6007
+    ERROR_CODE = 0x603F
+    CONTROLWORD = 0x6040
+    STATUSWORD = 0x6041
+    QUICK_STOP_OPTION = 0x605A
+    SHUTDOWN_OPTION = 0x605B
+    DISABLE_OPERATION_OPTION = 0x605C
+    HALT_OPTION = 0x605D
+    FAULT_REACTION_OPTION = 0x605E
+    MODES_OF_OPERATION = 0x6060
+    MODES_OF_OPERATION_DISPLAY = 0x6061
+    POSITION_DEMAND_VALUE = 0x6062
+    POSITION_ACTUAL_INTERNAL_VALUE = 0x6063
+    """Encoder increments."""
+    POSITION_ACTUAL_VALUE = 0x6064
+    """User position unit."""
+    VELOCITY_DEMAND_VALUE = 0x606B
+    VELOCITY_ACTUAL_VALUE = 0x606C
+    """User velocity unit."""
+    TARGET_TORQUE = 0x6071
+    """Per thousand of 0x6076."""
+    MAX_TORQUE = 0x6072
+    """Per thousand of 0x6076."""
+    MAX_CURRENT = 0x6073
+    """Per thousand of 0x6075."""
+    TORQUE_DEMAND = 0x6074
+    """Per thousand of 0x6076."""
+    MOTOR_RATED_CURRENT = 0x6075
+    """mA."""
+    MOTOR_RATED_TORQUE = 0x6076
+    """mN m."""
+    TORQUE_ACTUAL_VALUE = 0x6077
+    """Per thousand of 0x6076."""
+    CURRENT_ACTUAL_VALUE = 0x6078
+    """Per thousand of 0x6075."""
+    DC_LINK_CIRCUIT_VOLTAGE = 0x6079
+    """mV."""
+    TARGET_POSITION = 0x607A
+    POLARITY = 0x607E
+    MAX_PROFILE_VELOCITY = 0x607F
+    MAX_MOTOR_SPEED = 0x6080
+    """rev/min."""
+    PROFILE_ACCELERATION = 0x6083
+    PROFILE_DECELERATION = 0x6084
+    QUICK_STOP_DECELERATION = 0x6085
+    """User acceleration unit."""
+    POSITION_ENCODER_RESOLUTION = 0x608F
+    """Sub 1 encoder increments per sub 2 motor revolutions."""
+    VELOCITY_ENCODER_RESOLUTION = 0x6090
+    GEAR_RATIO = 0x6091
+    FEED_CONSTANT = 0x6092
+    VELOCITY_FACTOR = 0x6096
+    SI_UNIT_POSITION = 0x60A8
+    SI_UNIT_VELOCITY = 0x60A9
+    SI_UNIT_ACCELERATION = 0x60AA
+    VELOCITY_OFFSET = 0x60B1
+    TORQUE_OFFSET = 0x60B2
+    """Per thousand of 0x6076."""
+    INTERPOLATION_TIME_PERIOD = 0x60C2
+    TARGET_VELOCITY = 0x60FF
+    DIGITAL_INPUTS = 0x60FD
+    SUPPORTED_DRIVE_MODES = 0x6502
+
+
+class Unit(IntEnum):
+    """Codes of CiA 303-2 in unit words, and those that drives use beside them for turns and increments."""
+
+    DIMENSIONLESS = 0x00
+    METRE = 0x01
+    SECOND = 0x03
+    RADIAN = 0x10
+    DEGREE = 0x41
+    MINUTE = 0x47
+    HOUR = 0x48
+    REVOLUTION = 0xB4
+    INCREMENT = 0xB5
+    REVOLUTION_PER_MINUTE = 0xC0
+
+
+def unit_word(exponent: int, numerator: Unit, denominator: Unit = Unit.DIMENSIONLESS) -> int:
+    """The UNSIGNED32 that says ``10**exponent numerator/denominator``."""
+    return (exponent & 0xFF) << 24 | numerator << 16 | denominator << 8
+
+
+def unit_parts(word: int) -> tuple[int, int, int]:
+    """Exponent of ten, numerator code and denominator code of a unit word."""
+    exponent = word >> 24 & 0xFF
+    return (exponent - 0x100 if exponent > 0x7F else exponent), word >> 16 & 0xFF, word >> 8 & 0xFF

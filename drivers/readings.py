@@ -1,0 +1,191 @@
+"""TPDOs of one drive put together into readings in SI units."""
+
+from struct import Struct
+
+from drivers.exchange import Reading
+from drivers.network import CanopenNetwork
+from drivers.objects402 import Object
+from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.scaling import Scaling
+from drivers.timebase import NS_PER_US, Duration, Instant
+
+_WORD = 1 << 32
+_HALF_WORD = 1 << 31
+
+
+class Seen:
+    """The last statusword that a drive told, by whatever way it came."""
+
+    __slots__ = ("statusword",)
+
+    def __init__(self) -> None:
+        self.statusword = -1
+        """0x6041, raw; -1 before the first."""
+
+
+class ReadingAssembler:
+    """Collects the synchronous TPDOs of a drive; a reading is complete with the one of lowest priority.
+
+    The TPDOs of one SYNC arrive in the order of their identifiers, one after the other. A set is dropped and
+    counted when it mixes two SYNCs, which happens when frames of both are lost:
+
+        SYNC k: TPDO1 arrives, TPDO2 lost        SYNC k+1: TPDO1 lost, TPDO2 arrives
+
+    A set certainly is of one SYNC if, since the last complete set, as many of its first TPDOs arrived as
+    periods went by on the drive's own clock. Otherwise, and for a drive without that clock, it is taken for
+    one if its frames arrived within half a period.
+    """
+
+    __slots__ = (
+        "_carrier",
+        "_expected",
+        "_first_at",
+        "_firsts",
+        "_half_period_ns",
+        "_network",
+        "_period_us",
+        "_places",
+        "_position",
+        "_position_raw",
+        "_readings",
+        "_seen",
+        "_stamp_raw",
+        "_stamp_us",
+        "_told",
+        "_values",
+        "incoherent",
+        "incomplete",
+        "malformed",
+        "scaling",
+    )
+
+    def __init__(
+        self, network: CanopenNetwork, plan: PdoPlan, scaling: Scaling, period_ns: Duration, told: Seen
+    ) -> None:
+        self.scaling = scaling
+        self.incomplete = 0
+        """Sets of which an earlier TPDO is missing."""
+        self.incoherent = 0
+        """Sets that mix two SYNCs."""
+        self.malformed = 0
+        """PDOs of a length other than mapped."""
+        self._network = network
+        self._told = told
+        self._half_period_ns = period_ns // 2
+        self._period_us = max(1, period_ns // NS_PER_US)
+        self._readings: list[Reading] = []
+        self._values: list[int] = []
+        self._seen = self._expected = self._firsts = 0
+        self._first_at = Instant(0)
+        self._position = self._stamp_us = 0
+        self._position_raw: int | None = None
+        self._stamp_raw: int | None = None
+        self._places = self._subscribe(sorted(plan.tpdos, key=lambda pdo: pdo.cob_id))
+
+    def take(self) -> list[Reading]:
+        """The readings completed since the last call, oldest first."""
+        taken = self._readings
+        if taken:
+            self._readings = []
+        return taken
+
+    def _subscribe(self, pdos: list[PdoMap]) -> tuple[int, int, int, int, int]:
+        """Give each PDO its slice of the values; the places of the five values of a reading among them."""
+        places: dict[tuple[int, int], int] = {}
+        for number, pdo in enumerate(pdos):
+            low = len(self._values)
+            self._values.extend([0] * len(pdo.entries))
+            for offset, entry in enumerate(pdo.entries):
+                places.setdefault((entry.index, entry.sub), low + offset)
+            last = number == len(pdos) - 1
+            self._listen(pdo, low, 0 if last else 1 << number)
+        self._expected = (1 << (len(pdos) - 1)) - 1
+        wanted = (
+            Object.STATUSWORD,
+            Object.POSITION_ACTUAL_VALUE,
+            Object.VELOCITY_ACTUAL_VALUE,
+            Object.TORQUE_ACTUAL_VALUE,
+        )
+        missing = [f"{index:04X}h" for index in wanted if (index, 0) not in places]
+        if missing:
+            raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
+        status, position, velocity, torque = (places[index, 0] for index in wanted)
+        return status, position, velocity, torque, places.get((HIGH_RESOLUTION_TIME_STAMP, 0), -1)
+
+    def _listen(self, pdo: PdoMap, low: int, bit: int) -> None:
+        """Take the PDO's frames into ``values[low:]``; ``bit`` 0 marks the one that completes a reading."""
+        codec: Struct = pdo.codec()
+        unpack, size, values, high = codec.unpack, codec.size, self._values, low + len(pdo.entries)
+        told = self._told
+        status_place = pdo.place_of(Object.STATUSWORD)
+
+        def take(data: bytes, at: Instant) -> None:
+            if len(data) != size:
+                self.malformed += 1
+                return
+            values[low:high] = fields = unpack(data)
+            if status_place is not None:
+                told.statusword = fields[status_place]
+            if not bit:
+                self._complete(at)
+                return
+            self._seen |= bit
+            if bit == 1:
+                self._firsts += 1
+                self._first_at = at
+
+        self._network.listen(pdo.cob_id, take)
+
+    def _complete(self, at: Instant) -> None:
+        """The last TPDO of a set arrived: build the reading, or count why there is none."""
+        status, position, velocity, torque, stamp = self._places
+        values = self._values
+        periods = 0
+        device_time_ns = None
+        if stamp >= 0:
+            passed_us = self._unwrap_stamp(values[stamp])
+            device_time_ns = self._stamp_us * NS_PER_US
+            periods = (passed_us + self._period_us // 2) // self._period_us
+        self._unwrap_position(values[position])
+        firsts, self._firsts = self._firsts, 0
+        seen, self._seen = self._seen, 0
+        if seen != self._expected:
+            self.incomplete += 1
+            return
+        if seen and firsts != periods and at - self._first_at > self._half_period_ns:
+            self.incoherent += 1
+            return
+        scaling = self.scaling
+        self._readings.append(
+            Reading(
+                self._network.sync_count,
+                self._position * scaling.position_rad,
+                values[velocity] * scaling.velocity_rad_s,
+                values[torque] * scaling.torque_nm,
+                values[status],
+                device_time_ns,
+                at,
+            )
+        )
+
+    def _unwrap_stamp(self, raw: int) -> int:
+        """Microseconds since the stamp before, 0 for the first; negative if the drive's clock was set back.
+
+        0x1013 counts modulo 2^32, which is 71.6 minutes.
+        """
+        if self._stamp_raw is None:
+            self._stamp_us = raw
+            passed = 0
+        else:
+            passed = ((raw - self._stamp_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+            self._stamp_us += passed
+        self._stamp_raw = raw
+        return passed
+
+    def _unwrap_position(self, raw: int) -> None:
+        """0x6064 is an INTEGER32: at 65536 counts a turn it wraps after 22 minutes of 1500 rev/min."""
+        if self._position_raw is None:
+            self._position = raw
+        else:
+            self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+        self._position_raw = raw

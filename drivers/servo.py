@@ -1,0 +1,349 @@
+"""A CiA 402 servo drive in cyclic synchronous torque mode, simulated or real, as a loop sees it."""
+
+from typing import NamedTuple
+
+from drivers.drive_setup import (
+    DriveSettings,
+    Identity,
+    check_torque_mode,
+    forget_host,
+    map_pdos,
+    read_identity,
+    read_scaling,
+    write_heartbeats,
+    write_limits,
+    write_reactions,
+)
+from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
+from drivers.exchange import Command, Reading
+from drivers.network import CanopenNetwork
+from drivers.nmt import NmtCommand, NmtState
+from drivers.objects import RemoteObjects, SettingRefused
+from drivers.objects402 import Object
+from drivers.pdo import PdoPlan
+from drivers.profile402 import DriveCommand, Mode, State, state_of
+from drivers.readings import ReadingAssembler, Seen
+from drivers.setpoint import SetPoint
+from drivers.state_control import FAULTY, POLL_NS, StateControl
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+
+NOT_SENT = Instant(-1)
+REST_RAD_S = 1.0
+"""A shaft that turns slower counts as at rest."""
+RELEASE_LIMIT = Duration(3 * NS_PER_S)
+_CHANGE_LIMIT = NS_PER_S
+"""Time for a change of mode or NMT state."""
+
+_ENABLED_BITS, _ENABLED = 0x6F, 0x27
+_CONNECT_TRY_S = 0.1
+
+
+class Release(NamedTuple):
+    """How a drive was left."""
+
+    at_rest: bool
+    state: State | None
+    evidence: str = ""
+    """What went wrong on the way; empty if nothing did."""
+
+
+class ServoDrive:
+    """One drive: connect, configure, enable, exchange, stop, release.
+
+        drive = ServoDrive(network, node_id=1, name="axis1")
+        drive.connect(deadline); drive.configure(settings); drive.enable(deadline)
+        each cycle: network.send_sync(), network.pump_one(until), drive.take_readings(), drive.write(command)
+        at last: drive.release()
+
+    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has done what it was
+    asked, and raise NoAnswer or DriveInFault if it has not by then. ``take_readings``, ``write`` and
+    ``check`` never wait. A fault is reset only by ``reset_fault``.
+    """
+
+    def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
+        self.network = network
+        self.node_id = node_id
+        self.name = name or f"node {node_id}"
+        self.objects = RemoteObjects(network, node_id)
+        self.status = network.status(node_id)
+        self.identity: Identity | None = None
+        self.notes: list[str] = []
+        """What the drive has not, refused or holds otherwise, in words; of the last ``configure``."""
+        self.unsent_commands = 0
+        """Commands that had expired when ``write`` was called."""
+        self.plan: PdoPlan | None = None
+        """What was mapped; None before ``configure``."""
+        self._told = Seen()
+        self.control = StateControl(self.objects, self.name, self._told)
+        self._assembler: ReadingAssembler | None = None
+        self._enabled = False
+        self._boot_ups = 0
+        self._consumer_entry = 0
+
+    # ---- set-up ---------------------------------------------------------------------------------------
+
+    def connect(self, deadline: Instant) -> Identity:
+        """Wait until the node answers an SDO request, and read its identity. Raises NoAnswer, PeerFault."""
+        clock = self.network.clock
+        while True:
+            try:
+                self.network.upload(self.node_id, 0x1000, timeout_s=_CONNECT_TRY_S, attempts=1)
+                break
+            except NoAnswer as error:
+                if clock.now() >= deadline:
+                    raise self._nobody() from error
+        self.identity = read_identity(self.objects)
+        return self.identity
+
+    def configure(self, settings: DriveSettings) -> list[str]:
+        """Write PDO plan, heartbeats, reactions, limits and mode, and start the node (NMT operational).
+
+        The master's heartbeat is started if it is not running. Returns :attr:`notes`. Raises SettingRefused
+        or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
+        """
+        network = self.network
+        if not network.produces_heartbeat:
+            network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
+        self._consumer_entry = write_heartbeats(self.objects, settings)
+        network.watch(self.node_id, Duration(settings.drive_heartbeat_timeout_ms * NS_PER_MS))
+        self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
+        check_torque_mode(self.objects)
+        scaling = read_scaling(self.objects, settings.scale)
+        notes = write_reactions(self.objects) + write_limits(self.objects, settings, scaling)
+        plan, pdo_notes = map_pdos(self.objects, settings)
+        self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
+        self.control.set_point = SetPoint(network, plan, scaling, settings.torque_max_nm)
+        self.plan = plan
+        self._choose_mode(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
+        self._boot_ups = self.status.boot_ups
+        self.notes = notes + pdo_notes
+        return self.notes
+
+    # ---- state ----------------------------------------------------------------------------------------
+
+    def enable(self, deadline: Instant) -> None:
+        """Walk to OPERATION ENABLED with a torque set-point of 0."""
+        self._configured().hold_torque(0.0)
+        self.objects.write(Object.TARGET_TORQUE, 0, "h", 0)
+        self.control.walk(State.OPERATION_ENABLED, deadline)
+        self._boot_ups = self.status.boot_ups
+        self._enabled = True
+
+    def disable(self, deadline: Instant) -> None:
+        """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""
+        self._stop_following()
+        if self.control.read_state() is State.OPERATION_ENABLED:
+            self.control.command(DriveCommand.DISABLE_OPERATION)
+            self.control.await_state(
+                lambda state: state is not State.OPERATION_ENABLED, deadline, "leave operation enabled"
+            )
+        self.control.walk(State.SWITCH_ON_DISABLED, deadline)
+
+    def quick_stop(self, deadline: Instant) -> None:
+        """Command a quick stop and wait until the shaft is at rest and the drive disabled, or in fault."""
+        self._stop_following()
+        self.control.command_by_pdo(DriveCommand.QUICK_STOP)
+        if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
+            self.control.command(DriveCommand.QUICK_STOP)
+        moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
+        state = self.control.await_state(
+            lambda now: now not in moving and self._at_rest(), deadline, "come to rest", faults=False
+        )
+        if state is not State.FAULT:
+            self.control.walk(State.SWITCH_ON_DISABLED, deadline)
+
+    def release(self, limit: Duration = RELEASE_LIMIT) -> Release:
+        """Leave the drive at rest and disabled; raises nothing for what the drive or the bus does.
+
+        Takes ``limit`` at most, and one SDO time-out. The drive then watches the host no more, and is
+        pre-operational. If it cannot be brought to rest, it goes on watching, and stops when the host's
+        heartbeat ends.
+        """
+        self._enabled = False
+        if self.identity is None:
+            return Release(True, None, "it was never connected")
+        deadline = self.network.deadline_after(limit)
+        failure = self._try_to_stop(deadline)
+        if failure is not None:
+            return Release(False, self.state, str(failure))
+        try:
+            self._leave()
+        except PeerFault as error:
+            return Release(True, self.state, str(error))
+        return Release(True, self.state)
+
+    def reset_fault(self, deadline: Instant) -> None:
+        """Send a rising edge of the fault reset bit; raises DriveInFault if the fault stays."""
+        if self.control.read_state() not in FAULTY:
+            return
+        self.control.await_state(
+            lambda state: state is State.FAULT, deadline, "finish its fault reaction", faults=False
+        )
+        self.control.command(DriveCommand.DISABLE_VOLTAGE)
+        self.control.command(DriveCommand.FAULT_RESET)
+        self.control.await_state(lambda state: state not in FAULTY, deadline, "leave its fault", faults=False)
+        self.control.command(DriveCommand.DISABLE_VOLTAGE)
+        self.control.emergencies.clear()
+
+    @property
+    def state(self) -> State | None:
+        """State in the last statusword seen, by PDO or SDO; None before the first."""
+        word = self._told.statusword
+        return state_of(word) if word >= 0 else None
+
+    # ---- the cycle ------------------------------------------------------------------------------------
+
+    def take_readings(self) -> list[Reading]:
+        """The readings completed since the last call, oldest first."""
+        return [] if self._assembler is None else self._assembler.take()
+
+    def write(self, command: Command) -> Instant:
+        """Send a torque set-point; returns the instant at which the bus was given it.
+
+        -1 and nothing sent if the command has expired. Torque beyond the drive's set limit is clipped to it.
+        Raises ValueError for a torque that is no number.
+        """
+        if self.network.clock.now() > command.expires_at:
+            self.unsent_commands += 1
+            return NOT_SENT
+        return self._configured().send_torque(command.torque_nm)
+
+    def check(self) -> None:
+        """Raise if the drive is not what it should be; waits only if it raises.
+
+        NoAnswer: its heartbeat is lost. DriveInFault: it was enabled and reports a fault, has left OPERATION
+        ENABLED or the NMT state OPERATIONAL (which silences its PDOs), or was restarted.
+        """
+        status = self.status
+        if status.lost_at is not None:
+            raise NoAnswer(
+                f"{self.control.title} was lost",
+                f"no heartbeat for {status.timeout_ns / NS_PER_MS:.0f} ms",
+                "check its supply and the cable",
+            )
+        if not self._enabled:
+            return
+        if status.boot_ups != self._boot_ups:
+            self._enabled = False
+            raise DriveInFault(
+                f"{self.control.title} restarted", f"{status.boot_ups - self._boot_ups} boot-up message"
+            )
+        if status.state is not NmtState.OPERATIONAL:
+            self._enabled = False
+            left = "an unknown NMT state" if status.state is None else status.state.name
+            raise DriveInFault(f"{self.control.title} fell back to {left}", self.control.evidence())
+        if self._told.statusword & _ENABLED_BITS != _ENABLED:
+            self._enabled = False
+            raise self._out_of_operation()
+
+    @property
+    def enabled(self) -> bool:
+        """``enable`` succeeded, and since then nothing was seen or done that ended it."""
+        return self._enabled
+
+    @property
+    def incoherent_readings(self) -> int:
+        """Sets of TPDOs thrown away because they were not of one SYNC, or not complete."""
+        return 0 if self._assembler is None else self._assembler.incoherent + self._assembler.incomplete
+
+    @property
+    def rated_torque_nm(self) -> float:
+        """What the drive's per-thousand torques refer to. RuntimeError before ``configure``."""
+        if self._assembler is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self._assembler.scaling.rated_torque_nm
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _configured(self) -> SetPoint:
+        if self.control.set_point is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self.control.set_point
+
+    def _try_to_stop(self, deadline: Instant) -> PeerFault | None:
+        """Quick stop, again and again until it succeeds or the deadline comes; why it failed, if it did."""
+        while True:
+            try:
+                self.quick_stop(deadline)
+            except BusDown as error:
+                return error
+            except PeerFault as error:
+                if self.network.clock.now() >= deadline:
+                    return error
+            else:
+                return None
+
+    def _leave(self) -> None:
+        """End the watch on either side, and the PDOs."""
+        self.network.watch(self.node_id, Duration(0))
+        if self._consumer_entry:
+            forget_host(self.objects, self._consumer_entry)
+        self.network.command(NmtCommand.ENTER_PRE_OPERATIONAL, self.node_id)
+
+    def _stop_following(self) -> None:
+        """No frame from now on carries torque, and ``check`` no longer asks for OPERATION ENABLED."""
+        self._enabled = False
+        if self.control.set_point is not None:
+            self.control.set_point.hold_torque(0.0)
+
+    def _at_rest(self) -> bool:
+        """By 0x606C; a drive that was never configured was never moved by this bench."""
+        if self._assembler is None:
+            return True
+        raw = self.objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
+        return abs(raw * self._assembler.scaling.velocity_rad_s) < REST_RAD_S
+
+    def _choose_mode(self, mode: Mode) -> None:
+        self.objects.write(Object.MODES_OF_OPERATION, 0, "b", mode)
+        deadline = self.network.deadline_after(Duration(_CHANGE_LIMIT))
+        while (held := self.objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")) != mode:
+            if held is None:
+                return
+            if self.network.clock.now() >= deadline:
+                raise SettingRefused(
+                    f"{self.control.title} stays in mode {held}", f"mode {mode:d} was asked for"
+                )
+            self.network.pump(self.network.deadline_after(Duration(POLL_NS)))
+
+    def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
+        """Send an NMT command until a later heartbeat shows its effect."""
+        network, status = self.network, self.status
+        patience = Duration(2 * settings.drive_heartbeat_ms * NS_PER_MS)
+        deadline = network.deadline_after(Duration(_CHANGE_LIMIT + 2 * patience))
+        while network.clock.now() < deadline:
+            sent_at = network.command(command, self.node_id)
+            resend_at = Instant(sent_at + patience)
+            while network.pump_one(resend_at):
+                if (
+                    status.state is wanted
+                    and status.heartbeat_at is not None
+                    and status.heartbeat_at > sent_at
+                ):
+                    return
+        seen = "no heartbeat" if status.state is None else f"its heartbeat says {status.state.name}"
+        raise NoAnswer(
+            f"{self.control.title} did not become {wanted.name}", seen, "check its supply and the cable"
+        )
+
+    def _out_of_operation(self) -> DriveInFault:
+        state = self.state
+        if state in FAULTY:
+            return self.control.in_fault()
+        named = "an unknown state" if state is None else repr(state.value)
+        return DriveInFault(
+            f"{self.control.title} fell out of operation into {named}", self.control.evidence()
+        )
+
+    def _nobody(self) -> NoAnswer:
+        others = sorted(set(self.network.scanner.nodes) - {self.node_id})
+        heard = (
+            f"heard on the bus: nodes {', '.join(map(str, others))}" if others else "nothing heard on the bus"
+        )
+        if self.status.heartbeat_at is not None:
+            heard = "its heartbeat is there, but it answers no SDO"
+        return NoAnswer(
+            f"{self.control.title} does not answer",
+            heard,
+            "check that it is powered, its node id, the bit rate and the wiring",
+        )

@@ -1,0 +1,120 @@
+"""Moving a drive through the state machine of CiA 402-2, with deadlines and with evidence when it fails."""
+
+from collections import deque
+from collections.abc import Callable
+
+from drivers.errors import DriveInFault, PeerFault
+from drivers.nmt import Emergency
+from drivers.objects import RemoteObjects
+from drivers.objects402 import Object
+from drivers.profile402 import (
+    CONTROLWORDS,
+    DriveCommand,
+    State,
+    command_path,
+    error_text,
+    state_of,
+)
+from drivers.readings import Seen
+from drivers.setpoint import SetPoint
+from drivers.timebase import NS_PER_MS, Instant
+
+FAULTY = (State.FAULT, State.FAULT_REACTION)
+POLL_NS = NS_PER_MS
+_RESEND_NS = 50 * NS_PER_MS
+"""A controlword that shows no effect for so long is sent again."""
+_EMERGENCIES_KEPT = 8
+_EMERGENCIES_SHOWN = 2
+
+
+class StateControl:
+    """Commands and states of one drive. Every method but the properties pumps the network."""
+
+    def __init__(self, objects: RemoteObjects, name: str, told: Seen) -> None:
+        self.objects = objects
+        self.network = objects.network
+        self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"
+        """How an error names the drive."""
+        self.set_point: SetPoint | None = None
+        """What carries the controlword by RPDO; None before the PDOs are mapped."""
+        self._told = told
+        self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
+        self.network.on_emergency(self._on_emergency)
+
+    def read_state(self) -> State | None:
+        """The state by SDO, now; None if the statusword is no coding of the standard."""
+        self._told.statusword = word = self.objects.read(Object.STATUSWORD, 0, "H")
+        return state_of(word)
+
+    def command(self, command: DriveCommand) -> None:
+        """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
+        self.command_by_pdo(command)
+        self.objects.write(Object.CONTROLWORD, 0, "H", CONTROLWORDS[command])
+
+    def command_by_pdo(self, command: DriveCommand) -> None:
+        """Put a controlword in force without waiting for anything; nothing happens before the mapping."""
+        if self.set_point is not None:
+            self.set_point.send_controlword(CONTROLWORDS[command])
+
+    def walk(self, target: State, deadline: Instant) -> None:
+        """Go by the shortest path of the state machine; a command without effect is repeated.
+
+        Raises DriveInFault if a fault is met, or if the deadline comes first.
+        """
+        clock = self.network.clock
+        sent: tuple[State | None, DriveCommand] | None = None
+        resend_at = Instant(0)
+        while (state := self.read_state()) is not target:
+            now = clock.now()
+            if state in FAULTY:
+                raise self.in_fault()
+            if now >= deadline:
+                raise self.stuck(f"reach {target.value!r}")
+            path = command_path(state, target) if state is not None else None
+            if path and ((state, path[0]) != sent or now >= resend_at):
+                self.command(path[0])
+                sent, resend_at = (state, path[0]), Instant(now + _RESEND_NS)
+            else:
+                self.network.pump(Instant(now + POLL_NS))
+
+    def await_state(
+        self, reached: Callable[[State | None], bool], deadline: Instant, action: str, faults: bool = True
+    ) -> State | None:
+        """Poll the state until it is as wanted, and return it.
+
+        Raises DriveInFault at the deadline and, with ``faults``, when a fault is met.
+        """
+        while not reached(state := self.read_state()):
+            if faults and state in FAULTY:
+                raise self.in_fault()
+            now = self.network.clock.now()
+            if now >= deadline:
+                raise self.stuck(action)
+            self.network.pump(Instant(now + POLL_NS))
+        return state
+
+    def evidence(self) -> str:
+        """Statusword, error code and last emergencies, as far as the drive tells them."""
+        parts = []
+        try:
+            parts.append(f"statusword {self.objects.read(Object.STATUSWORD, 0, 'H'):04X}h")
+            code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
+            if code is not None:
+                parts.append(f"error code {code:04X}h ({error_text(code)})")
+        except PeerFault as error:
+            parts.append(str(error))
+        return ", ".join([*parts, *map(str, list(self.emergencies)[-_EMERGENCIES_SHOWN:])])
+
+    def in_fault(self) -> DriveInFault:
+        """The error for a drive that reports a fault."""
+        return DriveInFault(
+            f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault"
+        )
+
+    def stuck(self, action: str) -> DriveInFault:
+        """The error for a drive that did not do what it was asked by the deadline."""
+        return DriveInFault(f"{self.title} did not {action} in time", self.evidence())
+
+    def _on_emergency(self, emergency: Emergency) -> None:
+        if emergency.node_id == self.objects.node_id:
+            self.emergencies.append(emergency)

@@ -1,0 +1,219 @@
+"""What the drive client promises, on the simulated drive over the simulated segment."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import can
+import pytest
+
+from design.motor import PmsmParameters, Transform
+from drivers.drive_setup import DriveSettings
+from drivers.errors import DriveInFault, NoAnswer
+from drivers.exchange import Command, Reading
+from drivers.link import BusLink, StampSource
+from drivers.network import CanopenNetwork
+from drivers.profile402 import State
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from virtual_bus.fault_plan import FaultPlan, FrameClass, IndependentLoss, Selection
+from virtual_bus.faults import FaultInjector
+from virtual_bus.faulty_bus import FaultyBus
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.segment import Segment, SimulatedBus
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.servo_parameters import DriveParameters
+from virtual_bus.timeline import SimulatedClock, Timeline
+
+MOTOR = PmsmParameters(
+    name="Ling2012",
+    resistance_ohm=2.875,
+    inductance_d_h=0.0085,
+    inductance_q_h=0.0085,
+    flux_linkage_wb=math.sqrt(1.5) * 0.0816,
+    pole_pairs=4,
+    inertia_kg_m2=0.0008,
+    viscous_friction_nm_s=0.00185,
+    coulomb_friction_nm=0.0,
+    transform=Transform.POWER_INVARIANT,
+    rated_torque_nm=2.0,
+    rated_speed_rad_s=157.0,
+    current_max_a=15.0,
+    dc_bus_voltage_v=300.0,
+)
+PERIOD = Duration(NS_PER_MS)
+SETTINGS = DriveSettings(
+    PERIOD, torque_max_nm=4.0, speed_max_rad_s=250.0, quick_stop_deceleration_rad_s2=1500.0
+)
+
+
+@dataclass
+class Bench:
+    timeline: Timeline
+    bus: can.BusABC
+    device: SimulatedServo
+    network: CanopenNetwork
+    drive: ServoDrive
+
+    def soon(self, seconds: float = 1.0) -> Instant:
+        return self.network.deadline_after(Duration(int(seconds * NS_PER_S)))
+
+    def enable(self, settings: DriveSettings = SETTINGS) -> None:
+        self.drive.connect(self.soon())
+        self.drive.configure(settings)
+        self.drive.enable(self.soon(5.0))
+
+    def run(self, cycles: int, torque_nm: float) -> list[Reading]:
+        """Cycles of SYNC, readings and a command that answers each reading."""
+        start = self.network.clock.now()
+        taken: list[Reading] = []
+        for cycle in range(1, cycles + 1):
+            due = Instant(start + cycle * PERIOD)
+            self.network.send_sync()
+            while self.network.pump_one(due):
+                for reading in self.drive.take_readings():
+                    taken.append(reading)
+                    self.drive.write(Command(reading.sequence, torque_nm, due, due))
+            self.drive.check()
+        return taken
+
+
+def make_bench(plan: FaultPlan | None = None, seed: int = 0) -> Bench:
+    """The drive and its client on one segment; the client's side is faulty if there is a plan."""
+    timeline = Timeline()
+    clock, segment = SimulatedClock(timeline), Segment(timeline)
+    device = SimulatedServo(1, MOTOR, DriveParameters(), 1)
+    attach_to_segment(device, segment, timeline)
+    bus: can.BusABC = SimulatedBus(segment=segment)
+    if plan is not None:
+        faulty = FaultyBus(bus, FaultInjector(plan, seed), clock, side="host")
+        faulty.start(clock.now())
+        bus = faulty
+    network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
+    return Bench(timeline, bus, device, network, ServoDrive(network, 1, "axis1"))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = make_bench()
+    yield made
+    made.bus.shutdown()
+
+
+def test_every_setting_is_taken(bench: Bench) -> None:
+    bench.drive.connect(bench.soon())
+    assert bench.drive.configure(SETTINGS) == []
+    assert bench.drive.rated_torque_nm == pytest.approx(2.0)
+    assert bench.drive.plan is not None
+    assert [pdo.bits for pdo in bench.drive.plan.tpdos] == [64, 64]
+
+
+def test_each_sync_gives_one_reading_with_a_stamp_of_its_sync(bench: Bench) -> None:
+    bench.enable()
+    readings = bench.run(200, 0.0)
+    assert [reading.sequence for reading in readings] == list(range(1, 201))
+    stamps = [reading.device_time_ns for reading in readings if reading.device_time_ns is not None]
+    assert len(stamps) == 200
+    steps = {later - stamp for stamp, later in pairwise(stamps)}
+    assert steps <= {PERIOD - NS_PER_US, PERIOD, PERIOD + NS_PER_US}
+    assert bench.drive.incoherent_readings == 0
+
+
+def test_torque_moves_the_shaft_as_newton_says(bench: Bench) -> None:
+    bench.enable()
+    readings = bench.run(101, 1.0)
+    elapsed_s = (readings[100].received_at - readings[50].received_at) / NS_PER_S
+    speeds = readings[50].velocity_rad_s, readings[100].velocity_rad_s
+    friction_nm = MOTOR.viscous_friction_nm_s * sum(speeds) / 2
+    gained = elapsed_s * (1.0 - friction_nm) / MOTOR.inertia_kg_m2
+    assert speeds[1] - speeds[0] == pytest.approx(gained, rel=0.02)
+    turned = readings[100].position_rad - readings[50].position_rad
+    assert turned == pytest.approx(elapsed_s * sum(speeds) / 2, rel=0.02)
+    assert readings[100].torque_nm == pytest.approx(1.0, rel=0.03)
+
+
+def test_quick_stop_ends_at_rest_and_disabled(bench: Bench) -> None:
+    bench.enable()
+    assert bench.run(100, 1.0)[-1].velocity_rad_s > 80.0
+    bench.drive.quick_stop(bench.soon())
+    assert bench.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_disable_goes_down_the_ramp(bench: Bench) -> None:
+    bench.enable()
+    bench.run(100, 1.0)
+    bench.drive.disable(bench.soon(3.0))
+    assert bench.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_released_drive_stays_without_a_fault_when_the_host_is_gone(bench: Bench) -> None:
+    bench.enable()
+    bench.run(100, 1.0)
+    assert bench.drive.release() == (True, State.SWITCH_ON_DISABLED, "")
+    bench.network.produce_heartbeat(Duration(0))
+    bench.network.pump(bench.soon())
+    assert bench.drive.control.read_state() is State.SWITCH_ON_DISABLED
+    assert bench.network.emergencies_seen == 0
+
+
+def test_a_released_drive_can_be_had_again(bench: Bench) -> None:
+    bench.enable()
+    bench.drive.release()
+    bench.drive.configure(SETTINGS)
+    bench.drive.enable(bench.soon())
+    assert len(bench.run(10, 0.1)) == 10
+
+
+def test_a_drive_that_misses_the_host_stops_by_itself(bench: Bench) -> None:
+    bench.enable()
+    bench.run(100, 1.0)
+    bench.network.produce_heartbeat(Duration(0))
+    with pytest.raises(DriveInFault, match="8130h"):
+        bench.run(2000, 0.0)
+    assert not bench.drive.enabled
+    bench.network.pump(bench.soon())
+    assert bench.drive.control.read_state() is not State.OPERATION_ENABLED
+
+
+def test_synchronous_set_points_act_too(bench: Bench) -> None:
+    bench.enable(replace(SETTINGS, synchronous_command=True))
+    assert bench.drive.plan is not None
+    assert bench.drive.plan.rpdos[0].synchronous
+    assert bench.run(50, 1.0)[-1].velocity_rad_s > 30.0
+    assert bench.drive.release().at_rest
+
+
+def test_nobody_at_another_node_id(bench: Bench) -> None:
+    with pytest.raises(NoAnswer, match="node 2 on simulated"):
+        ServoDrive(bench.network, 2).connect(bench.soon(0.5))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bus_that_loses_every_tenth_frame_is_lived_with(seed: int) -> None:
+    frames = (FrameClass.PDO, FrameClass.SDO, FrameClass.NMT)
+    loss = IndependentLoss(selection=Selection(frames=frames), probability=0.1)
+    bench = make_bench(FaultPlan((loss,)), seed)
+    bench.enable()
+    readings = bench.run(200, 0.3)
+    assert 120 < len(readings) < 190
+    assert bench.drive.release() == (True, State.SWITCH_ON_DISABLED, "")
+    bench.bus.shutdown()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_reading_mixes_two_syncs_on_a_lossy_bus(seed: int) -> None:
+    bench = make_bench(FaultPlan((IndependentLoss(probability=0.3),)), seed)
+    bench.enable()
+    bench.run(10, 1.0)
+    # The speed (TPDO1) grows by 1.2 rad/s a cycle, and the drive's stamp (TPDO2) tells when it was sampled.
+    readings = bench.run(100, 1.0)
+    assert bench.drive.incoherent_readings > 10
+    for earlier, later in pairwise(readings):
+        assert earlier.device_time_ns is not None
+        assert later.device_time_ns is not None
+        elapsed_s = (later.device_time_ns - earlier.device_time_ns) / NS_PER_S
+        friction_nm = MOTOR.viscous_friction_nm_s * earlier.velocity_rad_s
+        gained = elapsed_s * (1.0 - friction_nm) / MOTOR.inertia_kg_m2
+        assert later.velocity_rad_s - earlier.velocity_rad_s == pytest.approx(gained, abs=0.5)
+    bench.bus.shutdown()

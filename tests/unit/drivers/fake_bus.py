@@ -1,0 +1,289 @@
+"""A bus and one scripted servo node in a few lines of simulated time, for tests of the drive client."""
+
+import heapq
+from collections.abc import Callable
+from struct import pack, unpack
+from typing import Any
+
+import can
+
+from drivers.link import BusLink, StampSource, WireFrame
+from drivers.network import CanopenNetwork
+from drivers.profile402 import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+
+ANSWER_AFTER_NS = 100 * NS_PER_US
+MISSING, READ_ONLY, DEVICE_STATE = 0x06020000, 0x06010002, 0x08000022
+
+TYPES = {
+    (0x1000, 0): "I",
+    (0x1006, 0): "I",
+    (0x1013, 0): "I",
+    (0x1016, 0): "B",
+    (0x1016, 1): "I",
+    (0x1016, 2): "I",
+    (0x1017, 0): "H",
+    (0x1018, 1): "I",
+    (0x1018, 2): "I",
+    (0x1018, 3): "I",
+    (0x1018, 4): "I",
+    (0x2100, 1): "i",
+    (0x6007, 0): "h",
+    (0x603F, 0): "H",
+    (0x6040, 0): "H",
+    (0x6041, 0): "H",
+    (0x605A, 0): "h",
+    (0x605C, 0): "h",
+    (0x605E, 0): "h",
+    (0x6060, 0): "b",
+    (0x6061, 0): "b",
+    (0x6064, 0): "i",
+    (0x606C, 0): "i",
+    (0x6071, 0): "h",
+    (0x6072, 0): "H",
+    (0x6076, 0): "I",
+    (0x6077, 0): "h",
+    (0x6080, 0): "I",
+    (0x6085, 0): "I",
+    (0x608F, 1): "I",
+    (0x608F, 2): "I",
+    (0x60A9, 0): "I",
+    (0x6502, 0): "I",
+}
+INITIAL = {
+    (0x1000, 0): 0x00020192,
+    (0x1016, 0): 2,
+    (0x1018, 1): 0x1234,
+    (0x6076, 0): 2000,
+    (0x608F, 1): 65536,
+    (0x608F, 2): 1,
+    (0x60A9, 0): 0xFDB44700,
+    (0x6502, 0): 1 << 9,
+    (0x605A, 0): 2,
+}
+
+
+class FakeBus(can.BusABC):
+    """The lean path over an event heap; its own clock is the bench's clock."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="fake")
+        self.channel_info = "fake"
+        self.time = Instant(0)
+        self.sent: list[tuple[Instant, WireFrame]] = []
+        self.listeners: list[Callable[[WireFrame], None]] = []
+        self.broken = False
+        self._inbox: list[tuple[WireFrame, Instant]] = []
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+        self._order = 0
+
+    def now(self) -> Instant:
+        return self.time
+
+    def sleep_until(self, when: Instant) -> None:
+        self._run_until(when, lambda: False)
+
+    def call_after(self, delay_ns: int, action: Callable[[], None]) -> None:
+        self._order += 1
+        heapq.heappush(self._events, (self.time + delay_ns, self._order, action))
+
+    def deliver(self, can_id: int, data: bytes, after_ns: int = 0, **flags: Any) -> None:
+        frame = WireFrame(can_id, data, **flags)
+        self.call_after(after_ns, lambda: self._inbox.append((frame, self.time)))
+
+    def recv_frame(self, until: Instant) -> tuple[WireFrame, Instant] | None:
+        if self.broken:
+            raise can.CanOperationError("the adapter is gone")
+        self._run_until(until, lambda: bool(self._inbox))
+        return self._inbox.pop(0) if self._inbox else None
+
+    def send_frame(self, frame: WireFrame) -> None:
+        if self.broken:
+            raise can.CanOperationError("the adapter is gone")
+        self.sent.append((self.time, frame))
+        for listener in self.listeners:
+            listener(frame)
+
+    def sent_to(self, can_id: int) -> list[bytes]:
+        return [frame.data for _, frame in self.sent if frame.can_id == can_id]
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+    def _run_until(self, until: Instant, done: Callable[[], bool]) -> None:
+        while not done():
+            if not self._events or self._events[0][0] > until:
+                self.time = max(self.time, until)
+                return
+            when, _, action = heapq.heappop(self._events)
+            self.time = Instant(max(self.time, when))
+            action()
+
+
+class FakeServo:
+    """SDO server, heartbeat, NMT, the state machine of CiA 402 and SYNC-driven PDOs; no motor."""
+
+    def __init__(self, bus: FakeBus, node_id: int = 1) -> None:
+        self.bus, self.node_id = bus, node_id
+        self.types = dict(TYPES)
+        self.values: dict[tuple[int, int], int] = {place: INITIAL.get(place, 0) for place in TYPES}
+        self.texts = {(0x1008, 0): b"Fake servo with a long name"}
+        for base, mapping in ((0x1400, 0x1600), (0x1800, 0x1A00)):
+            for number in range(2):
+                self._add_pdo(base + number, mapping + number)
+        self.refuse: dict[tuple[int, int], int] = {}
+        """Objects that refuse to be written, with the abort code."""
+        self.stubborn: set[tuple[int, int]] = set()
+        """Objects that confirm a write and keep their value."""
+        self.silent = False
+        self.deaf_to_sdo = 0
+        """SDO requests still to be ignored."""
+        self.lost_tpdos: set[int] = set()
+        self.state = State.SWITCH_ON_DISABLED
+        self.nmt_state = 0x7F
+        self.control_history: list[int] = []
+        self.stop_ns = 5 * NS_PER_MS
+        self._segments = b""
+        bus.listeners.append(self._on_frame)
+        self._beat()
+
+    def _add_pdo(self, communication: int, mapping: int) -> None:
+        for sub, code in ((0, "B"), (1, "I"), (2, "B"), (3, "H"), (5, "H")):
+            self.types[communication, sub] = code
+            self.values[communication, sub] = 0
+        first = 0x180 if communication >= 0x1800 else 0x200
+        self.values[communication, 1] = 0x80000000 | (first + 0x100 * (communication & 0xF) + self.node_id)
+        self.values[communication, 2] = 255
+        for sub in range(9):
+            self.types[mapping, sub] = "I" if sub else "B"
+            self.values[mapping, sub] = 0
+
+    def fault(self, code: int) -> None:
+        """Fall into a fault and tell it by EMCY."""
+        self.values[0x603F, 0] = code
+        self.state = State.FAULT
+        self.bus.deliver(0x80 + self.node_id, pack("<HB5s", code, 1, b"\x01\x02\x03\x04\x05"))
+
+    def boot(self) -> None:
+        self.nmt_state = 0x7F
+        self.bus.deliver(0x700 + self.node_id, b"\0")
+
+    def _beat(self) -> None:
+        period_ms = self.values[0x1017, 0] or 1
+        if self.values[0x1017, 0] and not self.silent:
+            self.bus.deliver(0x700 + self.node_id, bytes([self.nmt_state]))
+        self.bus.call_after(period_ms * NS_PER_MS, self._beat)
+
+    def _on_frame(self, frame: WireFrame) -> None:
+        if self.silent:
+            return
+        if frame.can_id == 0 and frame.data[1] in (0, self.node_id):
+            self.nmt_state = {1: 0x05, 2: 0x04, 0x80: 0x7F}[frame.data[0]]
+        elif frame.can_id == 0x80 and self.nmt_state == 5:
+            self._transmit()
+        elif frame.can_id == 0x600 + self.node_id:
+            self._serve(frame.data)
+        elif self.nmt_state == 5:
+            self._receive(frame)
+
+    # ---- SDO ------------------------------------------------------------------------------------------
+
+    def _serve(self, data: bytes) -> None:
+        if self.deaf_to_sdo:
+            self.deaf_to_sdo -= 1
+            return
+        command, index, sub = unpack("<BHB", data[:4])
+        if command >> 5 == 1:
+            answer = self._download(index, sub, data[4 : 8 - (command >> 2 & 3)])
+        elif command >> 5 == 2:
+            answer = self._upload(index, sub)
+        elif command >> 5 == 3:
+            part, self._segments = self._segments[:7], self._segments[7:]
+            head = command & 0x10 | (7 - len(part)) << 1 | (not self._segments)
+            answer = bytes([head]) + part.ljust(7, b"\0")
+        else:
+            return
+        self.bus.deliver(0x580 + self.node_id, answer, ANSWER_AFTER_NS)
+
+    def _download(self, index: int, sub: int, data: bytes) -> bytes:
+        place = index, sub
+        if place not in self.types:
+            return pack("<BHBI", 0x80, index, sub, MISSING)
+        if place in self.refuse:
+            return pack("<BHBI", 0x80, index, sub, self.refuse[place])
+        pdo = index & 0xFE00 in (0x1400, 0x1600, 0x1800, 0x1A00)
+        communication = index if index & 0x0200 == 0 else index - 0x200
+        if pdo and index != communication and not self.values[communication, 1] >> 31:
+            return pack("<BHBI", 0x80, index, sub, DEVICE_STATE)
+        if place not in self.stubborn:
+            (self.values[place],) = unpack("<" + self.types[place], data)
+            self._written(index)
+        return pack("<BHB4x", 0x60, index, sub)
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        if (index, sub) in self.texts:
+            self._segments = self.texts[index, sub]
+            return pack("<BHBI", 0x41, index, sub, len(self._segments))
+        if (index, sub) not in self.types:
+            return pack("<BHBI", 0x80, index, sub, MISSING)
+        data = self._encoded(index, sub)
+        return pack("<BHB", 0x43 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
+
+    def _encoded(self, index: int, sub: int) -> bytes:
+        self.values[0x6041, 0] = STATUS_PATTERNS[self.state].value | 0x0200
+        self.values[0x1013, 0] = (self.bus.time // NS_PER_US) & 0xFFFFFFFF
+        return pack("<" + self.types[index, sub], self.values[index, sub])
+
+    def _written(self, index: int) -> None:
+        if index == 0x6060:
+            self.values[0x6061, 0] = self.values[0x6060, 0]
+        if index == 0x6040:
+            self._control(self.values[0x6040, 0])
+
+    # ---- CiA 402 --------------------------------------------------------------------------------------
+
+    def _control(self, word: int) -> None:
+        self.control_history.append(word)
+        commands = [*commands_in(word), *([DriveCommand.FAULT_RESET] if word & 0x80 else [])]
+        for command in commands:
+            arrow = TRANSITION_OF.get((self.state, command))
+            if arrow is not None:
+                self.state = arrow.target
+                if self.state is State.QUICK_STOP:
+                    self.bus.call_after(self.stop_ns, self._stopped)
+                return
+
+    def _stopped(self) -> None:
+        self.values[0x606C, 0] = 0
+        arrow = TRANSITION_OF.get((self.state, Event.QUICK_STOP_DONE))
+        if arrow is not None and self.values[0x605A, 0] < 5:
+            self.state = arrow.target
+
+    # ---- PDO ------------------------------------------------------------------------------------------
+
+    def _mapped(self, mapping: int) -> list[tuple[int, int]]:
+        words = [self.values[mapping, sub] for sub in range(1, self.values[mapping, 0] + 1)]
+        return [(word >> 16, word >> 8 & 0xFF) for word in words]
+
+    def _transmit(self) -> None:
+        for number in range(2):
+            cob_id = self.values[0x1800 + number, 1]
+            if not cob_id >> 31 and number + 1 not in self.lost_tpdos:
+                data = b"".join(self._encoded(*place) for place in self._mapped(0x1A00 + number))
+                self.bus.deliver(cob_id & 0x7FF, data, (number + 1) * 130 * NS_PER_US)
+
+    def _receive(self, frame: WireFrame) -> None:
+        for number in range(2):
+            if frame.can_id == self.values[0x1400 + number, 1]:
+                places = self._mapped(0x1600 + number)
+                codes = "<" + "".join(self.types[place] for place in places)
+                for place, value in zip(places, unpack(codes, frame.data), strict=True):
+                    self.values[place] = value
+                    self._written(place[0])
+
+
+def make_network() -> tuple[FakeBus, CanopenNetwork]:
+    """A network on a fake bus that nobody else is on."""
+    bus = FakeBus()
+    link = BusLink(bus, bus, StampSource.MONOTONIC, "fake")
+    return bus, CanopenNetwork(link, bus)

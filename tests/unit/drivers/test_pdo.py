@@ -1,0 +1,149 @@
+"""PDO plans: layout, bus load, and the standard's procedure on a scripted node."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.network import CanopenNetwork
+from drivers.objects import RemoteObjects, SettingRefused
+from drivers.pdo import (
+    PdoDirection,
+    PdoEntry,
+    PdoMap,
+    PdoPlan,
+    bus_load_percent_max,
+    differences,
+    frame_bits_max,
+    torque_plan,
+    write_plan,
+)
+from drivers.timebase import NS_PER_MS, Duration
+from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
+
+PLAN = torque_plan(1, device_stamp=True)
+Node = tuple[FakeBus, FakeServo, CanopenNetwork, RemoteObjects]
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    bus, network = make_network()
+    yield bus, FakeServo(bus), network, RemoteObjects(network, 1)
+    bus.shutdown()
+
+
+def test_the_torque_plan_is_the_predefined_connection_set() -> None:
+    assert [(pdo.name, pdo.cob_id, pdo.bits) for pdo in PLAN.tpdos] == [
+        ("TPDO1", 0x181, 64),
+        ("TPDO2", 0x281, 64),
+    ]
+    (command,) = PLAN.rpdos
+    assert (command.cob_id, command.transmission_type, command.synchronous) == (0x201, 255, False)
+    assert torque_plan(1, device_stamp=False, synchronous_command=True).rpdos[0].synchronous
+
+
+def test_codec_is_little_endian_without_padding() -> None:
+    codec = PLAN.tpdos[0].codec()
+    assert codec.size == 8
+    assert codec.unpack(bytes.fromhex("2702102700009cff")) == (0x0227, 10000, -100)
+
+
+def test_mapping_word() -> None:
+    assert PdoEntry(0x6064, 0, "i").mapping_word == 0x60640020
+
+
+@pytest.mark.parametrize(("length", "bits"), [(0, 55), (1, 65), (8, 135)])
+def test_longest_frame(length: int, bits: int) -> None:
+    assert frame_bits_max(length) == bits
+
+
+def test_bus_load_of_one_and_three_axes() -> None:
+    period = Duration(NS_PER_MS)
+    one = bus_load_percent_max([PLAN], period, 1_000_000)
+    assert one == pytest.approx((55 + 135 + 135 + 95) / 10)
+    three = [torque_plan(node_id, device_stamp=True) for node_id in (1, 2, 3)]
+    assert bus_load_percent_max(three, period, 1_000_000) == pytest.approx((55 + 3 * 365) / 10)
+
+
+def test_a_pdo_of_more_than_eight_bytes_is_no_pdo() -> None:
+    entries = (PdoEntry(0x6064, 0, "i"), PdoEntry(0x606C, 0, "i"), PdoEntry(0x6041, 0, "H"))
+    with pytest.raises(ValueError, match="80 bits"):
+        PdoMap(PdoDirection.TRANSMIT, 1, 0x181, entries)
+
+
+def test_identifiers_are_not_shared() -> None:
+    with pytest.raises(ValueError, match="share"):
+        PdoPlan(PLAN.tpdos, PLAN.tpdos)
+
+
+def test_the_plan_is_written_by_the_standards_procedure(node: Node) -> None:
+    bus, servo, _, objects = node
+    servo.values[0x1800, 1] = 0x40000181
+    notes = write_plan(objects, PLAN)
+    assert notes == ["TPDO1 written", "TPDO2 written", "RPDO1 written"]
+    assert servo.values[0x1800, 1] == 0x40000181
+    assert servo.values[0x1801, 1] == 0x281
+    assert servo.values[0x1A00, 0] == 3
+    assert [servo.values[0x1A00, sub] for sub in (1, 2, 3)] == [0x60410010, 0x606C0020, 0x60770010]
+    downloads = [data for data in bus.sent_to(0x601) if data[0] >> 5 == 1]
+    mapping = [data for data in downloads if data[1:3] in (b"\x00\x18", b"\x00\x1a")]
+    assert mapping[0] == bytes.fromhex("23001801810100c0")
+    assert mapping[-1] == bytes.fromhex("2300180181010040")
+
+
+def test_a_drive_that_holds_the_plan_is_left_alone(node: Node) -> None:
+    bus, _, _, objects = node
+    write_plan(objects, PLAN)
+    bus.sent.clear()
+    assert write_plan(objects, PLAN) == []
+    assert not [data for data in bus.sent_to(0x601) if data[0] >> 5 == 1]
+
+
+def test_pdos_outside_the_plan_are_switched_off(node: Node) -> None:
+    _, servo, _, objects = node
+    servo.values[0x1401, 1] = 0x301
+    assert "RPDO2 switched off" in write_plan(objects, PLAN)
+    assert servo.values[0x1401, 1] == 0x80000301
+
+
+def test_two_pdos_may_swap_identifiers(node: Node) -> None:
+    _, servo, _, objects = node
+    write_plan(objects, PLAN)
+    first, second = PLAN.tpdos
+    swapped = PdoPlan(
+        (
+            PdoMap(first.direction, 1, second.cob_id, first.entries),
+            PdoMap(second.direction, 2, first.cob_id, second.entries),
+        ),
+        PLAN.rpdos,
+    )
+    write_plan(objects, swapped)
+    assert servo.values[0x1800, 1] == 0x281
+    assert servo.values[0x1801, 1] == 0x181
+
+
+def test_every_difference_is_named(node: Node) -> None:
+    _, servo, _, objects = node
+    write_plan(objects, PLAN)
+    servo.values[0x1800, 1] = 0x80000199
+    servo.values[0x1800, 2] = 254
+    servo.values[0x1A00, 0] = 1
+    assert differences(objects, PLAN.tpdos[0]) == [
+        "TPDO1 is switched off",
+        "TPDO1 has identifier 199h instead of 181h",
+        "TPDO1 has transmission type 254 instead of 1",
+        "TPDO1 maps 6041h:00/16 instead of 6041h:00/16 606Ch:00/32 6077h:00/16",
+    ]
+
+
+def test_a_pdo_that_the_drive_lacks_is_named(node: Node) -> None:
+    _, servo, _, objects = node
+    del servo.types[0x1800, 1]
+    servo.refuse[0x1800, 2] = 0x06020000
+    assert differences(objects, PLAN.tpdos[0]) == ["TPDO1 does not exist"]
+
+
+def test_a_transmission_type_that_is_not_taken_is_named(node: Node) -> None:
+    _, servo, _, objects = node
+    servo.stubborn.add((0x1801, 2))
+    with pytest.raises(SettingRefused, match="TPDO2 has transmission type 255 instead of 1"):
+        write_plan(objects, PLAN)
