@@ -1,0 +1,141 @@
+"""A ring of fixed-size rows in anonymous shared memory: one writer, one reader, no lock between them.
+
+    header   0  row size, bytes          u64
+             8  capacity, rows           u64, a power of two
+            64  rows written, ever       u64, written by the writer alone
+           128  rows read, ever          u64, written by the reader alone
+           192  rows refused, ever       u64, written by the writer alone
+    rows   256  capacity x row size
+
+The two counters lie on cache lines of their own. A row is stored before its count, so the
+reader never sees half a row, also when the writer is killed in between; the memory lives
+as long as either process holds its descriptor.
+"""
+
+import mmap
+import os
+import platform
+import struct
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+_HEADER_BYTES = 256
+_ROW_SIZE, _CAPACITY, _WRITTEN, _READ, _REFUSED = 0, 1, 8, 16, 24
+"""Places of the header's words, in units of 8 bytes."""
+
+
+_STORES_STAY_IN_ORDER = platform.machine() in ("x86_64", "AMD64")
+"""On x86-64 other cores see the stores of a core in their order; the writer needs no fence there."""
+
+
+class _Fence:
+    """Orders memory accesses before it against those after it.
+
+    The interpreter has no fence of its own; releasing and taking a lock is one, since it
+    is a release followed by an acquire.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._lock.acquire()
+
+    def pass_through(self) -> None:
+        self._lock.release()
+        self._lock.acquire()
+
+
+def refuse() -> bool:
+    """Policy of a full ring in real time: do not wait, count the row as refused."""
+    return False
+
+
+class RingWriter:
+    """Makes the ring. ``push`` stores one row; it never waits unless ``on_full`` does."""
+
+    def __init__(self, row: struct.Struct, capacity: int, on_full: Callable[[], bool] = refuse) -> None:
+        """``capacity``: rows, a power of two. ``on_full``: asked while full; True: look again."""
+        if capacity <= 0 or capacity & (capacity - 1):
+            raise ValueError(f"capacity {capacity} is no power of two")
+        size = _HEADER_BYTES + capacity * row.size
+        self.descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
+        os.ftruncate(self.descriptor, size)
+        # MAP_POPULATE: no page fault on the control thread later
+        self._memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._words = memoryview(self._memory)[:_HEADER_BYTES].cast("Q")
+        self._words[_ROW_SIZE], self._words[_CAPACITY] = row.size, capacity
+        self._pack, self._row_size, self._mask = row.pack_into, row.size, capacity - 1
+        self._capacity, self._on_full = capacity, on_full
+        self._written = 0
+        self._limit = capacity
+        self._fence = None if _STORES_STAY_IN_ORDER else _Fence()
+
+    def push(self, *values: object) -> bool:
+        """Store one row of ``values``, in the order of the struct. False: the ring is full, it is refused."""
+        written = self._written
+        if written >= self._limit and not self._make_room():
+            return False
+        self._pack(self._memory, _HEADER_BYTES + (written & self._mask) * self._row_size, *values)
+        if self._fence is not None:
+            self._fence.pass_through()  # the row before its count
+        self._words[_WRITTEN] = self._written = written + 1
+        return True
+
+    @property
+    def refused(self) -> int:
+        """Rows that found the ring full."""
+        return self._words[_REFUSED]
+
+    def close(self) -> None:
+        """Give up the writer's hold; the reader keeps what is there."""
+        self._words.release()
+        self._memory.close()
+        os.close(self.descriptor)
+
+    def _make_room(self) -> bool:
+        while True:
+            self._limit = self._words[_READ] + self._capacity
+            if self._written < self._limit:
+                return True
+            if not self._on_full():
+                self._words[_REFUSED] += 1
+                return False
+
+
+class RingReader:
+    """The other end, usually in another process that inherited ``descriptor``."""
+
+    def __init__(self, descriptor: int, dtype: np.dtype[np.void]) -> None:
+        size = os.fstat(descriptor).st_size
+        self._memory = mmap.mmap(descriptor, size, flags=mmap.MAP_SHARED)
+        self._words = memoryview(self._memory)[:_HEADER_BYTES].cast("Q")
+        row_size, self._capacity = self._words[_ROW_SIZE], self._words[_CAPACITY]
+        if row_size != dtype.itemsize:
+            raise ValueError(f"the ring's rows have {row_size} bytes, expected {dtype.itemsize}")
+        self._rows: NDArray[np.void] = np.frombuffer(
+            self._memory, dtype, count=self._capacity, offset=_HEADER_BYTES
+        )
+        self._read = self._words[_READ]
+        self._fence = _Fence()
+
+    def drain(self) -> NDArray[np.void]:
+        """A copy of all rows that are there, in order, (n,); their room is the writer's again."""
+        written = self._words[_WRITTEN]
+        self._fence.pass_through()  # the count before the rows
+        first, last = self._read % self._capacity, written % self._capacity
+        if written == self._read:
+            return self._rows[:0].copy()
+        if first < last:
+            found = self._rows[first:last].copy()
+        else:
+            found = np.concatenate((self._rows[first:], self._rows[:last]))
+        self._fence.pass_through()  # the rows before their room is given back
+        self._words[_READ] = self._read = written
+        return found
+
+    @property
+    def refused(self) -> int:
+        """Rows that found the ring full."""
+        return self._words[_REFUSED]

@@ -1,0 +1,99 @@
+"""Rows of the two small rings beside the cycle records: raw frames, and events with their text."""
+
+import struct
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import Instant
+
+EXTENDED_FLAG = 1 << 31
+REMOTE_FLAG = 1 << 30
+"""Flags beside the identifier, at the places where SocketCAN has them (struct can_frame)."""
+
+FRAME = struct.Struct("<qIBBxx8s")
+FRAME_DTYPE = np.dtype(
+    {
+        "names": ["at", "can_id", "length", "sent", "data"],
+        "formats": ["<i8", "<u4", "u1", "u1", ("u1", (8,))],
+        "offsets": [0, 8, 12, 13, 16],
+        "itemsize": FRAME.size,
+    }
+)
+"""``sent``: 1 for a frame that the bench sent, 0 for one that it received."""
+
+
+class EventKind(IntEnum):
+    """What a row of the event ring is about."""
+
+    TEXT = 0
+    """Its text is for the reader; its level is an index into LEVELS."""
+    STATE = 1
+    """Its text is a track and the state that the track is in from now on."""
+    BEGIN = 2
+    """Its instant is the run's time zero."""
+
+
+LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
+
+TEXT_BYTES = 500
+EVENT = struct.Struct(f"<qBBH{TEXT_BYTES}s")
+EVENT_DTYPE = np.dtype(
+    [("at", "<i8"), ("kind", "u1"), ("level", "u1"), ("length", "<u2"), ("text", "u1", (TEXT_BYTES,))]
+)
+_SEPARATOR = "\x1f"
+
+
+class TextEvent(NamedTuple):
+    """Something worth reading."""
+
+    at: Instant
+    level: str
+    text: str
+
+
+class StateEvent(NamedTuple):
+    """A track enters a state."""
+
+    at: Instant
+    track: str
+    label: str
+
+
+class BeginEvent(NamedTuple):
+    """The run's time zero."""
+
+    at: Instant
+
+
+RunEvent = TextEvent | StateEvent | BeginEvent
+
+
+def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
+    """The values of one row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
+    if isinstance(event, TextEvent):
+        kind, level, text = EventKind.TEXT, LEVELS.index(event.level), event.text
+    elif isinstance(event, StateEvent):
+        kind, level, text = EventKind.STATE, 0, event.track + _SEPARATOR + event.label
+    else:
+        kind, level, text = EventKind.BEGIN, 0, ""
+    encoded = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore").encode()
+    return event.at, kind, level, len(encoded), encoded
+
+
+def events_of(rows: NDArray[np.void]) -> list[RunEvent]:
+    """The events in rows of EVENT_DTYPE: inverse of :func:`event_fields`."""
+    return [_event_of(row) for row in rows]
+
+
+def _event_of(row: np.void) -> RunEvent:
+    at, kind = Instant(int(row["at"])), EventKind(int(row["kind"]))
+    text = row["text"].tobytes()[: int(row["length"])].decode()
+    if kind is EventKind.TEXT:
+        return TextEvent(at, LEVELS[int(row["level"])], text)
+    if kind is EventKind.STATE:
+        track, _, label = text.partition(_SEPARATOR)
+        return StateEvent(at, track, label)
+    return BeginEvent(at)

@@ -1,0 +1,71 @@
+"""frames.log against python-can's reader of the same format, an independent one."""
+
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.candump import candump_lines
+from hil.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
+
+Row = tuple[int, int, int, int, bytes]
+
+
+@st.composite
+def frame_rows(draw: st.DrawFn) -> Row:
+    extended, remote = draw(st.booleans()), draw(st.booleans())
+    can_id = draw(st.integers(0, 2**29 - 1 if extended else 2**11 - 1))
+    flags = (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0)
+    data = b"" if remote else draw(st.binary(max_size=8))
+    return draw(st.integers(0, 4 * 10**18)), can_id | flags, len(data), draw(st.integers(0, 1)), data
+
+
+def packed(rows: list[Row]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    return np.frombuffer(b"".join(FRAME.pack(*row) for row in rows), FRAME_DTYPE)
+
+
+def test_lines_by_the_letter() -> None:
+    rows = packed(
+        [
+            (1_436_509_052_249_713_999, 0x123, 4, 1, bytes.fromhex("11223344")),
+            (0, 0x12345678 | EXTENDED_FLAG, 0, 0, b""),
+            (5_000, 0x7F | REMOTE_FLAG, 0, 0, b""),
+        ]
+    )
+    assert candump_lines(rows, "can0", 0).decode().splitlines() == [
+        "(1436509052.249713) can0 123#11223344 T",
+        "(0000000000.000000) can0 12345678# R",
+        "(0000000000.000005) can0 07F#R R",
+    ]
+
+
+def test_the_wall_offset_moves_the_stamps() -> None:
+    rows = packed([(1_000_000, 1, 0, 0, b"")])
+    assert candump_lines(rows, "can0", 1_700_000_000_000_000_000).startswith(b"(1700000000.001000)")
+
+
+def test_nothing_gives_nothing() -> None:
+    assert candump_lines(packed([]), "can0", 0) == b""
+
+
+@settings(derandomize=True, deadline=None)
+@given(rows=st.lists(frame_rows(), min_size=1, max_size=20))
+def test_python_can_reads_back_what_was_written(
+    rows: list[Row], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path: Path = tmp_path_factory.mktemp("frames") / "frames.log"
+    path.write_bytes(candump_lines(packed(rows), "vcan0", 0))
+    with can.CanutilsLogReader(path) as reader:
+        messages = list(reader)
+    assert len(messages) == len(rows)
+    for message, (at, word, _, sent, data) in zip(messages, rows, strict=True):
+        assert message.arbitration_id == word & (2**29 - 1)
+        assert message.is_extended_id == bool(word & EXTENDED_FLAG)
+        assert message.is_remote_frame == bool(word & REMOTE_FLAG)
+        assert bytes(message.data) == data
+        assert message.is_rx == (not sent)
+        assert message.timestamp == pytest.approx(at / 1e9, rel=1e-12, abs=2e-6)
+        assert message.channel == "vcan0"

@@ -1,0 +1,102 @@
+"""The keepers beyond what the recorder's tests show: blocks, the live view, and starting a viewer."""
+
+import socket
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.histogram import TimeHistogram
+from hil.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
+from hil.records import ROW_DTYPE
+from hil.records_file import RecordsWriter, read_records
+from hil.side_rows import FRAME, FRAME_DTYPE
+from hil.summary import Figures, RunOutcome, Summary, summarise
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.row_tools import rows_of
+from tests.unit.hil.synthetic_run import synthetic_records
+from tests.unit.hil.test_summary import FIGURES
+
+NO_FRAMES = np.empty(0, FRAME_DTYPE)
+
+
+@pytest.fixture
+def viewers(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Command lines of the viewers that would have been started."""
+    found: list[list[str]] = []
+
+    def pretend(command: list[str], **_: object) -> None:
+        found.append(command)
+
+    monkeypatch.setattr(subprocess, "Popen", pretend)
+    return found
+
+
+def summary_of(figures: Figures = FIGURES) -> Summary:
+    return summarise(figures, RunOutcome(50.0, 40.0), plan_for(Path()).review.limits, "", 1)
+
+
+def test_the_live_view_is_served_on_the_loopback_and_needs_no_viewer(
+    tmp_path: Path, viewers: list[list[str]]
+) -> None:
+    keeper = LiveKeeper(plan_for(tmp_path, real_time=True), "a-recording", TimeHistogram())
+    (command,) = viewers
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    uri = command[command.index("--connect") + 1]
+    host, _, port = uri.removeprefix("rerun+http://").removesuffix("/proxy").partition(":")
+    assert host == "127.0.0.1"
+    with socket.create_connection((host, int(port)), timeout=5):
+        pass
+    keeper.take(rows_of(synthetic_records(100)), NO_FRAMES, [])
+    keeper.flush()
+    keeper.finish(summary_of())
+
+
+@pytest.mark.parametrize(("view", "real_time", "live"), [(True, True, 1), (True, False, 0), (False, True, 0)])
+def test_only_a_viewed_real_time_run_is_served_live(
+    tmp_path: Path, viewers: list[list[str]], view: bool, real_time: bool, live: int
+) -> None:
+    plan = replace(plan_for(tmp_path, real_time), view=view)
+    keepers = open_keepers(plan, TimeHistogram())
+    assert sum(isinstance(keeper, LiveKeeper) for keeper in keepers) == live == len(viewers)
+    for keeper in keepers:
+        keeper.finish(summary_of())
+    shown = [command for command in viewers if command[-1] == str(tmp_path / "run.rrd")]
+    assert len(shown) == (view and not real_time)
+
+
+def test_rows_are_collected_into_blocks() -> None:
+    blocks = RowBlocks()
+    assert blocks.take() is None
+    rows = rows_of(synthetic_records(5_000))
+    assert not blocks.add(rows)
+    assert blocks.add(rows)
+    block = blocks.take()
+    assert block is not None
+    assert block.size == 10_000
+    assert blocks.take() is None
+
+
+def test_frames_go_under_the_last_part_of_the_bus_spec(tmp_path: Path) -> None:
+    plan = replace(plan_for(tmp_path), bus="socketcan:vcan0")
+    keeper = FramesKeeper(plan)
+    frames = np.frombuffer(FRAME.pack(1_000, 0x80, 0, 1, b""), FRAME_DTYPE)
+    keeper.take(np.empty(0, ROW_DTYPE), frames, [])
+    keeper.finish(summary_of())
+    assert (tmp_path / "frames.log").read_text() == "(0000000000.000001) vcan0 080# T\n"
+
+
+def test_records_that_were_cut_off_are_readable_up_to_the_last_batch(tmp_path: Path) -> None:
+    path = tmp_path / "records.arrow"
+    writer = RecordsWriter(path)
+    rows = rows_of(synthetic_records(300))
+    sizes = []
+    for block in np.split(rows, 3):
+        writer.write(block)
+        sizes.append(path.stat().st_size)
+    path.write_bytes(path.read_bytes()[: sizes[1] + 100])
+    found = np.concatenate(list(read_records(path)))
+    assert found.tobytes() == rows[:200].tobytes()
+    writer.close()

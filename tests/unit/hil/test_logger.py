@@ -1,0 +1,132 @@
+"""The logger in this process: what it does when a file cannot be written, and when its input ends."""
+
+import json
+import os
+import resource
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from drivers.timebase import Instant
+from hil.logger import Input, Logger
+from hil.records import ROW, row_fields
+from hil.ring import RingWriter
+from hil.side_rows import EVENT, FRAME, TextEvent, event_fields
+from hil.summary import Summary
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.synthetic_run import synthetic_records
+
+CYCLES = 300
+OUTCOME = b'{"bus_load_percent": 53.0, "realtime_factor": 40.0}\n'
+
+
+@dataclass
+class Rings:
+    rows: RingWriter
+    frames: RingWriter
+    events: RingWriter
+
+    def fill(self) -> None:
+        for record in synthetic_records(CYCLES):
+            self.rows.push(*row_fields(record))
+            self.frames.push(record.due_at, 0x80, 0, 1, b"")
+        self.events.push(*event_fields(TextEvent(Instant(0), "WARN", "load")))
+
+
+@pytest.fixture
+def rings() -> Iterator[Rings]:
+    found = Rings(RingWriter(ROW, 1 << 9), RingWriter(FRAME, 1 << 9), RingWriter(EVENT, 1 << 4))
+    yield found
+    for ring in (found.rows, found.frames, found.events):
+        ring.close()
+
+
+def run_logger(folder: Path, rings: Rings, said: bytes) -> Summary:
+    """The logger over full rings, with ``said`` on its input."""
+    rings.fill()
+    read_end, write_end = os.pipe()
+    os.write(write_end, said)
+    os.close(write_end)
+    descriptors = [ring.descriptor for ring in (rings.rows, rings.frames, rings.events)]
+    try:
+        return Logger(plan_for(folder), *descriptors).run(Input(read_end))
+    finally:
+        os.close(read_end)
+
+
+def test_a_run_that_ends_as_it_should(tmp_path: Path, rings: Rings) -> None:
+    summary = run_logger(tmp_path, rings, OUTCOME)
+    assert summary.cycles == CYCLES
+    assert summary.verdict.completed
+    assert summary.recording_faults == ()
+
+
+def test_an_input_that_ends_means_a_dead_writer(tmp_path: Path, rings: Rings) -> None:
+    summary = run_logger(tmp_path, rings, b"")
+    assert summary.cycles == CYCLES
+    assert not summary.verdict.passed
+    assert summary.verdict.reason == "the process of the loop died"
+
+
+@pytest.mark.parametrize("name", ["frames.log", "events.jsonl", "records.arrow"])
+def test_a_full_disk_under_one_file_spoils_only_that_file(tmp_path: Path, rings: Rings, name: str) -> None:
+    (tmp_path / name).symlink_to("/dev/full")
+    summary = run_logger(tmp_path, rings, OUTCOME)
+    assert summary.cycles == CYCLES
+    (fault,) = summary.recording_faults
+    assert fault.startswith(f"{name} is incomplete: ")
+    assert json.loads((tmp_path / "summary.json").read_text())["recording_faults"] == [fault]
+    for other in {"frames.log", "events.jsonl", "records.arrow", "run.rrd"} - {name}:
+        assert (tmp_path / other).stat().st_size > 0
+
+
+@pytest.fixture
+def file_size_max(rings: Rings) -> Iterator[int]:  # noqa: ARG001 - the rings are made before the limit
+    """No file may grow beyond this, bytes; as if the disk were full there."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (48_000, hard))
+    yield 48_000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_disk_that_fills_up_under_the_telemetry_is_told(
+    rings: Rings, file_size_max: int, tmp_path: Path
+) -> None:
+    summary = run_logger(tmp_path, rings, OUTCOME)
+    assert summary.cycles == CYCLES
+    (fault,) = summary.recording_faults
+    assert fault.startswith("run.rrd is incomplete: the telemetry cannot be written")
+    assert (tmp_path / "run.rrd").stat().st_size == file_size_max
+    assert len((tmp_path / "frames.log").read_text().splitlines()) == CYCLES
+
+
+def test_a_file_that_cannot_be_opened_ends_the_logger(rings: Rings, tmp_path: Path) -> None:
+    (tmp_path / "run.rrd").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"run\.rrd: .*No space left"):
+        run_logger(tmp_path, rings, OUTCOME)
+
+
+def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> None:
+    for record in synthetic_records(512 - CYCLES + 3):
+        rings.rows.push(*row_fields(record))
+    summary = run_logger(tmp_path, rings, OUTCOME)
+    assert summary.cycles == 512
+    assert summary.recording_faults == ("3 cycle records lost, the logger was too slow",)
+    assert summary.verdict.reason == "cycle records were lost"
+
+
+def test_input_comes_by_lines_however_it_is_cut() -> None:
+    read_end, write_end = os.pipe()
+    source = Input(read_end)
+    assert source.line(0.0) is None
+    os.write(write_end, b"one\ntw")
+    assert source.line(0.0) == "one"
+    assert source.line(0.0) is None
+    os.write(write_end, b"o\nthree")
+    assert source.line(0.0) == "two"
+    os.close(write_end)
+    assert source.line(0.0) is None
+    assert source.ended
+    os.close(read_end)

@@ -1,0 +1,179 @@
+"""The writer's side, with the real logger process behind it."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import BadInput
+from drivers.timebase import Instant
+from hil.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
+from hil.records import record_of
+from hil.records_file import read_records
+from hil.summary import RunOutcome, Summary
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.synthetic_run import synthetic_records
+
+OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
+CYCLES = 500
+
+
+def play(recorder: Recorder, cycles: int = CYCLES) -> Summary:
+    """A short run, with what a loop would say of it."""
+    recorder.event(Instant(-5), "INFO", "set up")
+    recorder.begin(Instant(0))
+    for record in synthetic_records(cycles):
+        recorder.record(record)
+        recorder.frame("tx", 0x80, b"", False, False, record.sync_sent_at)
+        recorder.frame("rx", 0x181, b"\x37\x16", False, False, record.due_at)
+    recorder.state(Instant(3), "phase", "stop")
+    return recorder.close(OUTCOME)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+    folder = tmp_path_factory.mktemp("runs") / "made" / "new"
+    return folder, play(start_recording(plan_for(folder)))
+
+
+def test_both_recorders_give_the_same_summary(run: tuple[Path, Summary]) -> None:
+    folder, summary = run
+    in_memory = play(MemoryRecorder(plan_for(folder).review, seed=2012))
+    assert summary == replace(in_memory, recording=str(folder))
+    assert summary.cycles == CYCLES
+    assert summary.verdict.passed
+
+
+def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
+    folder, summary = run
+    found = {path.name for path in folder.iterdir()}
+    expected = {"run.rrd", "frames.log", "records.arrow", "bench.toml", "summary.json", "events.jsonl"}
+    assert found == expected | {"logger.log"}
+    assert (folder / "logger.log").read_text() == ""
+    assert (folder / "bench.toml").read_text() == "# resolved\n"
+    assert Summary.from_json(json.loads((folder / "summary.json").read_text())) == summary
+
+
+def test_the_records_are_all_there_in_order(run: tuple[Path, Summary]) -> None:
+    rows = np.concatenate(list(read_records(run[0] / "records.arrow")))
+    assert [record_of(row) for row in rows] == list(synthetic_records(CYCLES))
+
+
+def test_frames_and_events_are_there(run: tuple[Path, Summary]) -> None:
+    lines = (run[0] / "frames.log").read_text().splitlines()
+    assert len(lines) == 2 * CYCLES
+    assert lines[:2] == ["(0000000000.000047) simulated 080# T", "(0000000000.000000) simulated 181#3716 R"]
+    events = [json.loads(line) for line in (run[0] / "events.jsonl").read_text().splitlines()]
+    assert events == [
+        {"at_ns": -5, "level": "INFO", "text": "set up"},
+        {"at_ns": 0, "begin": True},
+        {"at_ns": 3, "track": "phase", "state": "stop"},
+    ]
+
+
+def test_simulated_time_waits_for_the_logger_and_loses_nothing(tmp_path: Path) -> None:
+    recorder = start_recording(replace(plan_for(tmp_path / "run"), frames=False))
+    record = next(synthetic_records(1))
+    count = 2 * ROWS_CAPACITY + 100
+    for sequence in range(count):
+        recorder.record(record._replace(sequence=sequence))
+    summary = recorder.close(OUTCOME)
+    assert summary.cycles == count
+    assert not (tmp_path / "run" / "frames.log").exists()
+
+
+def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
+    recorder = start_recording(plan_for(tmp_path / "run", real_time=True))
+    logger = recorder.logger_process_id
+    record = next(synthetic_records(1))
+    os.kill(logger, signal.SIGSTOP)
+    for _ in range(3 * ROWS_CAPACITY):
+        recorder.record(record)
+    os.kill(logger, signal.SIGCONT)
+    summary = recorder.close(OUTCOME)
+    assert ROWS_CAPACITY <= summary.cycles < 3 * ROWS_CAPACITY
+    assert not summary.verdict.passed
+    assert summary.verdict.reason == "cycle records were lost"
+    lost = 3 * ROWS_CAPACITY - summary.cycles
+    assert summary.recording_faults == (f"{lost} cycle records lost, the logger was too slow",)
+
+
+@pytest.mark.parametrize("real_time", [False, True])
+def test_a_dead_logger_stops_no_loop_and_is_told_at_the_end(tmp_path: Path, real_time: bool) -> None:
+    recorder = start_recording(plan_for(tmp_path / "run", real_time))
+    os.kill(recorder.logger_process_id, signal.SIGKILL)
+    record = next(synthetic_records(1))
+    for _ in range(ROWS_CAPACITY + 10):
+        recorder.record(record)
+    with pytest.raises(RecordingFailed, match="status -9"):
+        recorder.close(OUTCOME)
+
+
+def test_interrupts_do_not_end_the_logger(tmp_path: Path) -> None:
+    recorder = start_recording(plan_for(tmp_path / "run"))
+    recorder.wait_ready()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(recorder.logger_process_id, number)
+    assert play(recorder).cycles == CYCLES
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(BadInput, match="new or empty folder"):
+        start_recording(plan_for(tmp_path))
+
+
+def test_a_folder_that_cannot_be_made_is_bad_input(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="a folder that can be made"):
+        start_recording(plan_for(tmp_path / "file" / "run"))
+
+
+WRITER = """
+import os, signal, sys
+from pathlib import Path
+from drivers.timebase import Instant
+from hil.recorder import start_recording
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.synthetic_run import synthetic_records
+
+recorder = start_recording(plan_for(Path(sys.argv[1]), real_time=True))
+recorder.begin(Instant(0))
+for record in synthetic_records(300):
+    recorder.record(record)
+    recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+print(recorder.logger_process_id, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_writer_leaves_a_whole_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    writer = subprocess.run([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, check=False)
+    assert writer.returncode == -signal.SIGKILL
+    wait_for_exit(int(writer.stdout))
+    summary = Summary.from_json(json.loads((folder / "summary.json").read_text()))
+    assert summary.cycles == 300
+    assert not summary.verdict.passed
+    assert summary.verdict.reason == "the process of the loop died"
+    assert sum(rows.size for rows in read_records(folder / "records.arrow")) == 300
+    assert len((folder / "frames.log").read_text().splitlines()) == 300
+
+
+def wait_for_exit(process_id: int) -> None:
+    """Until a process that is no child of ours has ended."""
+    try:
+        descriptor = os.pidfd_open(process_id)
+    except ProcessLookupError:
+        return
+    try:
+        assert select.select([descriptor], [], [], 60)[0]
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,101 @@
+"""Figures and digest of whole runs."""
+
+from dataclasses import replace
+from hashlib import blake2b
+
+import numpy as np
+import pytest
+
+from drivers.timebase import Instant
+from hil.recording_plan import AxisPlan, ReviewPlan
+from hil.records import LAYOUT, ROW, Rows, row_fields
+from hil.review import Review
+from hil.samples import CycleRecord, Dropout
+from hil.summary import DropoutCounts, Figures
+from tests.unit.hil.row_tools import plain_rows, rows_of
+from tests.unit.hil.synthetic_run import synthetic_records
+
+PLAN = ReviewPlan((AxisPlan("axis1", 6_250.0),))
+CYCLES = 2_000
+
+
+@pytest.fixture(scope="module")
+def records() -> list[CycleRecord]:
+    return list(synthetic_records(CYCLES))
+
+
+def figures_of(*chunks: Rows, plan: ReviewPlan = PLAN) -> Figures:
+    review = Review(plan)
+    for chunk in chunks:
+        review.add(chunk)
+    return review.figures()
+
+
+def test_counts_and_delays_against_the_records(records: list[CycleRecord]) -> None:
+    found = figures_of(rows_of(records))
+    causes = [r.observation.cause.value for r in records if isinstance(r.observation, Dropout)]
+    assert found.cycles == found.rows == CYCLES
+    assert found.dropouts == DropoutCounts(causes.count("lost"), causes.count("late"), causes.count("stale"))
+    assert found.dropouts.lost > 0
+    assert found.dropouts.late > 0
+    assert found.dropouts_percent == pytest.approx(100 * len(causes) / CYCLES)
+    delays = [r.delay / 1_000 for r in records if r.delay >= 0]
+    assert found.delay_us.p50 == pytest.approx(np.quantile(delays, 0.5, method="inverted_cdf"), rel=1e-3)
+    assert found.delay_us.p99 == pytest.approx(np.quantile(delays, 0.99, method="inverted_cdf"), rel=1e-3)
+    assert found.delay_us.max == max(delays)
+
+
+def test_lateness_is_of_every_cycle() -> None:
+    rows = plain_rows(100)
+    rows["woke_at"] += np.arange(100) * 1_000
+    assert figures_of(rows).lateness_us.max == 99.0
+
+
+def test_the_digest_is_that_of_the_packed_rows(records: list[CycleRecord]) -> None:
+    packed = b"".join(ROW.pack(*row_fields(record)) for record in records)
+    assert figures_of(rows_of(records)).digest == blake2b(packed, digest_size=16).hexdigest()
+
+
+def test_chunks_do_not_matter(records: list[CycleRecord]) -> None:
+    rows = rows_of(records)
+    assert figures_of(*np.array_split(rows, 7)) == figures_of(rows)
+
+
+@pytest.mark.parametrize("name", [name for name, _ in LAYOUT])
+def test_every_field_enters_the_digest(records: list[CycleRecord], name: str) -> None:
+    rows = rows_of(records[:10])
+    changed = rows.copy()
+    changed[name][4] = changed[name][4] + 1 if name != "fate" else 3
+    if name != "axis":
+        assert figures_of(changed).digest != figures_of(rows).digest
+    else:
+        plan = ReviewPlan((*PLAN.axes, AxisPlan("axis2", 1.0)))
+        assert figures_of(changed, plan=plan).digest != figures_of(rows, plan=plan).digest
+
+
+def test_two_axes_give_the_worst_error_and_all_dropouts(records: list[CycleRecord]) -> None:
+    plan = ReviewPlan((AxisPlan("axis1", 6_250.0), AxisPlan("axis2", 6_250.0)))
+    other = list(synthetic_records(CYCLES, seed=2, axis=1))
+    mixed = rows_of([record for pair in zip(records, other, strict=True) for record in pair])
+    alone = [figures_of(rows_of(records)), figures_of(rows_of([r._replace(axis=0) for r in other]))]
+    found = figures_of(mixed, plan=plan)
+    assert (found.cycles, found.rows) == (CYCLES, 2 * CYCLES)
+    assert found.dropouts.total == sum(figures.dropouts.total for figures in alone)
+    assert found.speed_error.rms_rad_s == max(figures.speed_error.rms_rad_s or 0.0 for figures in alone)
+
+
+def test_a_run_without_records_has_no_figures() -> None:
+    found = figures_of()
+    assert (found.cycles, found.dropouts_percent, found.delay_us.p50) == (0, None, None)
+
+
+def test_rows_of_another_layout_are_refused() -> None:
+    with pytest.raises(TypeError, match="ROW_DTYPE"):
+        Review(PLAN).add(np.zeros(3, [("sequence", "<i8")]))
+
+
+def test_an_instant_moves_the_digest_but_not_the_figures(records: list[CycleRecord]) -> None:
+    moved = [record._replace(command_sent_at=Instant(record.command_sent_at + 1)) for record in records]
+    first, second = figures_of(rows_of(records)), figures_of(rows_of(moved))
+    assert first.digest != second.digest
+    assert replace(first, digest="") == replace(second, digest="")

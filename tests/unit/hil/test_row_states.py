@@ -1,0 +1,43 @@
+"""States that follow from the records."""
+
+import numpy as np
+import pytest
+
+from hil.row_states import LINK_WINDOW_CYCLES, Change, DriveStates, LinkStates, drive_label
+from tests.unit.hil.row_tools import plain_rows
+
+ENABLED, READY, FAULT = 0x0627, 0x0621, 0x0608
+
+
+def test_drive_states_change_with_the_statusword_and_only_with_its_state_bits() -> None:
+    words = [READY, READY | 0x1000, ENABLED, ENABLED, FAULT]
+    assert DriveStates().changes(plain_rows(5, statusword=words)) == [
+        Change(0, "Ready to switch on"),
+        Change(2_000_000, "Operation enabled"),
+        Change(4_000_000, "Fault"),
+    ]
+
+
+def test_a_dropout_says_nothing_about_the_drive() -> None:
+    rows = plain_rows(3, statusword=[ENABLED, 0, ENABLED], fate=[0, 1, 0])
+    assert [change.label for change in DriveStates().changes(rows)] == ["Operation enabled"]
+
+
+def test_an_undefined_statusword_is_named() -> None:
+    assert drive_label(0x0F) == "Fault reaction active"
+    assert drive_label(0x02) == "undefined 0x02"
+
+
+def test_link_goes_down_and_comes_back() -> None:
+    fate = [0] * 30 + [1] * 25 + [0] * 40
+    labels = [(c.due_at // 1_000_000, c.label) for c in LinkStates().changes(plain_rows(95, fate=fate))]
+    assert labels == [(0, "OK"), (34, "DEGRADED"), (49, "DOWN"), (55, "DEGRADED"), (70, "OK")]
+
+
+@pytest.mark.parametrize("cuts", [[1], [7, 33, 34, 35], [LINK_WINDOW_CYCLES, 60]])
+def test_division_into_chunks_does_not_matter(cuts: list[int]) -> None:
+    rows = plain_rows(95, fate=[0] * 30 + [1] * 25 + [0] * 40, statusword=[READY] * 40 + [ENABLED] * 55)
+    for states in (LinkStates, DriveStates):
+        parts, whole = states(), states()
+        found = [change for part in np.split(rows, cuts) for change in parts.changes(part)]
+        assert found == whole.changes(rows)

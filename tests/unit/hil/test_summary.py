@@ -1,0 +1,123 @@
+"""The verdict, limit by limit, and the form of the summary."""
+
+import json
+from dataclasses import fields, replace
+
+import pytest
+
+from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.summary import (
+    DropoutCounts,
+    Figures,
+    Percentiles,
+    RunOutcome,
+    SpeedError,
+    Summary,
+    VerdictLimits,
+    judge,
+    metric_title,
+    summarise,
+)
+from hil.verdict_text import verdict_markdown
+from tests.unit.hil.recording_tools import plan_for
+
+FIGURES = Figures(
+    cycles=200,
+    rows=200,
+    dropouts=DropoutCounts(3, 2, 1),
+    delay_us=Percentiles(400.0, 900.0, 1_500.0),
+    speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
+    lateness_us=Percentiles(0.0, 0.0, 0.0),
+    digest="00",
+)
+OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
+VALUES = {
+    "speed_error_peak_percent_max": 5.0,
+    "after_load_percent_max": 4.0,
+    "speed_error_rms_rad_s_max": 1.5,
+    "dropouts_percent_max": 3.0,
+    "delay_p99_us_max": 900.0,
+    "bus_load_percent_max": 53.0,
+}
+
+
+def test_every_limit_has_a_value_and_a_title() -> None:
+    assert {field.name for field in fields(VerdictLimits)} == set(VALUES)
+    assert len({metric_title(key) for key in VALUES}) == len(VALUES)
+
+
+@pytest.mark.parametrize(("key", "value"), VALUES.items())
+def test_a_limit_is_kept_up_to_its_value(key: str, value: float) -> None:
+    kept = judge(FIGURES, OUTCOME, VerdictLimits(**{key: value}))
+    broken = judge(FIGURES, OUTCOME, VerdictLimits(**{key: value - 0.01}))
+    assert kept.passed
+    assert not broken.passed
+    (check,) = broken.limits
+    assert (check.metric, check.value, check.passed) == (key, value, False)
+
+
+def test_one_broken_limit_fails_the_run() -> None:
+    assert not judge(FIGURES, OUTCOME, VerdictLimits(dropouts_percent_max=1.0, delay_p99_us_max=1e9)).passed
+
+
+def test_a_figure_that_was_not_measured_keeps_no_limit() -> None:
+    unmeasured = replace(FIGURES, delay_us=Percentiles(None, None, None))
+    assert not judge(unmeasured, OUTCOME, VerdictLimits(delay_p99_us_max=1e9)).passed
+
+
+def test_a_run_that_was_cut_short_never_passes() -> None:
+    verdict = judge(FIGURES, replace(OUTCOME, completed=False, reason="Ctrl-C"), VerdictLimits())
+    assert not verdict.passed
+    assert verdict.reason == "Ctrl-C"
+
+
+def summary_with(**changes: object) -> Summary:
+    limits = VerdictLimits(dropouts_percent_max=10.0, delay_p99_us_max=800.0)
+    return replace(summarise(FIGURES, OUTCOME, limits, "runs/x", 7), **changes)  # type: ignore[arg-type]
+
+
+def test_json_has_the_promised_keys() -> None:
+    found = summary_with().as_json()
+    assert list(found) == [
+        "cycles",
+        "dropouts",
+        "delay_us",
+        "speed_error",
+        "bus_load_percent",
+        "realtime_factor",
+        "lateness_us",
+        "verdict",
+        "recording",
+        "seed",
+        "digest",
+    ]
+    assert list(found["dropouts"]) == ["lost", "late", "stale"]
+    assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
+    assert list(found["speed_error"]) == ["peak_rad_s", "peak_percent", "rms_rad_s", "after_load_percent"]
+
+
+@pytest.mark.parametrize("faults", [(), ("run.rrd is incomplete",)])
+def test_json_and_back(faults: tuple[str, ...]) -> None:
+    summary = summary_with(recording_faults=faults)
+    assert Summary.from_json(json.loads(json.dumps(summary.as_json()))) == summary
+    assert ("recording_faults" in summary.as_json()) == bool(faults)
+
+
+def test_a_recording_plan_survives_json(plan: RecordingPlan) -> None:
+    assert RecordingPlan.from_json(json.loads(json.dumps(plan.as_json()))) == plan
+
+
+@pytest.fixture
+def plan(tmp_path_factory: pytest.TempPathFactory) -> RecordingPlan:
+    review = ReviewPlan((AxisPlan("a", 1.0), AxisPlan("b", 2.0)), VerdictLimits(delay_p99_us_max=5.0))
+    return replace(plan_for(tmp_path_factory.mktemp("run")), review=review, notes={"controller": "pid"})
+
+
+def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
+    page = verdict_markdown(plan, summary_with())
+    assert page.startswith("# synthetic · FAIL")
+    assert "| delay p99 [us] | 900 | 800 | **broken** |" in page
+    assert "| dropouts [%] | 3 | 10 | kept |" in page
+    assert "6 of 400 readings (1.5 %): 3 lost, 2 late, 1 stale" in page
+    assert "controller `pid`" in page
+    assert verdict_markdown(plan, None).startswith("# synthetic · running")

@@ -1,0 +1,204 @@
+"""run.rrd, read back with Rerun's own reader."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.records import FATE_SAMPLE, Rows
+from hil.review import Review
+from hil.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
+from hil.summary import RunOutcome, summarise
+from hil.telemetry import Telemetry, _round_width
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.row_tools import rows_of
+from tests.unit.hil.synthetic_run import synthetic_records
+
+CYCLES = 1_500
+ORIGIN = 300 * NS_PER_MS
+EVENTS: tuple[RunEvent, ...] = (
+    TextEvent(Instant(ORIGIN - 7 * NS_PER_MS), "INFO", "set up"),
+    StateEvent(Instant(ORIGIN - 5 * NS_PER_MS), "axis1 drive", "switched on"),
+    BeginEvent(Instant(ORIGIN)),
+    TextEvent(Instant(ORIGIN + NS_PER_MS), "WARN", "load"),
+    StateEvent(Instant(ORIGIN + 2 * NS_PER_MS), "phase", "load step"),
+)
+Column = tuple[np.ndarray, list[list[object]]]
+
+
+def write_run(plan: RecordingPlan, rows: Rows, events: tuple[RunEvent, ...] = EVENTS) -> Path:
+    """A whole recording in two blocks."""
+    path = plan.folder / "run.rrd"
+    review = Review(plan.review)
+    review.add(rows)
+    telemetry = Telemetry(plan, "a-recording", rr.FileSink(path))
+    telemetry.take_events(events)
+    for block in np.array_split(rows, 2):
+        telemetry.take_rows(block)
+        telemetry.flush()
+    telemetry.show_histogram(review.delay)
+    outcome = RunOutcome(50.0, 40.0)
+    telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def rows() -> Rows:
+    return rows_of(synthetic_records(CYCLES, origin=ORIGIN))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory, rows: Rows) -> Path:
+    return write_run(plan_for(tmp_path_factory.mktemp("run")), rows)
+
+
+def columns(path: Path, entity: str, component: str) -> Column:
+    """Times (ns; 0 for static) and values of one component, in order of time."""
+    times: list[int] = []
+    values: list[list[object]] = []
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) != entity:
+            continue
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names:
+            continue
+        values += batch.column(component).to_pylist()
+        static = "run_time" not in batch.schema.names
+        times += [0] * batch.num_rows if static else batch.column("run_time").cast("int64").to_pylist()
+    order = np.argsort(times, kind="stable")
+    return np.array(times)[order], [values[place] for place in order]
+
+
+def numbers(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and scalars; (n,) or (n, series). Points without a value are left out."""
+    times, values = columns(path, entity, "Scalars:scalars")
+    found = (
+        np.squeeze(np.array(values, np.float64), axis=1)
+        if len(values[0]) == 1
+        else np.array(values, np.float64)
+    )
+    kept = ~np.isnan(found) if found.ndim == 1 else np.ones(len(times), bool)
+    return times[kept], found[kept]
+
+
+RPM = 30 / np.pi
+
+
+def test_speed_and_reference_are_those_of_the_records(recording: Path, rows: Rows) -> None:
+    read = rows[rows["fate"] == FATE_SAMPLE]
+    times, speed = numbers(recording, "/axis1/speed/measured")
+    np.testing.assert_array_equal(times, read["due_at"] - ORIGIN)
+    np.testing.assert_allclose(speed, read["velocity_rad_s"] * RPM)
+    times, reference = numbers(recording, "/axis1/speed/reference")
+    np.testing.assert_array_equal(times, rows["due_at"] - ORIGIN)
+    np.testing.assert_allclose(reference, rows["reference_rad_s"] * RPM)
+    _, error = numbers(recording, "/axis1/error/error")
+    np.testing.assert_allclose(error, (read["reference_rad_s"] - read["velocity_rad_s"]) * RPM)
+
+
+def test_every_dropout_is_marked_in_both_plots(recording: Path, rows: Rows) -> None:
+    due_at = rows["due_at"][rows["fate"] != FATE_SAMPLE] - ORIGIN
+    assert due_at.size > 20
+    for entity in ("/axis1/speed/dropped", "/axis1/delay/dropped"):
+        np.testing.assert_array_equal(numbers(recording, entity)[0], due_at)
+
+
+def test_torque_and_delay(recording: Path, rows: Rows) -> None:
+    _, torque = numbers(recording, "/axis1/torque/command")
+    np.testing.assert_array_equal(torque[:, 0], rows["command_torque_nm"])
+    np.testing.assert_array_equal(torque[:, 1], rows["load_torque_nm"])
+    _, delay = numbers(recording, "/axis1/delay/delay")
+    np.testing.assert_allclose(delay, rows["delay_ns"][rows["delay_ns"] >= 0] / NS_PER_US)
+    times, deadline = numbers(recording, "/axis1/delay/deadline")
+    assert set(deadline.tolist()) == {2_000.0}
+    assert (times[0], times[-1]) == (0, (CYCLES - 1) * NS_PER_MS)
+
+
+def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
+    times, states = columns(recording, "/state/1_axis1_drive", "StateChange:state")
+    assert list(zip(times.tolist(), states, strict=True)) == [
+        (-5 * NS_PER_MS, ["Switched on"]),
+        (0, ["Operation enabled"]),
+    ]
+    assert columns(recording, "/state/2_phase", "StateChange:state")[1] == [["Load step"]]
+    link = [state for (state,) in columns(recording, "/state/3_axis1_link", "StateChange:state")[1]]
+    assert link[0] == "OK"
+    assert "DOWN" in link
+
+
+def test_events_before_time_zero_have_negative_times(recording: Path) -> None:
+    times, texts = columns(recording, "/events", "TextLog:text")
+    assert times.tolist() == [-7 * NS_PER_MS, NS_PER_MS, (CYCLES - 1) * NS_PER_MS]
+    assert texts == [["set up"], ["load"], ["run ended: PASS, 1 of 1 limits kept"]]
+
+
+def test_the_page_tells_the_verdict(recording: Path) -> None:
+    _, texts = columns(recording, "/verdict", "TextDocument:text")
+    assert [str(text[0]).splitlines()[0] for text in texts] == ["# synthetic · running", "# synthetic · PASS"]
+
+
+def test_the_histogram_holds_every_reading_that_came(recording: Path, rows: Rows) -> None:
+    _, ((values,),) = columns(recording, "/delay_histogram", "BarChart:values")
+    assert isinstance(values, dict)
+    assert sum(values["buffer"]) == (rows["delay_ns"] >= 0).sum()
+
+
+def test_the_recording_carries_its_layout(recording: Path) -> None:
+    reader = RrdReader(recording)
+    assert len(reader.recordings()) == 1
+    names = {
+        name
+        for store in reader.blueprints()
+        for chunk in reader.stream(store=store)
+        for name in _view_names(chunk.to_record_batch())
+    }
+    assert {"States", "Speed [rpm]", "Speed error [rpm]", "Torque [N m]", "Verdict", "Events"} <= names
+    assert {"Delay of the readings [us]", "Delay histogram: readings over us"} <= names
+
+
+def _view_names(batch: object) -> list[str]:
+    column = "ViewBlueprint:display_name"
+    if column not in batch.schema.names:  # type: ignore[attr-defined]
+        return []
+    return [name for names in batch.column(column).to_pylist() for name in names or []]  # type: ignore[attr-defined]
+
+
+def test_two_axes_have_plots_of_their_own(tmp_path: Path) -> None:
+    review = ReviewPlan((AxisPlan("left", 6_250.0), AxisPlan("right", 6_250.0)))
+    plan = replace(plan_for(tmp_path), review=review)
+    left, right = synthetic_records(40), synthetic_records(40, seed=2, axis=1)
+    rows = rows_of([record for pair in zip(left, right, strict=True) for record in pair])
+    path = write_run(plan, rows, events=())
+    for number, name in enumerate(("left", "right")):
+        mine = rows[rows["axis"] == number]
+        np.testing.assert_array_equal(
+            numbers(path, f"/{name}/torque/command")[1][:, 0], mine["command_torque_nm"]
+        )
+
+
+def test_a_run_without_a_cycle_still_shows_its_events(tmp_path: Path) -> None:
+    path = write_run(plan_for(tmp_path), rows_of([]), events=EVENTS[:2])
+    texts = columns(path, "/events", "TextLog:text")[1]
+    assert texts == [["set up"], ["run ended: FAIL, 0 of 1 limits kept"]]
+
+
+@pytest.mark.parametrize(
+    ("width", "expected"), [(1, 1), (900, 1), (1_001, 2), (2_000, 2), (6_000, 10), (21_000, 50)]
+)
+def test_bars_have_round_widths(width: int, expected: int) -> None:
+    assert _round_width(width) == expected * NS_PER_US
+
+
+def test_a_histogram_of_nothing_is_not_shown(tmp_path: Path) -> None:
+    path = write_run(plan_for(tmp_path), rows_of([]))
+    assert columns(path, "/delay_histogram", "BarChart:values")[1] == []
+
+
+def test_a_sink_that_cannot_be_opened_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"run\.rrd"):
+        Telemetry(plan_for(tmp_path), "a-recording", rr.FileSink(tmp_path / "none" / "run.rrd"))
