@@ -31,6 +31,10 @@ class Drive(Protocol):
         """Send a set-point; when it was handed to the bus."""
         ...
 
+    def check(self) -> None:
+        """Raises PeerFault if the drive is not enabled any more, reports a fault or was lost."""
+        ...
+
 
 class LoadMachine(Protocol):
     """What puts a load on the shaft."""
@@ -123,7 +127,7 @@ class Axis:
             if sample is None:
                 self.meter.unmatched += 1
             elif self.meter.arrived(sample):
-                self._check(self.parts.guard.check_reading(reading))
+                self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
                 self.parts.compensator.receive(sample)
                 self._fresh = True
 
@@ -147,6 +151,7 @@ class Axis:
         command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
+        parts.drive.check()
         sent_at = parts.drive.write(command)
         parts.controller.update(estimate, command)
         self._decisions.append(

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from heapq import heappop, heappush
 
+from drivers.errors import DriveInFault
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.axis import Axis, AxisParts
@@ -30,11 +31,15 @@ class FakeDrive:
         self.commands: list[Command] = []
         self.readings: list[Reading] = []
         self.velocity_rad_s = 0.0
-        self.statusword = 0x0627
+        self.fault = ""
 
     def take_readings(self) -> list[Reading]:
         readings, self.readings = self.readings, []
         return readings
+
+    def check(self) -> None:
+        if self.fault:
+            raise DriveInFault(self.fault)
 
     def write(self, command: Command) -> Instant:
         self.commands.append(command)
@@ -67,9 +72,7 @@ class FakeBus:
             sampled_at = self.at + SYNC_LATENCY
             received_at = Instant(sampled_at + delay)
             stamp = sampled_at + DEVICE_CLOCK_OFFSET_NS
-            reading = Reading(
-                self.sync_count, 0.0, drive.velocity_rad_s, 0.0, drive.statusword, stamp, received_at
-            )
+            reading = Reading(self.sync_count, 0.0, drive.velocity_rad_s, 0.0, 0x0627, stamp, received_at)
             self._entered += 1
             heappush(self._due, (received_at, self._entered, drive, reading))
         return self.at

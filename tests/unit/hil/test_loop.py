@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import LimitExceeded, NoAnswer
+from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from drivers.timebase import NS_PER_MS, Duration
 from hil.compensation import Stamp
 from hil.loop import CALIBRATION_SYNCS, Loop, LoopOutcome
@@ -133,13 +133,16 @@ def test_overspeed_stops_the_run() -> None:
         run(lambda cycle: 300_000, 10, prepare=spin)
 
 
-@pytest.mark.parametrize(("statusword", "words"), [(0x0608, "fault"), (0x0631, "left Operation enabled")])
-def test_a_drive_that_is_not_enabled_stops_the_run(statusword: int, words: str) -> None:
-    def drop(drive: FakeDrive) -> None:
-        drive.statusword = statusword
+def test_a_drive_in_fault_stops_the_run_before_another_command() -> None:
+    failed: list[FakeDrive] = []
 
-    with pytest.raises(LimitExceeded, match=words):
-        run(lambda cycle: 300_000, 10, prepare=drop)
+    def fail(drive: FakeDrive) -> None:
+        drive.fault = "axis1 reports a fault"
+        failed.append(drive)
+
+    with pytest.raises(DriveInFault, match="axis1 reports a fault"):
+        run(lambda cycle: 300_000, 10, prepare=fail)
+    assert failed[0].commands == []
 
 
 def test_silence_during_calibration_is_named() -> None:

@@ -1,0 +1,107 @@
+"""From a checked bench file to the parts of a run."""
+
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from hil.axis import Axis, AxisParts, Drive, LoadMachine
+from hil.clock_map import ClockMap
+from hil.compensation import Arrival, Compensator, Stamp
+from hil.config import BenchConfig
+from hil.config_axis import Drive as DriveConfig
+from hil.config_axis import PidController, RampReference, Reference, StampCompensator, StepReference
+from hil.controllers import Controller, Pid, PidGains, StateFeedback
+from hil.delay import DelayMeter
+from hil.loop import Actuation, LoopTiming
+from hil.recorder import Recorder
+from hil.safety import SafetyGuard, SafetyLimits
+from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from virtual_bus.bit_length import bits_duration, frame_bits
+from virtual_bus.frame import Frame
+
+SYNC_FRAME = Frame(0x080)
+COMMAND_FRAME = Frame(0x201, bytes(4))
+"""As long as a command can be told to be before its data are known."""
+
+
+def loop_timing(config: BenchConfig) -> LoopTiming:
+    """The loop's times; the latencies are those of an idle bus at the bench's bit rate."""
+    bitrate = config.bus.bitrate_bit_s
+    return LoopTiming(
+        period=config.loop.period,
+        decide_after=config.loop.decide_after,
+        settle=Duration(config.loop.deadline + config.loop.period),
+        actuation=Actuation(config.loop.actuation),
+        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+    )
+
+
+def speed_profile(segments: tuple[Reference, ...]) -> SpeedProfile:
+    """The reference of one axis in rad/s."""
+    return SpeedProfile([_segment(segment) for segment in segments])
+
+
+def _segment(segment: Reference) -> Segment:
+    if isinstance(segment, StepReference):
+        return Step(segment.at_s, segment.speed_rad_s)
+    if isinstance(segment, RampReference):
+        return Ramp(segment.at_s, segment.speed_rad_s, segment.over_s)
+    return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)
+
+
+def controller(drive: DriveConfig, period_s: float) -> Controller:
+    """The controller of one axis."""
+    wanted = drive.controller
+    if isinstance(wanted, PidController):
+        gains = PidGains(
+            proportional_nm_s_rad=wanted.proportional_nm_s_rad,
+            integral_nm_rad=wanted.integral_nm_rad,
+            derivative_nm_s2_rad=wanted.derivative_nm_s2_rad,
+            derivative_filter_s=wanted.derivative_filter_s,
+            anti_windup_s=wanted.anti_windup_s,
+            feedforward_nm_s_rad=wanted.feedforward_nm_s_rad,
+        )
+        return Pid(gains, period_s)
+    motor = drive.motor.parameters
+    return StateFeedback(
+        wanted.gain, motor.torque_constant_nm_a, motor.viscous_friction_nm_s, wanted.feedforward_load_nm
+    )
+
+
+def compensator(drive: DriveConfig) -> Compensator:
+    """The delay compensator of one axis."""
+    wanted = drive.compensator
+    if isinstance(wanted, StampCompensator):
+        return Stamp(Duration(wanted.delay_us * NS_PER_US))
+    return Arrival()
+
+
+def axis(
+    config: BenchConfig,
+    number: int,
+    drive: Drive,
+    load_machine: LoadMachine | None,
+    timing: LoopTiming,
+    recorder: Recorder,
+) -> Axis:
+    """The ``number``-th axis of the bench, on ``drive``."""
+    name = config.axes[number]
+    wanted = config.drive[name]
+    period_s = timing.period / NS_PER_S
+    limits = SafetyLimits(
+        torque_max_nm=wanted.limits.torque_max_nm,
+        speed_max_rad_s=wanted.limits.speed_max_rad_s,
+        torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,
+        dropouts_consecutive_max=wanted.limits.dropouts_consecutive_max,
+    )
+    parts = AxisParts(
+        name=name,
+        drive=drive,
+        controller=controller(wanted, period_s),
+        compensator=compensator(wanted),
+        guard=SafetyGuard(limits, period_s),
+        reference=speed_profile(config.reference.get(name, ())),
+        load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
+        load_machine=load_machine,
+        clock_map=ClockMap(timing.sync_latency),
+        meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
+    )
+    return Axis(number, parts, timing.period, timing.sync_latency, recorder.record)

@@ -1,0 +1,53 @@
+"""What the process tells its caller, and how an error becomes that."""
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+
+import typer
+
+from drivers.errors import BenchError
+
+
+class ExitStatus(IntEnum):
+    """Exit statuses of ``hil``."""
+
+    PASSED = 0
+    FAILED = 1
+    """The run ended, or was cut short, and its verdict is not passed."""
+    BAD_INPUT = 2
+    """A file or an option cannot be used; nothing was started."""
+    PEER_FAULT = 3
+    """The bus or a drive failed, or a safety limit stopped the run."""
+    DEFECT = 70
+    """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
+    INTERRUPTED = 130
+    """Ctrl-C before there was anything to judge (128 + SIGINT)."""
+
+
+@contextmanager
+def reported_errors() -> Iterator[None]:
+    """Print what goes wrong inside on stderr and leave with its exit status."""
+    try:
+        yield
+    except BenchError as error:
+        print(error_text(error), file=sys.stderr)
+        raise typer.Exit(error.exit_status) from None
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise typer.Exit(ExitStatus.INTERRUPTED) from None
+    except (typer.Exit, typer.Abort, typer.BadParameter):
+        raise
+    except Exception:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
+        traceback.print_exc()
+        raise typer.Exit(ExitStatus.DEFECT) from None
+
+
+def error_text(error: BenchError) -> str:
+    """The error as a user reads it: one line, or one line for each of several."""
+    lines = str(error).splitlines()
+    if len(lines) == 1:
+        return f"hil: error: {lines[0]}"
+    return "\n".join([f"hil: {len(lines)} errors:", *(f"  {line}" for line in lines)])

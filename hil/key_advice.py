@@ -1,0 +1,78 @@
+"""What an unknown key was meant to be: the nearest known key, or the same quantity in its right unit."""
+
+import difflib
+import math
+from collections.abc import Iterable
+from typing import Any
+
+UNITS: dict[str, tuple[str, float]] = {
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+    "hz": ("frequency", 1.0),
+    "khz": ("frequency", 1e3),
+    "rpm": ("angular speed", math.tau / 60.0),
+    "rad/s": ("angular speed", 1.0),
+    "deg/s": ("angular speed", math.tau / 360.0),
+    "nm": ("torque", 1.0),
+    "mnm": ("torque", 1e-3),
+    "a": ("current", 1.0),
+    "ma": ("current", 1e-3),
+    "v": ("voltage", 1.0),
+    "kv": ("voltage", 1e3),
+    "ohm": ("resistance", 1.0),
+    "mohm": ("resistance", 1e-3),
+    "h": ("inductance", 1.0),
+    "mh": ("inductance", 1e-3),
+    "uh": ("inductance", 1e-6),
+    "wb": ("flux", 1.0),
+    "mwb": ("flux", 1e-3),
+    "kg/m2": ("inertia", 1.0),
+    "g/m2": ("inertia", 1e-3),
+    "kg/cm2": ("inertia", 1e-4),
+    "g/cm2": ("inertia", 1e-7),
+    "percent": ("ratio", 1e-2),
+    "ratio": ("ratio", 1.0),
+    "permille": ("ratio", 1e-3),
+    "ppm": ("ratio", 1e-6),
+    "bit/s": ("bit rate", 1.0),
+    "kbit/s": ("bit rate", 1e3),
+    "mbit/s": ("bit rate", 1e6),
+}
+"""Unit as the words of a key, joined by a slash -> its quantity and its value in SI."""
+
+_UNIT_WORDS = frozenset(word for unit in UNITS for word in unit.split("/")) | {"rad", "deg", "s2", "m2"}
+
+
+def nearest(unknown: str, known: Iterable[str]) -> str | None:
+    """The known word that looks most like ``unknown``; None if none does."""
+    found = difflib.get_close_matches(unknown, list(known), n=1, cutoff=0.6)
+    return found[0] if found else None
+
+
+def same_quantity(unknown: str, known: Iterable[str]) -> str | None:
+    """The known key that names the same thing in another unit, or that ``unknown`` leaves without one."""
+    stem, unit = split_unit(unknown)
+    for key in known:
+        key_stem, key_unit = split_unit(key)
+        if stem and stem == key_stem and unit != key_unit:
+            return key
+    return None
+
+
+def split_unit(key: str) -> tuple[str, str]:
+    """``speed_max_rpm`` -> (``speed_max``, ``rpm``); the unit is empty if the key has none."""
+    words = key.lower().split("_")
+    stem = "_".join(word for word in words if word not in _UNIT_WORDS)
+    return stem, "/".join(word for word in words if word in _UNIT_WORDS)
+
+
+def converted(value: Any, found_key: str, expected_key: str) -> str | None:
+    """``value`` of ``found_key`` in the unit of ``expected_key``, as it would be typed, or None."""
+    found, expected = (UNITS.get(split_unit(key)[1]) for key in (found_key, expected_key))
+    if found is None or expected is None or found[0] != expected[0]:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return f"{value * found[1] / expected[1]:.9g}"

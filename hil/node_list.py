@@ -1,0 +1,31 @@
+"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``."""
+
+from collections.abc import Sequence
+
+from drivers.errors import MISSING, BadInput
+
+NODE_MAX = 127
+
+
+def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
+    """The node ids of all ``texts``, in order. Raises BadInput for one that is no id, or that comes twice."""
+    found: list[int] = []
+    for text in texts:
+        for part in text.split(","):
+            found.extend(_range(part.strip(), option))
+    if not found:
+        raise BadInput(option, "", MISSING, f"a node id 1..{NODE_MAX}, e.g. {option} 1 or {option} 1-3")
+    for node in found:
+        if found.count(node) > 1:
+            raise BadInput(option, "", node, "each node id once")
+    return found
+
+
+def _range(text: str, option: str) -> range:
+    first, dash, last = text.partition("-")
+    if not first.isdecimal() or (dash and not last.isdecimal()):
+        raise BadInput(option, "", text, f"a node id 1..{NODE_MAX}, a list 1,2 or a range 1-3")
+    low, high = int(first), int(last) if dash else int(first)
+    if not 1 <= low <= high <= NODE_MAX:
+        raise BadInput(option, "", text, f"node ids within 1..{NODE_MAX}, the smaller first")
+    return range(low, high + 1)

@@ -1,0 +1,71 @@
+"""Simulated drives as a bench or a command line asks for them."""
+
+from collections.abc import Callable, Sequence
+
+from design.motor import PmsmParameters
+from drivers.adapters import BusSpec, parse_bus_spec
+from drivers.errors import BadInput
+from hil.config import BenchConfig
+from hil.realtime import realtime_process
+from hil.stopping import stop_signals
+from hil.world import WorldPlan, open_world
+from virtual_bus.fault_plan import FaultPlan
+from virtual_bus.hosting import serve
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.servo_parameters import DriveParameters
+
+
+def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
+    """The drives of a bench, for its own simulated bus."""
+    drives = []
+    for name in config.axes:
+        wanted = config.drive[name]
+        simulation = wanted.simulation
+        parameters = DriveParameters(
+            inner_rate_hz=simulation.inner_rate_hz,
+            encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
+            clock_drift_ppm=simulation.clock_drift_ppm,
+        )
+        drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+    return drives
+
+
+def simulate(
+    *,
+    bus_spec: str,
+    nodes: Sequence[int],
+    motor: PmsmParameters,
+    faults: FaultPlan | None,
+    bitrate_bit_s: int,
+    seed: int,
+    announce: Callable[[str], None],
+) -> None:
+    """Simulated drives on a real-time bus until a stop signal comes.
+
+    ``announce`` is told once the drives are on the bus. Raises BadInput for a bus in simulated time, which
+    no other process could join, and BusDown if the bus cannot be opened or goes away.
+    """
+    spec = parse_bus_spec(bus_spec, "--bus")
+    if spec.simulated:
+        raise BadInput(
+            "--bus",
+            "",
+            bus_spec,
+            "a bus that other processes can join",
+            "use hub:NAME, or run the bench itself with --bus simulated",
+        )
+    devices = [SimulatedServo(node, motor, seed=seed) for node in nodes]
+    plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
+    with stop_signals() as stop, open_world(plan, ()) as world:
+        if world.faults is not None:
+            world.faults.start(world.clock.now())
+        with realtime_process() as refused:
+            for request in refused:
+                announce(f"not granted by the kernel: {request}")
+            announce(_announcement(spec, nodes, motor))
+            serve(devices, world.link.bus, world.clock, stop)
+
+
+def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) -> str:
+    listed = ", ".join(map(str, nodes))
+    return f"simulated drive on {spec}: node {listed}, motor {motor.name}; Ctrl-C ends it"

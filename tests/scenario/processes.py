@@ -1,0 +1,132 @@
+"""Benches and simulated drives as processes on a hub, for the tests of what a user would type."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drivers.adapters import open_bus, parse_bus_spec
+from drivers.link import BusLink
+from drivers.network import CanopenNetwork
+from drivers.objects402 import Object
+from drivers.profile402 import State, state_of
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+HIL = [sys.executable, "-m", "hil.cli"]
+RPM_PER_RAD_S = 60.0 / 6.283185307179586
+VELOCITY_UNIT_RAD_S = 1e-3 / RPM_PER_RAD_S
+START_LIMIT_S = 60.0
+REST_RAD_S = 0.5
+
+
+def hub_name(test: str) -> str:
+    """A hub of this test process alone."""
+    return f"hub:{test}-{os.getpid()}"
+
+
+@contextmanager
+def simulated_drive(bus: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """``hil simulate`` on ``bus``, ready when entered, ended when left."""
+    command = [*HIL, "simulate", "--bus", bus, "--node", "1", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "Ctrl-C ends it" in line:
+                break
+        else:
+            raise AssertionError(f"hil simulate ended with {process.wait()}")
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=START_LIMIT_S)
+        assert process.returncode in (0, -signal.SIGKILL, 3), said
+
+
+def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
+    """``hil run --json`` in the background."""
+    command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def run(bench: Path, bus: str, folder: Path) -> tuple[int, dict[str, Any], str]:
+    """``hil run --json`` to its end: exit status, summary ({} if there is none), what it said."""
+    process = start_run(bench, bus, folder)
+    out, said = process.communicate(timeout=START_LIMIT_S)
+    return process.returncode, json.loads(out) if out.strip() else {}, said
+
+
+def long_bench(folder: Path, duration_s: float = 60.0, speed_rpm: float = 1500.0) -> Path:
+    """A bench that turns for ``duration_s``, without injected faults."""
+    text = (EXAMPLES / "any_bus.toml").read_text()
+    text = text.replace('"motors/', f'"{EXAMPLES}/motors/').replace('"faults/', f'"{EXAMPLES}/faults/')
+    lines = []
+    for line in text.splitlines():
+        if line.startswith("duration_s"):
+            line = f"duration_s = {duration_s}"
+        if line.startswith("speed_rpm"):
+            line = f"speed_rpm = {speed_rpm}"
+        lines.append(line)
+    path = folder / "long.toml"
+    path.write_text("\n".join(lines))
+    return path
+
+
+class Observer:
+    """A second master that only reads: how fast the drive turns, and in which state it is."""
+
+    def __init__(self, bus: str) -> None:
+        self._clock = MonotonicClock()
+        opened = open_bus(parse_bus_spec(bus), 1_000_000)
+        self._bus = opened.bus
+        self._network = CanopenNetwork(BusLink(opened.bus, self._clock, opened.stamps, bus), self._clock, 126)
+
+    def velocity_rad_s(self) -> float:
+        raw = self._network.upload(1, Object.VELOCITY_ACTUAL_VALUE)
+        return int.from_bytes(raw, "little", signed=True) * VELOCITY_UNIT_RAD_S
+
+    def state(self) -> State | None:
+        return state_of(int.from_bytes(self._network.upload(1, Object.STATUSWORD), "little"))
+
+    def now(self) -> Instant:
+        return self._clock.now()
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass, still taking frames in."""
+        self._network.pump(Instant(self._clock.now() + round(duration_s * NS_PER_S)))
+
+    def until_turning(self, speed_rad_s: float) -> None:
+        """Wait until the shaft turns at least that fast."""
+        deadline = self._clock.now() + round(START_LIMIT_S * NS_PER_S)
+        while abs(self.velocity_rad_s()) < speed_rad_s:
+            assert self._clock.now() < deadline, "the drive never reached its speed"
+            self.wait(0.01)
+
+    def time_to_rest(self, since: Instant, limit_s: float) -> Duration:
+        """From ``since`` until the shaft is at rest and the drive not enabled."""
+        while True:
+            at = self._clock.now()
+            resting = abs(self.velocity_rad_s()) < REST_RAD_S
+            if resting and self.state() is not State.OPERATION_ENABLED:
+                return Duration(at - since)
+            assert at - since < limit_s * NS_PER_S, f"still {self.state()} at {self.velocity_rad_s()} rad/s"
+            self._network.pump(Instant(at + NS_PER_MS))
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+@contextmanager
+def observer(bus: str) -> Iterator[Observer]:
+    """An observer on ``bus``."""
+    watching = Observer(bus)
+    try:
+        yield watching
+    finally:
+        watching.close()

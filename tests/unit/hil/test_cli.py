@@ -1,0 +1,251 @@
+"""The command line: options in, exit statuses and streams out. The bench behind it is a stand-in."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from drivers.errors import BusDown, DriveInFault, NoAnswer
+from hil.capability import Capability, Status
+from hil.cli import app
+from hil.config import BenchConfig
+from hil.exit_status import ExitStatus
+from hil.motor_file import LING2012
+from hil.node_list import node_ids
+from tests.unit.hil.test_report import summary
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+BENCH = str(EXAMPLES / "ling2012.toml")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    summary: dict[str, Any]
+    passed: bool
+    recording: Path | None
+
+
+class Bench:
+    """Stands in for what runs a bench or a drive: keeps what it was asked, answers what the test wants."""
+
+    def __init__(self) -> None:
+        self.asked: dict[str, Any] = {}
+        self.config: BenchConfig | None = None
+        self.error: BaseException | None = None
+        self.passed = True
+
+    def run_bench(self, config: BenchConfig, **asked: Any) -> Outcome:
+        self.config, self.asked = config, asked
+        if self.error:
+            raise self.error
+        asked["progress"]("running", 1.0)
+        return Outcome(summary(passed=self.passed).as_json(), self.passed, Path("runs/x"))
+
+    def simulate(self, **asked: Any) -> None:
+        self.asked = asked
+        if self.error:
+            raise self.error
+        asked["announce"]("node 1 is on hub:a")
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    found = Bench()
+    stand_ins = {
+        "hil.bench": ("run_bench", found.run_bench),
+        "hil.simulated_drives": ("simulate", found.simulate),
+    }
+    for name, (function, stand_in) in stand_ins.items():
+        module = ModuleType(name)
+        setattr(module, function, stand_in)
+        monkeypatch.setitem(sys.modules, name, module)
+    return found
+
+
+def hil(*arguments: str) -> Result:
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_passed_run_prints_its_summary() -> None:
+    result = hil("run", BENCH)
+    assert result.exit_code == ExitStatus.PASSED
+    assert "ling2012: PASSED" in result.stdout
+    assert "runs/x/run.rrd" in result.stdout
+
+
+def test_a_failed_run_leaves_with_one(bench: Bench) -> None:
+    bench.passed = False
+    result = hil("run", BENCH)
+    assert result.exit_code == ExitStatus.FAILED
+    assert "NOT PASSED" in result.stdout
+
+
+def test_options_reach_the_bench(bench: Bench) -> None:
+    hil("run", BENCH, "--bus", "hub:a", "--time", "real", "--seed", "7", "--record", "r", "--view")
+    assert bench.config is not None
+    assert bench.config.bench.name == "ling2012"
+    asked = {key: value for key, value in bench.asked.items() if key != "progress"}
+    expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
+    assert asked == expected
+
+
+def test_without_options_the_file_decides(bench: Bench) -> None:
+    hil("run", BENCH)
+    asked = {key: value for key, value in bench.asked.items() if key != "progress"}
+    assert asked == {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
+
+
+def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:
+    bench.passed = False
+    result = hil("run", BENCH, "--json")
+    assert result.exit_code == ExitStatus.FAILED
+    assert json.loads(result.stdout) == json.loads(json.dumps(summary(passed=False).as_json()))
+    assert result.stderr == "running\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (BusDown("socketcan:can0 is down", remedy="ip link set can0 up"), ExitStatus.PEER_FAULT),
+        (NoAnswer("node 1 does not answer on hub:a"), ExitStatus.PEER_FAULT),
+        (DriveInFault("node 1 is in fault", "0x603F = 0x2310"), ExitStatus.PEER_FAULT),
+        (KeyboardInterrupt(), ExitStatus.INTERRUPTED),
+        (ZeroDivisionError("a defect"), ExitStatus.DEFECT),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_an_error_leaves_with_its_status_and_an_empty_stdout(
+    bench: Bench, error: BaseException, status: ExitStatus, as_json: bool
+) -> None:
+    bench.error = error
+    result = hil("run", BENCH, *(["--json"] if as_json else []))
+    assert result.exit_code == status
+    assert result.stdout == ""
+    assert str(error) in result.stderr
+    assert ("Traceback" in result.stderr) == (status is ExitStatus.DEFECT)
+
+
+@pytest.mark.usefixtures("bench")
+def test_bad_input_lists_all_errors_without_a_traceback(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text('[bench]\nname = "x"\nduration_ms = 2000\n[bus]\nbitrate_bit_s = 5\n')
+    result = hil("run", str(path))
+    assert result.exit_code == ExitStatus.BAD_INPUT
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert lines[0] == "hil: 3 errors:"
+    assert lines[1] == (
+        f"  {path}: bench.duration_ms: found 2000, expected duration_s (the unit is part of the key); "
+        "write duration_s = 2"
+    )
+    assert len(lines) == 4
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run"],
+        ["run", "missing.toml"],
+        ["run", BENCH, "--time", "sideways"],
+        ["run", BENCH, "--seed", "-1"],
+        ["run", BENCH, "--nonsense"],
+        ["nonsense"],
+        ["simulate", "--bus", "hub:a"],
+        ["simulate", "--bus", "hub:a", "--node", "128"],
+        ["simulate", "--bus", "hub:a", "--node", "1", "--motor", "missing.toml"],
+        ["simulate", "--bus", "hub:a", "--node", "1", "--faults", "missing.toml"],
+    ],
+)
+def test_bad_arguments_leave_with_two(arguments: list[str]) -> None:
+    result = hil(*arguments)
+    assert result.exit_code == ExitStatus.BAD_INPUT
+    assert result.stdout == ""
+    assert result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_simulate_hands_over_nodes_motor_and_faults(bench: Bench) -> None:
+    motor, faults = str(EXAMPLES / "motors" / "azaiz2007.toml"), str(EXAMPLES / "faults" / "demo.toml")
+    result = hil(
+        "simulate",
+        "--bus",
+        "hub:a",
+        "--node",
+        "1",
+        "3-4",
+        "--node",
+        "7",
+        "--motor",
+        motor,
+        "--faults",
+        faults,
+    )
+    assert result.exit_code == 0, result.stderr
+    assert sorted(bench.asked["nodes"]) == [1, 3, 4, 7]
+    assert bench.asked["motor"].name == "Azaiz2007"
+    assert bench.asked["faults"].faults
+    assert (bench.asked["bus_spec"], bench.asked["bitrate_bit_s"], bench.asked["seed"]) == (
+        "hub:a",
+        1_000_000,
+        0,
+    )
+    assert "node 1 is on hub:a" in result.stderr
+
+
+def test_simulate_has_a_default_motor_and_no_faults(bench: Bench) -> None:
+    hil("simulate", "--bus", "hub:a", "--node", "1")
+    assert bench.asked["motor"] == LING2012.parameters
+    assert bench.asked["faults"] is None
+
+
+@pytest.fixture
+def checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [
+        Capability(
+            "vcan0", Status.LACK, "no such link", "--bus socketcan:vcan0", "ip link add dev vcan0 type vcan"
+        ),
+        Capability("disk space", Status.OK, "50 GB free", "recordings"),
+    ]
+    monkeypatch.setattr("hil.doctor.run_checks", lambda: found)
+
+
+@pytest.mark.usefixtures("checks")
+def test_doctor_prints_each_lack_with_its_remedy() -> None:
+    result = hil("doctor")
+    assert result.exit_code == 0
+    assert "ip link add dev vcan0 type vcan" in result.stdout
+    assert "disk space" in result.stdout
+
+
+@pytest.mark.usefixtures("checks")
+def test_doctor_as_json() -> None:
+    found = json.loads(hil("doctor", "--json").stdout)
+    assert [(check["name"], check["status"]) for check in found] == [("vcan0", "lack"), ("disk space", "ok")]
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"), [(["1"], [1]), (["1,2", "5"], [1, 2, 5]), (["3-5"], [3, 4, 5]), (["127"], [127])]
+)
+def test_node_ids(texts: list[str], expected: list[int]) -> None:
+    assert node_ids(texts) == expected
+
+
+def test_version_and_help() -> None:
+    assert hil("--version").stdout.startswith("servobench ")
+    for command in (["--help"], ["run", "--help"], ["simulate", "--help"], ["doctor", "--help"]):
+        assert hil(*command).exit_code == 0
+
+
+def test_help_loads_nothing_heavy() -> None:
+    heavy = {"numpy", "numba", "pydantic", "rerun", "can", "canopen", "scipy"}
+    program = f"import sys, hil.cli; print(sorted({heavy!r} & set(sys.modules)))"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
