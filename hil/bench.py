@@ -8,14 +8,14 @@ from typing import Any
 
 from drivers.adapters import parse_bus_spec
 from drivers.drive_setup import DriveSettings
-from drivers.errors import BenchError
+from drivers.errors import BenchError, PeerFault
 from drivers.network import CanopenNetwork
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
 from hil.config import BenchConfig
 from hil.config_axis import RampReference, Reference, StepReference
-from hil.load_machine import find_load_machine
+from hil.load_machine import ObjectLoadMachine, find_load_machine
 from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.progress import Progress
 from hil.realtime import quiet_garbage_collector, realtime_process
@@ -113,6 +113,7 @@ class _Run:
         self._progress = progress
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._drives = [ServoDrive(self._network, config.drive[name].node, name) for name in config.axes]
+        self._load_machines: list[ObjectLoadMachine] = []
         if config.recording.frames:
             world.link.tap(recorder.frame)
 
@@ -182,9 +183,13 @@ class _Run:
             self._note_state(drive)
             self._stop.check()
 
-    def _load_machine(self, drive: ServoDrive) -> Any:
+    def _load_machine(self, drive: ServoDrive) -> ObjectLoadMachine | None:
         wanted = bool(self._config.load.get(drive.name))
-        return find_load_machine(self._network, drive.node_id, self._config.source, drive.name, wanted)
+        machine = find_load_machine(self._network, drive.node_id, self._config.source, drive.name, wanted)
+        if machine is not None:
+            machine.take_off()
+            self._load_machines.append(machine)
+        return machine
 
     @contextmanager
     def _timing_conditions(self) -> Iterator[None]:
@@ -238,6 +243,11 @@ class _Run:
             self._note_state(drive)
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
+        for machine in self._load_machines:
+            try:
+                machine.take_off()
+            except PeerFault as error:
+                self._say(f"the load may still be on: {error}", "ERROR")
         self._progress("stopped", self._config.bench.duration_s)
 
     def _deadline(self, timeout_s: float) -> Instant:

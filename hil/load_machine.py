@@ -16,9 +16,15 @@ class ObjectLoadMachine:
         self._node_id = node_id
 
     def set_torque(self, torque_nm: float) -> None:
-        count = round(torque_nm / NM_PER_COUNT)
-        data = count.to_bytes(4, "little", signed=True)
-        self._network.post_download(self._node_id, LOAD_MACHINE, LOAD_TORQUE_SUB, data)
+        self._network.post_download(self._node_id, LOAD_MACHINE, LOAD_TORQUE_SUB, _raw(torque_nm))
+
+    def take_off(self) -> None:
+        """Take the load off the shaft and wait for the confirmation. Raises PeerFault."""
+        self._network.download(self._node_id, LOAD_MACHINE, LOAD_TORQUE_SUB, _raw(0.0))
+
+
+def _raw(torque_nm: float) -> bytes:
+    return round(torque_nm / NM_PER_COUNT).to_bytes(4, "little", signed=True)
 
 
 def find_load_machine(

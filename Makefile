@@ -1,0 +1,80 @@
+# The commands of servobench. Each sets up what it needs first: a virtual environment from the
+# lock files (every archive checked by its hash), made anew only when a lock file changes.
+#
+#   make demo        run the example bench on the simulated drive
+#   make check       format, lint, types, import rules
+#   make test        the tests that need no SocketCAN
+#   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
+#   make bench       print the benchmarks' figures
+#   make lock        renew the lock files from pyproject.toml (UPGRADE=1: newest versions)
+#   make clean       remove the virtual environment and the tools' caches
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+RUNTIME := $(VENV)/.runtime
+TOOLS   := $(VENV)/.tools
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo check format test test-vcan bench lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
+
+setup: $(TOOLS)
+
+# The order matters: an old interpreter would fail much later, with a riddle.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "servobench needs Python 3.11 or newer; make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' || { \
+	  echo "Python lacks its venv module; on Debian: apt-get install python3-venv" >&2; exit 2; }
+	@echo "Setting up $(VENV): once, a minute or two"
+	@$(PYTHON) -m venv $(VENV)
+
+$(RUNTIME): requirements.lock pyproject.toml | $(BIN)/python
+	@$(BIN)/pip install --quiet --require-hashes -r requirements.lock
+	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(TOOLS): requirements-dev.lock $(RUNTIME)
+	@$(BIN)/pip install --quiet --require-hashes -r requirements-dev.lock
+	@touch $@
+
+demo: $(RUNTIME)
+	@$(BIN)/hil run examples/ling2012.toml
+
+check: $(TOOLS)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(TOOLS)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+test: $(TOOLS)
+	$(BIN)/pytest --ignore=tests/vcan
+
+test-vcan: $(TOOLS)
+	@.ci/test-vcan $(BIN)/pytest tests/vcan
+
+bench: $(TOOLS)
+	@for file in tests/benchmarks/bench_*.py; do $(BIN)/python "$$file" || exit; done
+
+# The build backend is in the lock too: the editable install runs without build isolation.
+COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+          --no-annotate --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
+BACKEND = import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])
+
+lock: $(TOOLS)
+	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) -o requirements.lock pyproject.toml -
+	$(COMPILE) --group dev -c requirements.lock -o requirements-dev.lock
+
+clean:
+	rm -rf $(VENV) build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -1,0 +1,101 @@
+"""The bench's SocketCAN bus on the kernel's interface: frames both ways, stamps, floods and lacks."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import can
+import pytest
+
+from drivers.adapters import open_bus, parse_bus_spec, socketcan_links
+from drivers.errors import BusDown
+from drivers.link import BusLink, LeanBus, WireFrame
+from drivers.socketcan import StampedSocketcanBus
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+
+PATIENCE_NS = 10 * NS_PER_S
+FLOOD = 3000
+
+
+@pytest.fixture
+def pair(channel: str) -> Iterator[tuple[StampedSocketcanBus, StampedSocketcanBus]]:
+    """Two participants on the same interface."""
+    with ExitStack() as stack:
+        yield (
+            stack.enter_context(StampedSocketcanBus(channel)),
+            stack.enter_context(StampedSocketcanBus(channel)),
+        )
+
+
+def soon(clock: MonotonicClock) -> Instant:
+    return Instant(clock.now() + PATIENCE_NS)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        WireFrame(0x080),
+        WireFrame(0x181, bytes(range(8))),
+        WireFrame(0x12345678, b"\x01\x02", extended=True),
+        WireFrame(0x701, b"", remote=True, remote_length=1),
+    ],
+)
+def test_frames_arrive_as_sent(
+    pair: tuple[StampedSocketcanBus, StampedSocketcanBus], frame: WireFrame
+) -> None:
+    sender, receiver = pair
+    clock = MonotonicClock()
+    before = clock.now()
+    sender.send_frame(frame)
+    received = receiver.recv_frame(soon(clock))
+    assert received is not None
+    assert received[0] == frame
+    assert before - NS_PER_MS <= received[1] <= clock.now()
+
+
+def test_the_wait_ends_at_its_deadline(pair: tuple[StampedSocketcanBus, StampedSocketcanBus]) -> None:
+    clock = MonotonicClock()
+    until = Instant(clock.now() + 5 * NS_PER_MS)
+    assert pair[1].recv_frame(until) is None
+    assert clock.now() >= until
+
+
+def test_a_flood_is_kept(pair: tuple[StampedSocketcanBus, StampedSocketcanBus]) -> None:
+    sender, receiver = pair
+    for number in range(FLOOD):
+        sender.send_frame(WireFrame(0x100 + number % 8, number.to_bytes(4, "little")))
+    clock = MonotonicClock()
+    seen = 0
+    while (received := receiver.recv_frame(clock.now())) is not None:
+        assert int.from_bytes(received[0].data, "little") == seen
+        seen += 1
+    assert (seen, receiver.lost_frames) == (FLOOD, 0)
+
+
+def test_the_link_takes_the_lean_path(channel: str) -> None:
+    opened = open_bus(parse_bus_spec(f"socketcan:{channel}"), 1_000_000)
+    try:
+        assert isinstance(opened.bus, LeanBus)
+        clock = MonotonicClock()
+        link = BusLink(opened.bus, clock, opened.stamps, opened.name)
+        with can.Bus(interface="socketcan", channel=channel) as other:
+            sent_at = link.send(0x80, b"")
+            message = other.recv(10.0)
+            assert message is not None
+            assert message.arbitration_id == 0x80
+            other.send(can.Message(arbitration_id=0x181, data=b"\x01", is_extended_id=False))
+        received = link.recv(soon(clock))
+        assert received is not None
+        assert received[:2] == (0x181, b"\x01")
+        assert sent_at <= received[2] <= clock.now()
+    finally:
+        opened.bus.shutdown()
+
+
+def test_the_interface_is_listed_as_usable(channel: str) -> None:
+    usable = [adapter.spec for adapter in socketcan_links() if adapter.usable]
+    assert f"socketcan:{channel}" in usable
+
+
+def test_a_missing_interface_names_the_command() -> None:
+    with pytest.raises(BusDown, match=r"cannot open socketcan:vcan77.*ip link add dev vcan77 type vcan"):
+        open_bus(parse_bus_spec("socketcan:vcan77"), 1_000_000)
