@@ -62,7 +62,7 @@ def run(bench: Path, bus: str, folder: Path) -> tuple[int, dict[str, Any], str]:
     return process.returncode, json.loads(out) if out.strip() else {}, said
 
 
-def long_bench(folder: Path, duration_s: float = 60.0, speed_rpm: float = 1500.0) -> Path:
+def long_bench(folder: Path, duration_s: float = 60.0) -> Path:
     """A bench that turns for ``duration_s``, without injected faults."""
     text = (EXAMPLES / "any_bus.toml").read_text()
     text = text.replace('"motors/', f'"{EXAMPLES}/motors/').replace('"faults/', f'"{EXAMPLES}/faults/')
@@ -70,8 +70,6 @@ def long_bench(folder: Path, duration_s: float = 60.0, speed_rpm: float = 1500.0
     for line in text.splitlines():
         if line.startswith("duration_s"):
             line = f"duration_s = {duration_s}"
-        if line.startswith("speed_rpm"):
-            line = f"speed_rpm = {speed_rpm}"
         lines.append(line)
     path = folder / "long.toml"
     path.write_text("\n".join(lines))

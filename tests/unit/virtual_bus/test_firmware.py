@@ -1,0 +1,211 @@
+"""The inner loops: grid and causality, current control inside its limits, encoder, ramps, brake."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from design.motor import PmsmParameters
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from tests.motors import AZAIZ, LING
+from virtual_bus import motor_kernel as kernel
+from virtual_bus.firmware import Firmware, FirmwareParameters, InnerControl
+
+TICK_NS = 62_500
+
+
+def torque_drive(motor: PmsmParameters = LING, **parameters: float) -> Firmware:
+    """A drive in torque control at rest, no torque asked."""
+    firmware = Firmware(motor, replace(FirmwareParameters(), **parameters))  # type: ignore[arg-type]
+    firmware.control(InnerControl.TORQUE)
+    return firmware
+
+
+def trace(firmware: Firmware, index: int, ticks: int) -> list[float]:
+    """One signal of the state at each of the next ticks."""
+    values = []
+    for _ in range(ticks):
+        assert firmware.advance_to(Instant(firmware.tick_at + TICK_NS))
+        values.append(float(firmware.state[index]))
+    return values
+
+
+def spun(speed_rad_s: float, motor: PmsmParameters = LING) -> Firmware:
+    """A drive in torque control on a shaft so heavy that it keeps its speed."""
+    firmware = torque_drive(replace(motor, inertia_kg_m2=1e6, viscous_friction_nm_s=0.0))
+    firmware.state[kernel.S_SPEED] = speed_rad_s
+    trace(firmware, kernel.S_SPEED, 400)
+    return firmware
+
+
+def test_ticks_stand_on_a_grid_from_power_on() -> None:
+    firmware = Firmware(LING, FirmwareParameters())
+    firmware.start(Instant(1_000))
+    assert not firmware.advance_to(Instant(1_000 + TICK_NS - 1))
+    assert firmware.advance_to(Instant(1_000 + TICK_NS))
+    assert (firmware.ticks, firmware.tick_at) == (1, 1_000 + TICK_NS)
+    assert not firmware.advance_to(Instant(1_000 + TICK_NS))
+
+
+def test_a_rate_that_no_ns_fits_does_not_drift() -> None:
+    firmware = Firmware(LING, FirmwareParameters(inner_rate_hz=12_000))
+    firmware.advance_to(Instant(3 * NS_PER_S))
+    assert firmware.ticks == 36_000
+    assert firmware.tick_at == 3 * NS_PER_S
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(st.lists(st.integers(0, 3 * NS_PER_MS), min_size=1, max_size=8))
+def test_how_often_it_is_advanced_makes_no_difference(pauses: list[int]) -> None:
+    pieces, whole = torque_drive(), torque_drive()
+    now = 0
+    for drive in (pieces, whole):
+        drive.demand_torque(1.0)
+    for pause in pauses:
+        now += pause
+        pieces.advance_to(Instant(now))
+    whole.advance_to(Instant(now))
+    assert np.array_equal(pieces.state, whole.state)
+
+
+def test_a_set_point_acts_one_period_after_the_tick_that_takes_it() -> None:
+    firmware = torque_drive()
+    trace(firmware, kernel.S_CURRENT_Q, 4)
+    firmware.demand_torque(1.0)
+    current = trace(firmware, kernel.S_CURRENT_Q, 3)
+    assert current[0] == current[1] == 0.0, "taken at the first tick, applied from the second on"
+    assert current[2] > 0.1
+
+
+@pytest.mark.parametrize("motor", [LING, AZAIZ], ids=["ling", "azaiz"])
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_torque_step_is_quick_exact_and_nearly_without_overshoot(motor: PmsmParameters, share: float) -> None:
+    firmware = spun(share * motor.rated_speed_rad_s, motor)
+    target = 0.3 * motor.rated_torque_nm
+    firmware.demand_torque(target)
+    torque = trace(firmware, kernel.S_TORQUE_MEASURED, 160)
+    reached = next(tick for tick, value in enumerate(torque) if value > 0.9 * target)
+    assert reached <= 12, "0.75 ms"
+    assert max(torque) < 1.06 * target
+    assert np.mean(torque[80:]) == pytest.approx(target, rel=0.005)
+
+
+@pytest.mark.parametrize("motor", [LING, AZAIZ], ids=["ling", "azaiz"])
+def test_d_current_stays_at_zero_at_speed(motor: PmsmParameters) -> None:
+    firmware = spun(0.8 * motor.rated_speed_rad_s, motor)
+    firmware.demand_torque(0.5 * motor.rated_torque_nm)
+    i_d = trace(firmware, kernel.S_CURRENT_D, 320)
+    i_q = 0.5 * motor.rated_current_a
+    assert max(abs(value) for value in i_d) < 0.12 * i_q
+    assert abs(np.mean(i_d[160:])) < 0.01 * i_q
+
+
+def test_voltage_stays_in_the_circle_and_the_limit_leaves_no_wind_up() -> None:
+    fast = 1.2 * LING.voltage_max_v / (LING.pole_pairs * LING.flux_linkage_wb)
+    firmware = spun(fast)
+    firmware.demand_torque(3.0)
+    trace(firmware, kernel.S_TORQUE_MEASURED, 1600)
+    assert firmware.state[kernel.S_LIMITED] == 1.0
+    assert firmware.state[kernel.S_TORQUE_MEASURED] < 3.0
+    v = np.hypot(firmware.state[kernel.S_VOLTAGE_D], firmware.state[kernel.S_VOLTAGE_Q])
+    assert v == pytest.approx(LING.voltage_max_v, rel=1e-9)
+    firmware.state[kernel.S_SPEED] = 0.5 * fast
+    torque = trace(firmware, kernel.S_TORQUE_MEASURED, 800)
+    assert max(torque[80:]) < 1.1 * 3.0
+    assert torque[-1] == pytest.approx(3.0, rel=0.01)
+
+
+def test_current_never_exceeds_its_limit_by_more_than_the_step_response() -> None:
+    firmware = torque_drive()
+    firmware.demand_torque(100.0)
+    current = trace(firmware, kernel.S_CURRENT_Q, 400)
+    assert max(current) < 1.06 * LING.current_max_a
+    assert current[-1] == pytest.approx(LING.current_max_a, rel=0.01)
+    assert firmware.state[kernel.S_LIMITED] == 1.0
+
+
+def test_a_coarse_encoder_measures_the_speed_in_the_mean() -> None:
+    firmware = torque_drive(
+        replace(LING, inertia_kg_m2=1e6, viscous_friction_nm_s=0.0), encoder_counts_per_revolution=1024
+    )
+    firmware.state[kernel.S_SPEED] = 40.0
+    measured = trace(firmware, kernel.S_SPEED_MEASURED, 3200)[400:]
+    assert np.mean(measured) == pytest.approx(40.0, rel=0.005)
+    assert np.std(measured) > 0.5, "a coarse encoder must show its quantisation"
+    angle = float(firmware.state[kernel.S_ANGLE]) / math.tau
+    assert firmware.state[kernel.S_COUNT] == math.floor((firmware.state[kernel.S_TURNS] + angle) * 1024)
+
+
+def test_ramp_to_rest_follows_its_deceleration_under_load() -> None:
+    firmware = torque_drive()
+    firmware.demand_torque(1.5)
+    trace(firmware, kernel.S_SPEED, 1200)
+    start = firmware.speed_rad_s
+    firmware.demand[kernel.D_LOAD] = 0.6
+    firmware.ramp_to_speed(0.0, 800.0)
+    speeds = trace(firmware, kernel.S_SPEED, round(start / 800.0 * 16_000) + 1600)
+    middle = round(start / 800.0 * 8_000)
+    slope = (speeds[middle + 400] - speeds[middle - 400]) / 0.05
+    assert slope == pytest.approx(-800.0, rel=0.05)
+    assert firmware.rested_for_s() > 0.02
+    assert min(speeds) > -0.1 * start
+
+
+def test_going_over_to_the_ramp_is_bumpless() -> None:
+    firmware = torque_drive(replace(LING, viscous_friction_nm_s=0.01))
+    firmware.demand_torque(1.0)
+    trace(firmware, kernel.S_SPEED, 8000)
+    firmware.ramp_to_speed(0.0, 1.0)
+    demand = trace(firmware, kernel.S_TORQUE_DEMAND, 16)
+    assert all(value == pytest.approx(1.0, abs=0.1) for value in demand)
+
+
+def test_inverter_off_lets_the_current_die_and_the_shaft_coast() -> None:
+    firmware = torque_drive()
+    firmware.demand_torque(2.0)
+    trace(firmware, kernel.S_SPEED, 400)
+    start = firmware.speed_rad_s
+    firmware.control(InnerControl.OFF)
+    current = trace(firmware, kernel.S_CURRENT_Q, 10)
+    assert current[-1] == 0.0
+    assert all(later <= earlier for earlier, later in itertools.pairwise(current))
+    assert firmware.speed_rad_s == pytest.approx(start, rel=0.02)
+
+
+@pytest.mark.parametrize(("brake_nm", "held"), [(None, True), (0.5, False), (0.0, False)])
+def test_brake_holds_a_resting_shaft_against_the_load_as_far_as_it_can(
+    brake_nm: float | None, held: bool
+) -> None:
+    firmware = Firmware(LING, FirmwareParameters(brake_torque_nm=brake_nm))
+    firmware.advance_to(Instant(NS_PER_MS))
+    firmware.demand[kernel.D_LOAD] = 0.6
+    firmware.advance_to(Instant(100 * NS_PER_MS))
+    assert (firmware.speed_rad_s == 0.0) == held
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("inner_rate_hz", 999),
+        ("encoder_counts_per_revolution", 8),
+        ("current_bandwidth_hz", 2001.0),
+        ("current_bandwidth_hz", 0.0),
+        ("speed_filter_hz", 0.0),
+    ],
+)
+def test_settings_that_cannot_work_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        replace(FirmwareParameters(), **{name: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rate_hz", [4_000, 8_000, 64_000])
+def test_every_inner_rate_has_current_loops_that_settle(rate_hz: int) -> None:
+    firmware = Firmware(LING, FirmwareParameters(inner_rate_hz=rate_hz))
+    firmware.control(InnerControl.TORQUE)
+    firmware.demand_torque(0.5)
+    firmware.advance_to(Instant(30 * NS_PER_MS))
+    assert firmware.state[kernel.S_TORQUE_MEASURED] == pytest.approx(0.5, rel=0.02)

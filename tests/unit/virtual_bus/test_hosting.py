@@ -1,0 +1,144 @@
+"""Devices on a segment in simulated time, and on a python-can bus."""
+
+import errno
+
+import can
+import pytest
+
+from drivers.errors import BusDown
+from drivers.timebase import Instant
+from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
+from virtual_bus.application import NmtState
+from virtual_bus.device import CanopenDevice
+from virtual_bus.device_options import DeviceOptions
+from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment, serve
+from virtual_bus.segment import Segment, SimulatedBus
+from virtual_bus.timeline import SimulatedClock, Timeline
+
+MS = 1_000_000
+
+
+def device(node_id: int = NODE, heartbeat_ms: int = 0) -> CanopenDevice:
+    return CanopenDevice(node_id, RecordingApplication(), DeviceOptions(heartbeat_ms=heartbeat_ms))
+
+
+def loss_of_heartbeat(watcher: CanopenDevice) -> list[tuple[object, object]]:
+    application = watcher.application
+    assert isinstance(application, RecordingApplication)
+    return [(call[0], call[-1]) for call in application.calls if call[0] in ("loss", "restored")]
+
+
+def test_timers_of_an_attached_device_follow_the_timeline() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    seen: list[tuple[int, int]] = []
+    segment.add_monitor(lambda frame, at: seen.append((frame.can_id, at // MS)))
+    attach_to_segment(device(heartbeat_ms=10), segment, timeline)
+    timeline.run_until(Instant(35 * MS))
+    assert seen == [(0x705, 0), (0x705, 10), (0x705, 20), (0x705, 30)]
+
+
+def test_deadline_that_is_put_off_does_not_fire_early() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    master = segment.attach("master", lambda _frame, _at: None)
+    node = device()
+    attach_to_segment(node, segment, timeline)
+    master.send(Frame(0, bytes([START, 0])))
+    master.send(Frame(0x600 + NODE, b"\x23\x16\x10\x01\x96\x00\x7f\x00"))
+    for milliseconds in range(1, 1001, 50):
+        timeline.run_until(Instant(milliseconds * MS))
+        master.send(Frame(0x77F, b"\x05"))
+    timeline.run_until(Instant(1100 * MS))
+    before = node.state
+    timeline.run_until(Instant(1102 * MS))
+    assert (before, node.state) == (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL)
+
+
+def test_two_devices_hear_each_other() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    watcher, watched = device(1), device(2, heartbeat_ms=10)
+    attach_to_segment(watcher, segment, timeline)
+    plugged = attach_to_segment(watched, segment, timeline)
+    watcher.dictionary.download(0x1016, 1, (2 << 16 | 25).to_bytes(4, "little"))
+    timeline.run_until(Instant(100 * MS))
+    before = watcher.active_errors
+    plugged.detach()
+    timeline.run_until(Instant(200 * MS))
+    assert (before, watcher.active_errors) == ((), (0x8130,))
+
+
+def test_device_that_is_plugged_in_again_boots_up_anew() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    seen: list[tuple[int, bytes]] = []
+    segment.add_monitor(lambda frame, at: seen.append((at // MS, frame.data)))
+    node = device(heartbeat_ms=10)
+    plugged = attach_to_segment(node, segment, timeline)
+    timeline.run_until(Instant(15 * MS))
+    node.receive(Frame(0, bytes([START, 0])), timeline.now)
+    plugged.detach()
+    timeline.run_until(Instant(42 * MS))
+    attach_to_segment(node, segment, timeline)
+    timeline.run_until(Instant(55 * MS))
+    assert seen == [(0, b"\x00"), (10, b"\x7f"), (42, b"\x00"), (52, b"\x7f")]
+
+
+def test_full_queue_loses_frames_and_counts_them() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    node = device()
+    attached = attach_to_segment(node, segment, timeline)
+    for _ in range(300):
+        node.dictionary.download(0x1017, 0, b"\x01\x00")
+    attached.wake_now()
+    assert attached.frames_lost == 300 + 1 - 256
+
+
+def test_serve_on_a_python_can_bus() -> None:
+    bus = SimulatedBus(channel="drive")
+    clock = SimulatedClock(bus.timeline)
+    master = bus.segment.attach("master", lambda frame, _at: answers.append(frame))
+    answers: list[Frame] = []
+    read = bytes([0x40, *LEVEL.to_bytes(2, "little"), 0, 0, 0, 0, 0])
+    bus.timeline.post(Instant(5 * MS), lambda _now: master.send(Frame(0x605, read)))
+    serve([device(heartbeat_ms=20)], bus, clock, lambda: clock.now() >= 50 * MS)
+    bus.timeline.run_until(Instant(60 * MS))
+    assert [frame.can_id for frame in answers] == [0x705, 0x585, 0x705, 0x705]
+    assert answers[1].data[4:] == b"\x07\x00\x00\x00"
+    bus.shutdown()
+
+
+def test_served_devices_hear_each_other() -> None:
+    bus = SimulatedBus(channel="drives")
+    clock = SimulatedClock(bus.timeline)
+    watcher, watched = device(1), device(2, heartbeat_ms=40)
+    watcher.dictionary.variable(0x1016, 1).power_on = 2 << 16 | 25
+    serve([watcher, watched], bus, clock, lambda: clock.now() >= 50 * MS)
+    assert loss_of_heartbeat(watcher)[:2] == [("loss", 25 * MS), ("restored", 40 * MS)]
+    bus.shutdown()
+
+
+def test_dead_bus_ends_with_a_clear_error() -> None:
+    bus = SimulatedBus(channel="drive")
+    clock = SimulatedClock(bus.timeline)
+    bus.shutdown()
+    with pytest.raises(BusDown, match="went away"):
+        serve([device()], bus, clock, lambda: False)
+
+
+class FullBus(SimulatedBus):
+    """An adapter whose transmit buffer is full."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
+        raise can.CanOperationError("no buffer space available", errno.ENOBUFS)
+
+
+def test_full_adapter_loses_frames_and_goes_on() -> None:
+    bus = FullBus(channel="drive")
+    clock = SimulatedClock(bus.timeline)
+    serve([device(heartbeat_ms=1)], bus, clock, lambda: clock.now() >= 5 * MS)
+    assert clock.now() >= 5 * MS
+    bus.shutdown()

@@ -1,0 +1,342 @@
+"""The hub between processes: starting, leaving, and what one participant's death does to the others.
+
+Real time, as this is what is tested; every wait is bounded by a deadline and ends as soon as it may.
+"""
+
+import os
+import select
+import signal
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import can
+import pytest
+
+from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from virtual_bus.frame import Frame
+from virtual_bus.hub import HubBus
+from virtual_bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
+from virtual_bus.hub_protocol import Hello, encode_hello
+
+PATIENCE_S = 10.0
+CLOCK = MonotonicClock()
+REPOSITORY = Path(__file__).parents[3]
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Hubs of this test only; their brokers leave by themselves."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def place() -> HubPlace:
+    return HubPlace("bench")
+
+
+@pytest.fixture
+def buses() -> Iterator[list[HubBus]]:
+    opened: list[HubBus] = []
+    yield opened
+    for bus in opened:
+        bus.shutdown()
+
+
+def join(buses: list[HubBus], **options: bool | int) -> HubBus:
+    buses.append(HubBus("bench", **options))  # type: ignore[arg-type]
+    return buses[-1]
+
+
+def broker_process(place: HubPlace) -> int:
+    return int(place.alive.read_text())
+
+
+def wait_for_end(process: int) -> None:
+    """Until the process is gone (it is nobody's child here)."""
+    deadline = instant_after(CLOCK.now(), PATIENCE_S)
+    while Path(f"/proc/{process}").exists():
+        assert CLOCK.now() < deadline, f"process {process} still runs"
+        CLOCK.sleep_until(Instant(CLOCK.now() + 10 * NS_PER_MS))
+
+
+def participant(script: str) -> subprocess.Popen[str]:
+    """Another process that joined the hub as ``bus``; it says so on its standard output."""
+    source = (
+        "import can, sys\n"
+        "bus = can.Bus(interface='hub', channel='bench', ignore_config=True)\n"
+        f"print('joined', flush=True)\n{script}\nbus.shutdown()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", source],
+        cwd=REPOSITORY,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "joined\n"
+    return process
+
+
+def end(process: subprocess.Popen[str]) -> str:
+    """Wait for a participant; what it said since."""
+    output, _ = process.communicate(timeout=PATIENCE_S)
+    return output
+
+
+def test_processes_that_join_at_once_share_one_broker(buses: list[HubBus]) -> None:
+    report = "message = bus.recv(10); print(message.arbitration_id, bus._socket.getsockopt(1, 17))"
+    source = (
+        "import can\nbus = can.Bus(interface='hub', channel='bench', ignore_config=True)\n"
+        f"print('joined', flush=True)\n{report}\nbus.shutdown()\n"
+    )
+    processes = [
+        subprocess.Popen([sys.executable, "-c", source], cwd=REPOSITORY, stdout=subprocess.PIPE, text=True)
+        for _ in range(5)
+    ]
+    for process in processes:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "joined\n"
+    bus = join(buses)
+    bus.send_frame(Frame(0x155))
+    answers = [end(process) for process in processes]
+    assert len(set(answers)) == 1  # one broker (SO_PEERCRED), and all heard the frame
+    assert answers[0].startswith("341 ")
+
+
+def test_frame_goes_from_process_to_process_with_its_monotonic_end(buses: list[HubBus]) -> None:
+    echo = participant("message = bus.recv(10); message.arbitration_id += 1; bus.send(message)")
+    bus = join(buses)
+    before = CLOCK.now()
+    bus.send_frame(Frame(0x100, b"\x00" * 8))
+    received = bus.recv_frame(instant_after(before, PATIENCE_S))
+    assert received is not None
+    frame, at = received
+    assert frame == Frame(0x101, b"\x00" * 8)
+    assert before + 2 * 111_000 < at < CLOCK.now()
+    end(echo)
+
+
+def test_second_bit_rate_is_refused_in_words(buses: list[HubBus]) -> None:
+    join(buses, bitrate=500_000)
+    with pytest.raises(can.CanInitializationError, match="runs at 500000 bit/s, and 1000000 bit/s was asked"):
+        join(buses, bitrate=1_000_000)
+    assert join(buses).bitrate_bit_s == 500_000  # who names none takes the hub's
+    assert join(buses, bitrate=500_000).bitrate_bit_s == 500_000
+
+
+def test_killed_broker_is_reported_and_replaced(place: HubPlace, buses: list[HubBus]) -> None:
+    bus = join(buses)
+    first = broker_process(place)
+    os.kill(first, signal.SIGKILL)
+    wait_for_end(first)
+    with pytest.raises(can.CanOperationError, match="hub is gone"):
+        bus.recv(PATIENCE_S)
+    with pytest.raises(can.CanOperationError, match="hub is gone"):
+        bus.send_frame(Frame(0x100))
+    one, other = join(buses), join(buses)
+    assert broker_process(place) != first
+    one.send_frame(Frame(0x100))
+    assert other.recv(PATIENCE_S) is not None
+
+
+def test_waiting_client_notices_the_end_of_its_broker(place: HubPlace, buses: list[HubBus]) -> None:
+    bus = join(buses)
+    killer = subprocess.Popen(["sh", "-c", f"sleep 0.05; kill -9 {broker_process(place)}"])
+    with pytest.raises(can.CanOperationError, match="hub is gone"):
+        bus.recv(PATIENCE_S)
+    killer.wait(PATIENCE_S)
+
+
+def test_killed_client_harms_nobody_and_its_frames_still_go_out(buses: list[HubBus]) -> None:
+    """It dies with a full transmit queue, more frames under way to the broker, and one unread."""
+    one, other = join(buses), join(buses)
+    flood = "for n in range(600): bus.send(can.Message(arbitration_id=n, data=bytes(8)), timeout=10)"
+    victim = participant(f"{flood}\nprint('sent', flush=True)\nsys.stdin.read()")
+    one.send_frame(Frame(0x000))
+    assert victim.stdout is not None
+    assert victim.stdout.readline() == "sent\n"
+    victim.kill()
+    end(victim)
+    for number in range(600):
+        message = one.recv(PATIENCE_S)
+        assert message is not None
+        assert message.arbitration_id == number
+    other.send_frame(Frame(0x123))
+    last = one.recv(PATIENCE_S)
+    assert last is not None
+    assert last.arbitration_id == 0x123
+
+
+def test_client_that_takes_no_frames_is_dropped_and_the_others_go_on(
+    place: HubPlace, buses: list[HubBus]
+) -> None:
+    """Some 9000 frames of 50 us: half a second of a full bus."""
+    sender, listener, sleeper = join(buses), join(buses), join(buses)
+    frame = Frame(0x2AA)
+    sent = heard = 0
+    while sent < 12_000:
+        try:
+            sender.send_frame(frame)
+            sent += 1
+        except can.CanOperationError:
+            heard += listener.recv(PATIENCE_S) is not None
+        while listener.recv_frame(Instant(0)) is not None:
+            heard += 1
+    while heard < sent:
+        assert listener.recv(PATIENCE_S) is not None
+        heard += 1
+    taken: list[can.Message] = []
+    with pytest.raises(can.CanOperationError, match="not taking its frames"):
+        taken.extend(sleeper)
+    assert 0 < len(taken) < sent
+    assert "did not take its frames" in place.log.read_text()
+
+
+def test_client_that_sends_garbage_is_dropped(place: HubPlace, buses: list[HubBus]) -> None:
+    one, other = join(buses), join(buses)
+    rogue = join(buses)
+    rogue._socket.send(b"\xff" * 22)
+    with pytest.raises(can.CanOperationError, match="hub is gone"):
+        rogue.recv(PATIENCE_S)
+    one.send_frame(Frame(0x100))
+    assert other.recv(PATIENCE_S) is not None
+    assert "malformed" in place.log.read_text()
+
+
+def test_client_that_only_knocks_holds_up_nobody(place: HubPlace, buses: list[HubBus]) -> None:
+    one = join(buses)
+    silent = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    silent.connect(str(place.socket))
+    other = join(buses)
+    one.send_frame(Frame(0x100))
+    assert other.recv(PATIENCE_S) is not None
+    silent.close()
+
+
+def test_program_of_another_version_is_told_so(place: HubPlace, buses: list[HubBus]) -> None:
+    join(buses)
+    packet = bytearray(encode_hello(Hello(0, False)))
+    packet[4] = 7
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
+        stranger.settimeout(PATIENCE_S)
+        stranger.connect(str(place.socket))
+        stranger.send(packet)
+        assert b"client version 7" in stranger.recv(512)
+        assert stranger.recv(512) == b""
+
+
+def test_broker_leaves_after_its_last_client_and_not_before(place: HubPlace) -> None:
+    bus = HubBus("bench")
+    process = broker_process(place)
+    bus.shutdown()
+    again = HubBus("bench")  # within the two seconds: still the same one
+    assert broker_process(place) == process
+    again.shutdown()
+    wait_for_end(process)
+    assert list(runtime_directory().iterdir()) == [place.lock]
+    assert known_hubs() == []
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+def test_broker_that_leaves_while_a_client_knocks_is_replaced(
+    place: HubPlace, buses: list[HubBus], accepted: bool
+) -> None:
+    """The knock is in the backlog, or was heard, of a listener that closes without ever answering."""
+    leaving = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    leaving.bind(str(place.socket))
+    leaving.listen(1)
+    with ThreadPoolExecutor(1) as joining:
+        joined = joining.submit(join, buses)
+        select.select([leaving], [], [], PATIENCE_S)
+        if accepted:
+            connection, _ = leaving.accept()
+            connection.recv(512)
+            connection.close()
+        leaving.close()
+        one = joined.result(PATIENCE_S)
+    other = join(buses)
+    one.send_frame(Frame(0x100))
+    assert other.recv(PATIENCE_S) is not None
+
+
+def test_no_second_broker_beside_one_that_lives(place: HubPlace, buses: list[HubBus]) -> None:
+    alive = try_lock(place.alive)
+    assert alive is not None
+    with pytest.raises(can.CanInitializationError, match="ended at once"):
+        join(buses)
+    assert not place.socket.exists()
+    os.close(alive)
+
+
+def test_broker_that_cannot_start_says_why(
+    place: HubPlace, buses: list[HubBus], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(can.CanInitializationError, match="broker failed"):
+        join(buses)
+    assert try_lock(place.lock) is not None  # the lock was given back
+
+
+def test_hubs_of_different_names_are_different_buses(buses: list[HubBus]) -> None:
+    one = join(buses)
+    stranger = HubBus("other")
+    buses.append(stranger)
+    assert known_hubs() == ["bench", "other"]
+    one.send_frame(Frame(0x100))
+    assert stranger.recv(0.02) is None
+
+
+def test_hub_is_the_users_own() -> None:
+    directory = runtime_directory()
+    assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+    directory.chmod(0o755)
+    with pytest.raises(can.CanInitializationError, match="mode 0700"):
+        HubBus("bench")
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../other", "a/b", "-x", "a b", "ü", "x" * 49, "a\n"])
+def test_bad_names_are_refused(name: str) -> None:
+    with pytest.raises(can.CanInitializationError, match="expected 1 to 48 letters"):
+        checked_name(name)
+
+
+@pytest.mark.parametrize("name", ["bench", "a", "axis-1.test_2", "x" * 48])
+def test_good_names_pass(name: str) -> None:
+    assert checked_name(name) == name
+
+
+def test_path_too_long_for_a_socket_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deep = tmp_path / ("d" * 100)
+    deep.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
+    with pytest.raises(can.CanInitializationError, match="too long for a socket"):
+        HubBus("bench")
+
+
+def test_unusable_runtime_directory_falls_back_to_tmp(monkeypatch: pytest.MonkeyPatch) -> None:
+    for value in ("/nowhere", "relative", ""):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", value)
+        assert runtime_directory() == Path(f"/tmp/servobench-{os.getuid()}")
+
+
+def test_notifier_thread_of_python_can_works(buses: list[HubBus]) -> None:
+    one, other = join(buses), join(buses)
+    reader = can.BufferedReader()
+    notifier = can.Notifier(other, [reader], timeout=0.05)
+    one.send_frame(Frame(0x181, b"\x01"))
+    message = reader.get_message(PATIENCE_S)
+    notifier.stop()
+    assert message is not None
+    assert message.arbitration_id == 0x181
+
+
+def test_running_hub_is_found_by_detection(buses: list[HubBus]) -> None:
+    join(buses)
+    assert can.detect_available_configs("hub") == [{"interface": "hub", "channel": "bench"}]

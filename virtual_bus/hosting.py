@@ -1,0 +1,164 @@
+"""Devices at work: on a segment in simulated time, or on any python-can bus in real time."""
+
+import errno
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import can
+
+from drivers.errors import BusDown
+from drivers.timebase import NS_PER_S, Clock, Instant
+from virtual_bus.frame import Device, Frame
+from virtual_bus.message import frame_of, message_of
+from virtual_bus.segment import Segment
+from virtual_bus.timeline import Timeline
+
+POLL_S = 0.05
+"""Longest time in one ``recv``, so that ``stop`` is noticed."""
+
+LOOPED_FRAMES_MAX = 4096
+"""Frames that devices of one host may send each other at one instant; more is a loop among them."""
+
+
+class AttachedDevice:
+    """A device on a segment, woken by the segment's timeline.
+
+    Events are never taken back: one that comes too early, because the device has put its deadline
+    off, is entered again. That is cheaper than to move an event at every frame.
+    """
+
+    def __init__(self, device: Device, segment: Segment, timeline: Timeline, name: str) -> None:
+        self.device = device
+        self.frames_lost = 0
+        """Frames that did not fit into the port's transmit queue."""
+        self._timeline = timeline
+        self._scheduled: Instant | None = None
+        self._port = segment.attach(name, self._on_frame)
+        self._attached = True
+        self._send(device.start(timeline.now))
+        self._schedule()
+
+    def detach(self) -> None:
+        """Unplug the device: it neither hears nor acts any more."""
+        self._attached = False
+        self._port.detach()
+
+    def wake_now(self) -> None:
+        """Let the device act at once, after something was done to it outside of the bus."""
+        self._send(self.device.wake(self._timeline.now))
+        self._schedule()
+
+    def _on_frame(self, frame: Frame, now: Instant) -> None:
+        frames = self.device.receive(frame, now)
+        if frames:
+            self._send(frames)
+        due = self.device.wake_at
+        if due is not None and (self._scheduled is None or due < self._scheduled):
+            self._schedule()
+
+    def _send(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            try:
+                self._port.send(frame)
+            except can.CanOperationError:
+                self.frames_lost += 1
+
+    def _schedule(self) -> None:
+        due = self.device.wake_at
+        if due is not None and (self._scheduled is None or due < self._scheduled):
+            self._scheduled = due
+            self._timeline.post(due, self._on_event)
+
+    def _on_event(self, now: Instant) -> None:
+        if self._scheduled is None or now < self._scheduled or not self._attached:
+            return
+        self._scheduled = None
+        due = self.device.wake_at
+        if due is not None and due <= now:
+            self._send(self.device.wake(now))
+            due = self.device.wake_at
+            assert due is None or due > now, "a device must not ask for a wake that has passed"
+        self._schedule()
+
+
+def attach_to_segment(
+    device: Device, segment: Segment, timeline: Timeline, name: str = "device"
+) -> AttachedDevice:
+    """Power ``device`` on at ``timeline.now`` and keep it going as the timeline runs."""
+    return AttachedDevice(device, segment, timeline, name)
+
+
+class RealTimeHost:
+    """Devices of one process on one bus: single-threaded, time passes only in ``bus.recv``."""
+
+    def __init__(self, devices: Sequence[Device], bus: can.BusABC, clock: Clock) -> None:
+        self.frames_lost = 0
+        """Frames that the adapter had no room for."""
+        self._devices = devices
+        self._bus = bus
+        self._clock = clock
+
+    def serve(self, stop: Callable[[], bool]) -> None:
+        """Power the devices on and serve them until ``stop()``. Error: BusDown."""
+        try:
+            self._start()
+            while not stop():
+                self._turn()
+        except can.CanError as error:
+            raise BusDown(
+                "the bus of the simulated devices went away",
+                str(error),
+                "bring the interface up and start the simulated devices again",
+            ) from error
+
+    def _start(self) -> None:
+        now = self._clock.now()
+        for device in self._devices:
+            self._distribute(device, device.start(now), now)
+
+    def _turn(self) -> None:
+        message = self._bus.recv(self._patience_s())
+        now = self._clock.now()
+        if message is not None and not message.is_error_frame and not message.is_fd:
+            frame = frame_of(message)
+            for device in self._devices:
+                self._distribute(device, device.receive(frame, now), now)
+        for device in self._devices:
+            due = device.wake_at
+            if due is not None and due <= now:
+                self._distribute(device, device.wake(now), now)
+
+    def _patience_s(self) -> float:
+        dues = [device.wake_at for device in self._devices]
+        due = min((due for due in dues if due is not None), default=None)
+        if due is None:
+            return POLL_S
+        return min(max((due - self._clock.now()) / NS_PER_S, 0.0), POLL_S)
+
+    def _distribute(self, sender: Device, frames: Sequence[Frame], now: Instant) -> None:
+        """Send, and let the other devices of this host hear it: a bus returns no own frames."""
+        queue = deque((sender, frame) for frame in frames)
+        handled = 0
+        while queue:
+            source, frame = queue.popleft()
+            handled += 1
+            self._send(frame)
+            if len(self._devices) == 1 or handled > LOOPED_FRAMES_MAX:
+                continue
+            for device in self._devices:
+                if device is not source:
+                    queue.extend((device, answer) for answer in device.receive(frame, now))
+
+    def _send(self, frame: Frame) -> None:
+        try:
+            self._bus.send(message_of(frame, Instant(0)))
+        except can.CanOperationError as error:
+            # A full transmit queue loses the frame, as in a drive; anything else is a dead bus.
+            if error.error_code != errno.ENOBUFS:
+                raise
+            self.frames_lost += 1
+
+
+def serve(devices: Sequence[Device], bus: can.BusABC, clock: Clock, stop: Callable[[], bool]) -> None:
+    """Run ``devices`` on a real-time bus until ``stop()``. Error: BusDown."""
+    RealTimeHost(devices, bus, clock).serve(stop)

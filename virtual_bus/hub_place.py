@@ -1,0 +1,105 @@
+"""Where a hub lives: a socket, a lock and a log in a directory that belongs to one user."""
+
+import fcntl
+import os
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+
+from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+
+NAME_LENGTH_MAX = 48
+_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{NAME_LENGTH_MAX - 1}}}")
+_SOCKET_PATH_BYTES_MAX = 107
+_LOCK_RETRY_NS = 5 * NS_PER_MS
+
+
+def checked_name(name: str) -> str:
+    """``name`` if it can name a hub; raises can.CanInitializationError otherwise."""
+    if _NAME.fullmatch(name) is None:
+        raise can.CanInitializationError(
+            f"hub name {name!r}: expected 1 to {NAME_LENGTH_MAX} letters, digits, '_', '-' or '.',"
+            " the first a letter or a digit"
+        )
+    return name
+
+
+def runtime_directory() -> Path:
+    """The user's own directory for hubs, made on demand with mode 0700.
+
+    Raises can.CanInitializationError if it belongs to somebody else or is open to others:
+    in a directory shared by all users, another one could have put a socket of his there.
+    """
+    base = Path(os.environ.get("XDG_RUNTIME_DIR", ""))
+    user = os.getuid()
+    usable = base.is_absolute() and base.is_dir() and base.stat().st_uid == user
+    directory = base / "servobench" if usable else Path(f"/tmp/servobench-{user}")
+    directory.mkdir(mode=0o700, exist_ok=True)
+    found = directory.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
+        raise can.CanInitializationError(
+            f"{directory}: expected a directory of user {user} with mode 0700;"
+            " remove it, or set XDG_RUNTIME_DIR"
+        )
+    return directory
+
+
+def try_lock(path: Path) -> int | None:
+    """Take the lock on ``path``: a descriptor whose closing frees it, or None if somebody holds it.
+
+    The kernel frees it when its holder dies, however that happens.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+class HubPlace:
+    """The files of the hub ``name``."""
+
+    def __init__(self, name: str) -> None:
+        directory = runtime_directory()
+        self.name = checked_name(name)
+        self.socket = directory / f"{name}.sock"
+        self.lock = directory / f"{name}.lock"
+        """Held by whoever starts or ends the hub, for as long as that takes."""
+        self.alive = directory / f"{name}.alive"
+        """Held by the hub's broker while it serves; it holds the broker's process id."""
+        self.log = directory / f"{name}.log"
+        if len(os.fsencode(self.socket)) > _SOCKET_PATH_BYTES_MAX:
+            raise can.CanInitializationError(f"{self.socket}: too long for a socket; set XDG_RUNTIME_DIR")
+
+    def clear(self) -> None:
+        """Remove what a hub leaves but its lock, under which to call this, and a log with text in it."""
+        self.socket.unlink(missing_ok=True)
+        self.alive.unlink(missing_ok=True)
+        if self.log.exists() and not self.log.stat().st_size:
+            self.log.unlink()
+
+    @contextmanager
+    def locked(self, clock: Clock, patience: Duration) -> Iterator[None]:
+        """Hold the lock; raises can.CanInitializationError if another process keeps it for too long."""
+        deadline = clock.now() + patience
+        while (descriptor := try_lock(self.lock)) is None:
+            if clock.now() >= deadline:
+                raise can.CanInitializationError(
+                    f"hub {self.name!r}: another process keeps {self.lock} locked"
+                )
+            clock.sleep_until(Instant(clock.now() + _LOCK_RETRY_NS))
+        try:
+            yield
+        finally:
+            os.close(descriptor)
+
+
+def known_hubs() -> list[str]:
+    """Names of the hubs that have a socket: those running, and those that were killed."""
+    return sorted(path.stem for path in runtime_directory().glob("*.sock"))

@@ -1,0 +1,105 @@
+"""What a hub's broker and its clients say to each other: one packet, one record.
+
+The client opens with a hello; the broker answers with a welcome, or with a refusal in words
+and closes. From then on each packet is one frame, either way.
+"""
+
+import struct
+from typing import NamedTuple
+
+from drivers.timebase import Instant
+from virtual_bus.frame import Frame
+
+VERSION = 1
+PACKET_BYTES_MAX = 512
+
+_HELLO = struct.Struct("<4sHHI")
+_HELLO_MAGIC = b"SBhi"
+_WELCOME_MAGIC = b"SBok"
+_REFUSAL_MAGIC = b"SBno"
+_FRAME = struct.Struct("<qIBB8s")
+FRAME_BYTES = _FRAME.size
+
+_EXTENDED, _REMOTE, _OWN = 1, 2, 4
+_RECEIVE_OWN = 1
+
+
+class MalformedRecord(ValueError):
+    """A packet that is no record of this protocol."""
+
+
+class Hello(NamedTuple):
+    """How a client introduces itself."""
+
+    bitrate_bit_s: int
+    """The bit rate it counts on; 0: whatever the hub runs at."""
+    receive_own: bool
+    """Whether it wants its own frames back at their end of frame."""
+
+
+class Received(NamedTuple):
+    """A frame off the hub."""
+
+    frame: Frame
+    at: Instant
+    """End of frame on CLOCK_MONOTONIC, ns; 0 on the way to the broker."""
+    own: bool
+    """Sent by the client that gets it."""
+
+
+def encode_hello(hello: Hello) -> bytes:
+    """The client's first packet."""
+    return _HELLO.pack(_HELLO_MAGIC, VERSION, _RECEIVE_OWN * hello.receive_own, hello.bitrate_bit_s)
+
+
+def decode_hello(packet: bytes) -> Hello:
+    """Raises MalformedRecord for anything but a hello of this version."""
+    if len(packet) != _HELLO.size:
+        raise MalformedRecord("not a hello")
+    magic, version, flags, bitrate = _HELLO.unpack(packet)
+    if magic != _HELLO_MAGIC:
+        raise MalformedRecord("not a hello")
+    if version != VERSION:
+        raise MalformedRecord(
+            f"the hub speaks version {VERSION} of its protocol and the client version {version}"
+        )
+    return Hello(bitrate, bool(flags & _RECEIVE_OWN))
+
+
+def encode_welcome(bitrate_bit_s: int) -> bytes:
+    """The broker's answer to a client that it takes in."""
+    return _HELLO.pack(_WELCOME_MAGIC, VERSION, 0, bitrate_bit_s)
+
+
+def encode_refusal(reason: str) -> bytes:
+    """The broker's answer to a client that it does not take in."""
+    return _REFUSAL_MAGIC + reason.encode()[: PACKET_BYTES_MAX - len(_REFUSAL_MAGIC)]
+
+
+def decode_answer(packet: bytes) -> int | str:
+    """The hub's bit rate, or the words of the refusal. Raises MalformedRecord for anything else."""
+    if packet.startswith(_REFUSAL_MAGIC):
+        return packet[len(_REFUSAL_MAGIC) :].decode(errors="replace")
+    if len(packet) != _HELLO.size or not packet.startswith(_WELCOME_MAGIC):
+        raise MalformedRecord("the hub's answer is none of this protocol")
+    bitrate: int = _HELLO.unpack(packet)[3]
+    return bitrate
+
+
+def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> bytes:  # noqa: B008
+    """A frame as one packet."""
+    can_id, data, extended, remote, remote_length = frame
+    flags = _EXTENDED * extended | _REMOTE * remote | _OWN * own
+    return _FRAME.pack(at, can_id, flags, remote_length if remote else len(data), data)
+
+
+def decode_frame(packet: bytes) -> Received:
+    """Raises MalformedRecord for a packet that no valid frame encodes to."""
+    if len(packet) != FRAME_BYTES:
+        raise MalformedRecord(f"{len(packet)} bytes are no frame")
+    at, can_id, flags, dlc, data = _FRAME.unpack(packet)
+    extended, remote = bool(flags & _EXTENDED), bool(flags & _REMOTE)
+    if dlc > 8 or can_id >> (29 if extended else 11):
+        raise MalformedRecord(f"identifier 0x{can_id:X}, DLC {dlc}")
+    frame = Frame(can_id, b"", extended, True, dlc) if remote else Frame(can_id, data[:dlc], extended)
+    return Received(frame, Instant(at), bool(flags & _OWN))
