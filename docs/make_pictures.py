@@ -15,7 +15,7 @@ from rerun.experimental import ViewerClient
 
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.blueprint import TIMELINE
+from hil.recording.blueprint import TIMELINE
 
 _SIZE = "1920x1080"
 _START_MAX_NS = 30 * NS_PER_S

@@ -4,16 +4,22 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.axis import Axis, AxisParts, Drive, LoadMachine
 from hil.clock_map import ClockMap
 from hil.compensation import Arrival, Compensator, Stamp
-from hil.config import BenchConfig
-from hil.config_axis import Drive as DriveConfig
-from hil.config_axis import PidController, RampReference, Reference, StampCompensator, StepReference
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_axis import Drive as DriveConfig
+from hil.configuration.config_axis import (
+    PidController,
+    RampReference,
+    Reference,
+    StampCompensator,
+    StepReference,
+)
 from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
-from hil.recorder import Recorder
+from hil.recording.recorder import Recorder
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
-from virtual_bus.bit_length import bits_duration, frame_bits
+from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
 from virtual_bus.frame import Frame
 
 SYNC_FRAME = Frame(0x080)

@@ -13,17 +13,17 @@ from drivers.network import CanopenNetwork
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
-from hil.config import BenchConfig
-from hil.config_axis import RampReference, Reference, StepReference
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_axis import RampReference, Reference, StepReference
+from hil.figures.summary import RunOutcome, Summary, VerdictLimits
 from hil.load_machine import ObjectLoadMachine, find_load_machine
 from hil.loop import Loop, LoopOutcome, LoopTiming
-from hil.progress import Progress
-from hil.realtime import quiet_garbage_collector, realtime_process
-from hil.recorder import Recorder, start_recording
-from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.stopping import StopRequest, stop_signals
+from hil.recording.recorder import Recorder, start_recording
+from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.simulated_drives import simulated_drives
-from hil.stopping import StopRequest, stop_signals
-from hil.summary import RunOutcome, Summary, VerdictLimits
+from hil.terminal.progress import Progress
 from hil.world import World, WorldPlan, check_time, open_world
 
 ENABLE_TIMEOUT_S = 2.0

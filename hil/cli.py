@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from hil.exit_status import ExitStatus, reported_errors
+from hil.terminal.exit_status import ExitStatus, reported_errors
 
 app = typer.Typer(
     name="hil",
@@ -83,12 +83,12 @@ def run(
     Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault.
     """
     with reported_errors():
-        from hil.bench_file import load_bench
+        from hil.configuration.bench_file import load_bench
 
         config = load_bench(bench)
 
         from hil.bench import run_bench
-        from hil.progress import TerminalProgress
+        from hil.terminal.progress import TerminalProgress
 
         progress = TerminalProgress(sys.stderr, config.bench.duration_s)
         try:
@@ -106,7 +106,7 @@ def run(
         if as_json:
             typer.echo(json.dumps(outcome.summary, allow_nan=False))
         else:
-            from hil.report import print_run
+            from hil.terminal.report import print_run
 
             print_run(config, outcome.summary, outcome.recording, bus_spec=bus)
         raise typer.Exit(ExitStatus.PASSED if outcome.passed else ExitStatus.FAILED)
@@ -135,10 +135,10 @@ def simulate(
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
     with reported_errors():
-        from hil.bench_file import load_faults
-        from hil.config_files import NamedBy
-        from hil.motor_file import LING2012, load_motor
-        from hil.node_list import node_ids
+        from hil.configuration.bench_file import load_faults
+        from hil.configuration.config_files import NamedBy
+        from hil.configuration.motor_file import LING2012, load_motor
+        from hil.terminal.node_list import node_ids
 
         nodes = node_ids([*node, *(more_nodes or [])])
         motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
@@ -161,7 +161,7 @@ def simulate(
 def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine can do, and the exact command that mends each lack."""
     with reported_errors():
-        from hil.doctor import run_checks
+        from hil.machine.doctor import run_checks
 
         checks = run_checks()
         if as_json:
@@ -169,7 +169,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
             typer.echo(json.dumps([asdict(check) for check in checks]))
         else:
-            from hil.doctor import print_checks
+            from hil.machine.doctor import print_checks
 
             print_checks(checks)
 

@@ -2,7 +2,7 @@
 
 from drivers.errors import BadInput, TransferAborted
 from drivers.network import CanopenNetwork
-from virtual_bus.servo_objects import LOAD_MACHINE
+from virtual_bus.servo_drive.servo_objects import LOAD_MACHINE
 
 LOAD_TORQUE_SUB = 1
 NM_PER_COUNT = 1e-3

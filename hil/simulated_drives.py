@@ -5,14 +5,14 @@ from collections.abc import Callable, Sequence
 from design.motor import PmsmParameters
 from drivers.adapters import BusSpec, parse_bus_spec
 from drivers.errors import BadInput
-from hil.config import BenchConfig
-from hil.realtime import realtime_process
-from hil.stopping import stop_signals
+from hil.configuration.config import BenchConfig
+from hil.machine.realtime import realtime_process
+from hil.machine.stopping import stop_signals
 from hil.world import WorldPlan, open_world
-from virtual_bus.fault_plan import FaultPlan
+from virtual_bus.fault_injection.fault_plan import FaultPlan
 from virtual_bus.hosting import serve
 from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_parameters import DriveParameters
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 
 def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:

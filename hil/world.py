@@ -8,11 +8,11 @@ from drivers.adapters import BusSpec, open_bus
 from drivers.errors import BadInput
 from drivers.link import BusLink, StampSource
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from virtual_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.bus_load import BusLoad
-from virtual_bus.fault_plan import FaultPlan
+from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from virtual_bus.can_bus.bus_load import BusLoad
+from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.fault_injection.faulty_bus import FaultyBus, Side
 from virtual_bus.faults import FaultInjector
-from virtual_bus.faulty_bus import FaultyBus, Side
 from virtual_bus.frame import Device, Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.pacing import PacedTimeline

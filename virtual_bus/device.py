@@ -3,7 +3,8 @@
     host  -- receive(frame), wake(now) -->  CanopenDevice  -- advance, on_sync, hooks -->  Application
           <-- frames, wake_at -----------
 
-The device is put together from parts that share a :class:`virtual_bus.station.Station`; each part reads
+The device is put together from parts that share a
+:class:`virtual_bus.canopen_device.station.Station`; each part reads
 its parameters from the dictionary and hooks its checks into it. An object that the dictionary has not
 got switches its feature off.
 """
@@ -11,25 +12,25 @@ got switches its feature off.
 from collections.abc import Sequence
 
 from drivers.timebase import Instant
-from virtual_bus.application import Application, CommunicationLoss, ErrorRegister
-from virtual_bus.communication_objects import add_communication_objects
-from virtual_bus.device_clock import DeviceClock
-from virtual_bus.device_options import DeviceOptions
-from virtual_bus.emergency import EmergencyProducer
+from virtual_bus.canopen_device.application import Application, CommunicationLoss, ErrorRegister
+from virtual_bus.canopen_device.communication_objects import add_communication_objects
+from virtual_bus.canopen_device.device_clock import DeviceClock
+from virtual_bus.canopen_device.device_options import DeviceOptions
+from virtual_bus.canopen_device.emergency import EmergencyProducer
+from virtual_bus.canopen_device.heartbeat import HeartbeatConsumers, HeartbeatProducer
+from virtual_bus.canopen_device.lss_slave import LssSlave
+from virtual_bus.canopen_device.nmt import NmtSlave
+from virtual_bus.canopen_device.nmt_state import NODE_ID_MAX, UNCONFIGURED, NmtState
+from virtual_bus.canopen_device.node_guarding import NodeGuarding
+from virtual_bus.canopen_device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.canopen_device.parameter_storage import ParameterStorage
+from virtual_bus.canopen_device.parameter_store import MemoryStore, ParameterStore
+from virtual_bus.canopen_device.pdo_engine import PdoEngine
+from virtual_bus.canopen_device.sdo_server import SdoServer
+from virtual_bus.canopen_device.station import NEVER, Station
+from virtual_bus.canopen_device.sync_consumer import SyncConsumer
+from virtual_bus.canopen_device.time_consumer import TimeConsumer
 from virtual_bus.frame import Frame
-from virtual_bus.heartbeat import HeartbeatConsumers, HeartbeatProducer
-from virtual_bus.lss_slave import LssSlave
-from virtual_bus.nmt import NmtSlave
-from virtual_bus.nmt_state import NODE_ID_MAX, UNCONFIGURED, NmtState
-from virtual_bus.node_guarding import NodeGuarding
-from virtual_bus.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.parameter_storage import ParameterStorage
-from virtual_bus.parameter_store import MemoryStore, ParameterStore
-from virtual_bus.pdo_engine import PdoEngine
-from virtual_bus.sdo_server import SdoServer
-from virtual_bus.station import NEVER, Station
-from virtual_bus.sync_consumer import SyncConsumer
-from virtual_bus.time_consumer import TimeConsumer
 
 RECOVERED_FROM_BUS_OFF = 0x8140
 """EMCY (CiA 301, table 26)."""
@@ -112,15 +113,15 @@ class CanopenDevice:
         return self._emergency.active
 
     def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
-        """See :class:`virtual_bus.application.DeviceServices`."""
+        """See :class:`virtual_bus.canopen_device.application.DeviceServices`."""
         self._emergency.raise_error(code, register, information)
 
     def clear_error(self, code: int) -> None:
-        """See :class:`virtual_bus.application.DeviceServices`."""
+        """See :class:`virtual_bus.canopen_device.application.DeviceServices`."""
         self._emergency.clear_error(code)
 
     def notify(self, variable: Variable) -> None:
-        """See :class:`virtual_bus.application.DeviceServices`."""
+        """See :class:`virtual_bus.canopen_device.application.DeviceServices`."""
         self._pdos.notify(variable)
 
     @property

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.fault_plan import (
+from virtual_bus.fault_injection.fault_plan import (
     STANDARD_ID_MAX,
     Blackout,
     BurstLoss,
@@ -23,7 +23,7 @@ from virtual_bus.fault_plan import (
     UniformDelay,
     node_of,
 )
-from virtual_bus.fault_streams import uniform_stream
+from virtual_bus.fault_injection.fault_streams import uniform_stream
 
 FOREVER = Instant(2**63 - 1)
 

@@ -8,8 +8,8 @@ import can
 
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_S, Clock, Instant
+from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Device, Frame
-from virtual_bus.message import frame_of, message_of
 from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
 

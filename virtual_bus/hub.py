@@ -1,7 +1,7 @@
 """python-can's view of a hub: a CAN bus in real time between the processes of one user.
 
 ``can.Bus(interface="hub", channel="bench", bitrate=1_000_000)``. The first to join starts
-the hub's broker (virtual_bus.hub_broker), which leaves after the last one.
+the hub's broker (virtual_bus.can_bus.hub_broker), which leaves after the last one.
 """
 
 import select
@@ -11,12 +11,12 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
-from virtual_bus.filters import accepts
+from virtual_bus.can_bus.filters import accepts
+from virtual_bus.can_bus.hub_join import join
+from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
+from virtual_bus.can_bus.hub_protocol import FRAME_BYTES, Hello, Received, decode_frame, encode_frame
+from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
-from virtual_bus.hub_join import join
-from virtual_bus.hub_place import HubPlace, known_hubs
-from virtual_bus.hub_protocol import FRAME_BYTES, Hello, Received, decode_frame, encode_frame
-from virtual_bus.message import frame_of, message_of
 
 _WAIT_MAX_S = 3_600.0
 _NEVER = Instant(1 << 62)

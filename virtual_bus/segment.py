@@ -18,13 +18,13 @@ import can
 from can.typechecking import CanFilters
 
 from drivers.timebase import Duration, Instant, instant_after
-from virtual_bus.arbitration import arbitration_key
-from virtual_bus.bit_length import INTERMISSION_BITS, LONGEST_FRAME_BITS, bits_duration, wire_bits
-from virtual_bus.bus_load import BusLoad
-from virtual_bus.cyclic_task import TimelineCyclicTask
-from virtual_bus.filters import accepts
+from virtual_bus.can_bus.arbitration import arbitration_key
+from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, LONGEST_FRAME_BITS, bits_duration, wire_bits
+from virtual_bus.can_bus.bus_load import BusLoad
+from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
+from virtual_bus.can_bus.filters import accepts
+from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
-from virtual_bus.message import frame_of, message_of
 from virtual_bus.timeline import Timeline
 
 OnFrame = Callable[[Frame, Instant], None]

@@ -18,10 +18,16 @@ from drivers.profile402 import (
     Status,
 )
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.application import Application, CommunicationLoss, DeviceServices, ErrorRegister, NmtState
+from virtual_bus.canopen_device.application import (
+    Application,
+    CommunicationLoss,
+    DeviceServices,
+    ErrorRegister,
+    NmtState,
+)
 from virtual_bus.device import CanopenDevice
-from virtual_bus.firmware import Firmware, InnerControl
-from virtual_bus.motor_kernel import (
+from virtual_bus.servo_drive.firmware import Firmware, InnerControl
+from virtual_bus.servo_drive.motor_kernel import (
     D_CURRENT_MAX,
     D_LOAD,
     D_SPEED_MAX,
@@ -33,10 +39,14 @@ from virtual_bus.motor_kernel import (
     S_TORQUE_DEMAND,
     S_TORQUE_MEASURED,
 )
-from virtual_bus.operation_modes import MODES, OperationMode
-from virtual_bus.power_state import Motion, PowerStateMachine
-from virtual_bus.servo_objects import RPM, VELOCITY_UNIT_RAD_S, ServoObjects
-from virtual_bus.servo_parameters import HIGH_RESOLUTION_TIME_STAMP, DriveParameters, device_options
+from virtual_bus.servo_drive.operation_modes import MODES, OperationMode
+from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
+from virtual_bus.servo_drive.servo_objects import RPM, VELOCITY_UNIT_RAD_S, ServoObjects
+from virtual_bus.servo_drive.servo_parameters import (
+    HIGH_RESOLUTION_TIME_STAMP,
+    DriveParameters,
+    device_options,
+)
 
 COMMUNICATION_ERROR = 0x8100
 HEARTBEAT_ERROR = 0x8130

@@ -10,10 +10,10 @@ import numpy as np
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
-from hil.records import ROW, ROW_DTYPE, row_fields
-from hil.ring import RingReader, RingWriter
+from hil.recording.records import ROW, ROW_DTYPE, row_fields
+from hil.recording.ring import RingReader, RingWriter
+from hil.recording.side_rows import FRAME, FRAME_DTYPE
 from hil.samples import CycleRecord, Sample, StateEstimate
-from hil.side_rows import FRAME, FRAME_DTYPE
 
 _BATCH, _BATCHES = 1_000, 200
 _CAPACITY = 1 << 10

@@ -12,8 +12,8 @@ import can
 import pytest
 
 from tests.unit.virtual_bus.can_reference import random_frame, wire_bits
+from virtual_bus.can_bus.message import message_of
 from virtual_bus.frame import Frame
-from virtual_bus.message import message_of
 
 OpenBus = Callable[..., can.BusABC]
 

@@ -17,13 +17,13 @@ from drivers.network import CanopenNetwork
 from drivers.profile402 import State
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.fault_plan import FaultPlan, FrameClass, IndependentLoss, Selection
+from virtual_bus.fault_injection.fault_plan import FaultPlan, FrameClass, IndependentLoss, Selection
+from virtual_bus.fault_injection.faulty_bus import FaultyBus
 from virtual_bus.faults import FaultInjector
-from virtual_bus.faulty_bus import FaultyBus
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.segment import Segment, SimulatedBus
 from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_parameters import DriveParameters
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MOTOR = PmsmParameters(

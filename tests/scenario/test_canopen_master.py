@@ -26,13 +26,13 @@ from tests.unit.virtual_bus.device_bench import (
     TARGET,
     RecordingApplication,
 )
-from virtual_bus.application import ErrorRegister, NmtState
+from virtual_bus.can_bus.message import frame_of
+from virtual_bus.canopen_device.application import ErrorRegister, NmtState
+from virtual_bus.canopen_device.device_options import DeviceIdentity
+from virtual_bus.canopen_device.eds_export import export_eds
 from virtual_bus.device import CanopenDevice
-from virtual_bus.device_options import DeviceIdentity
-from virtual_bus.eds_export import export_eds
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import serve
-from virtual_bus.message import frame_of
 
 IDENTITY = DeviceIdentity(
     vendor_id=0x80000319, product_code=0xABCDEF01, revision_number=0x10002, serial_number=77

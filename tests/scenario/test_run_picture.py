@@ -8,8 +8,8 @@ from types import ModuleType
 import pytest
 
 from drivers.timebase import Instant
-from hil.recorder import start_recording
-from hil.summary import RunOutcome
+from hil.figures.summary import RunOutcome
+from hil.recording.recorder import start_recording
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.summary import VerdictLimits
+from hil.figures.summary import VerdictLimits
+from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from tests.unit.hil.synthetic_run import DEADLINE
 
 

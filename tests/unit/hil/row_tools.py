@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.records import ROW, ROW_DTYPE, Rows, row_fields
+from hil.recording.records import ROW, ROW_DTYPE, Rows, row_fields
 from hil.samples import CycleRecord
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.candump import candump_lines
-from hil.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
+from hil.recording.candump import candump_lines
+from hil.recording.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
 
 Row = tuple[int, int, int, int, bytes]
 

@@ -12,12 +12,12 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from drivers.errors import BusDown, DriveInFault, NoAnswer
-from hil.capability import Capability, Status
 from hil.cli import app
-from hil.config import BenchConfig
-from hil.exit_status import ExitStatus
-from hil.motor_file import LING2012
-from hil.node_list import node_ids
+from hil.configuration.config import BenchConfig
+from hil.configuration.motor_file import LING2012
+from hil.machine.capability import Capability, Status
+from hil.terminal.exit_status import ExitStatus
+from hil.terminal.node_list import node_ids
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -214,7 +214,7 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         Capability("disk space", Status.OK, "50 GB free", "recordings"),
     ]
-    monkeypatch.setattr("hil.doctor.run_checks", lambda: found)
+    monkeypatch.setattr("hil.machine.doctor.run_checks", lambda: found)
 
 
 @pytest.mark.usefixtures("checks")

@@ -9,12 +9,12 @@ import pytest
 
 from drivers.adapters import BITRATES_BIT_S
 from drivers.errors import MISSING, BadInput
-from hil.bench_file import bench_from, load_bench, load_faults
-from hil.config import BenchConfig, BitRate
-from hil.config_axis import PidController, peak_speed_rpm
-from hil.config_errors import BadInputs, bad_inputs_of
-from hil.exit_status import error_text
-from hil.motor_file import LING2012
+from hil.configuration.bench_file import bench_from, load_bench, load_faults
+from hil.configuration.config import BenchConfig, BitRate
+from hil.configuration.config_axis import PidController, peak_speed_rpm
+from hil.configuration.config_errors import BadInputs, bad_inputs_of
+from hil.configuration.motor_file import LING2012
+from hil.terminal.exit_status import error_text
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples"

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import BadInput
-from hil.bench_file import bench_from
-from hil.config_errors import BadInputs, bad_inputs_of
-from hil.toml_text import toml_text
+from hil.configuration.bench_file import bench_from
+from hil.configuration.config_errors import BadInputs, bad_inputs_of
+from hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_toml_text import VALUES
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from hil import doctor_bus, doctor_machine
-from hil.capability import Capability, Machine, Status
-from hil.doctor import CHECKS, print_checks, run_checks
+from hil.machine import doctor_bus, doctor_machine
+from hil.machine.capability import Capability, Machine, Status
+from hil.machine.doctor import CHECKS, print_checks, run_checks
 
 CheckFunction = Callable[[Machine], Capability]
 RELEASE = "6.1.0-test"

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.histogram import TimeHistogram
-from hil.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
-from hil.records import ROW_DTYPE
-from hil.records_file import RecordsWriter, read_records
-from hil.side_rows import FRAME, FRAME_DTYPE
-from hil.summary import Figures, RunOutcome, Summary, summarise
+from hil.figures.histogram import TimeHistogram
+from hil.figures.summary import Figures, RunOutcome, Summary, summarise
+from hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
+from hil.recording.records import ROW_DTYPE
+from hil.recording.records_file import RecordsWriter, read_records
+from hil.recording.side_rows import FRAME, FRAME_DTYPE
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from drivers.timebase import Instant
-from hil.logger import Input, Logger
-from hil.records import ROW, row_fields
-from hil.ring import RingWriter
-from hil.side_rows import EVENT, FRAME, TextEvent, event_fields
-from hil.summary import Summary
+from hil.figures.summary import Summary
+from hil.recording.logger import Input, Logger
+from hil.recording.records import ROW, row_fields
+from hil.recording.ring import RingWriter
+from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_fields
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -7,8 +7,8 @@ import pytest
 
 from design.motor import Transform
 from drivers.errors import BadInput
-from hil.config_errors import BadInputs
-from hil.motor_file import LING2012, load_motor, speed_max_rpm
+from hil.configuration.config_errors import BadInputs
+from hil.configuration.motor_file import LING2012, load_motor, speed_max_rpm
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "motors"
 

@@ -14,10 +14,10 @@ import pytest
 
 from drivers.errors import BadInput
 from drivers.timebase import Instant
-from hil.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
-from hil.records import record_of
-from hil.records_file import read_records
-from hil.summary import RunOutcome, Summary
+from hil.figures.summary import RunOutcome, Summary
+from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
+from hil.recording.records import record_of
+from hil.recording.records_file import read_records
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -140,7 +140,7 @@ WRITER = """
 import os, signal, sys
 from pathlib import Path
 from drivers.timebase import Instant
-from hil.recorder import start_recording
+from hil.recording.recorder import start_recording
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
-from hil.records import LAYOUT, ROW, ROW_DTYPE, record_of, row_fields
+from hil.recording.records import LAYOUT, ROW, ROW_DTYPE, record_of, row_fields
 from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from hil.bench_file import load_bench
-from hil.progress import LINE_WIDTH, TerminalProgress, bar_line
-from hil.report import print_run, recording_lines, viewer_command
-from hil.summary import Check, DropoutCounts, Percentiles, SpeedError, Summary, Verdict
+from hil.configuration.bench_file import load_bench
+from hil.figures.summary import Check, DropoutCounts, Percentiles, SpeedError, Summary, Verdict
+from hil.terminal.progress import LINE_WIDTH, TerminalProgress, bar_line
+from hil.terminal.report import print_run, recording_lines, viewer_command
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from drivers.timebase import Instant
-from hil.recording_plan import AxisPlan, ReviewPlan
-from hil.records import LAYOUT, ROW, Rows, row_fields
-from hil.review import Review
+from hil.figures.review import Review
+from hil.figures.summary import DropoutCounts, Figures
+from hil.recording.recording_plan import AxisPlan, ReviewPlan
+from hil.recording.records import LAYOUT, ROW, Rows, row_fields
 from hil.samples import CycleRecord, Dropout
-from hil.summary import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

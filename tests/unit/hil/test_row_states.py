@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.row_states import LINK_WINDOW_CYCLES, Change, DriveStates, LinkStates, drive_label
+from hil.recording.row_states import LINK_WINDOW_CYCLES, Change, DriveStates, LinkStates, drive_label
 from tests.unit.hil.row_tools import plain_rows
 
 ENABLED, READY, FAULT = 0x0627, 0x0621, 0x0608

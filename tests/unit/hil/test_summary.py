@@ -5,8 +5,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.summary import (
+from hil.figures.summary import (
     DropoutCounts,
     Figures,
     Percentiles,
@@ -18,7 +17,8 @@ from hil.summary import (
     metric_title,
     summarise,
 )
-from hil.verdict_text import verdict_markdown
+from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.recording.verdict_text import verdict_markdown
 from tests.unit.hil.recording_tools import plan_for
 
 FIGURES = Figures(

@@ -9,12 +9,12 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from hil.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.records import FATE_SAMPLE, Rows
-from hil.review import Review
-from hil.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
-from hil.summary import RunOutcome, summarise
-from hil.telemetry import Telemetry, _round_width
+from hil.figures.review import Review
+from hil.figures.summary import RunOutcome, summarise
+from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.recording.records import FATE_SAMPLE, Rows
+from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.telemetry import Telemetry, _round_width
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

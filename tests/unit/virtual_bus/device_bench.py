@@ -4,12 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.application import Application, CommunicationLoss, DeviceServices, ErrorRegister, NmtState
-from virtual_bus.data_types import DataType
+from virtual_bus.canopen_device.application import (
+    Application,
+    CommunicationLoss,
+    DeviceServices,
+    ErrorRegister,
+    NmtState,
+)
+from virtual_bus.canopen_device.data_types import DataType
+from virtual_bus.canopen_device.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
+from virtual_bus.canopen_device.object_dictionary import Access
 from virtual_bus.device import CanopenDevice
-from virtual_bus.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
 from virtual_bus.frame import Frame
-from virtual_bus.object_dictionary import Access
 
 NODE = 5
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130

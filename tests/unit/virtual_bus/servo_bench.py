@@ -9,7 +9,7 @@ from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import LING
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_parameters import DriveParameters
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 SYNC = Frame(0x80)
 ENABLE = (DriveCommand.SHUTDOWN, DriveCommand.SWITCH_ON, DriveCommand.ENABLE_OPERATION)

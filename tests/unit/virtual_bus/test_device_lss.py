@@ -4,11 +4,11 @@ import pytest
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
-from virtual_bus.application import NmtState
+from virtual_bus.canopen_device.application import NmtState
+from virtual_bus.canopen_device.device_options import DeviceIdentity, DeviceOptions
+from virtual_bus.canopen_device.parameter_store import MemoryStore, ParameterStore
 from virtual_bus.device import CanopenDevice
-from virtual_bus.device_options import DeviceIdentity, DeviceOptions
 from virtual_bus.frame import Frame
-from virtual_bus.parameter_store import MemoryStore, ParameterStore
 
 IDENTITY = DeviceIdentity(vendor_id=0x319, product_code=0x1001, revision_number=2, serial_number=77)
 NOW = Instant(0)

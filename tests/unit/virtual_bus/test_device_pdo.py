@@ -10,8 +10,14 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.application import CommunicationLoss
-from virtual_bus.device_options import NO_RTR, NOT_VALID, DeviceOptions, PdoDefault, mapping_word
+from virtual_bus.canopen_device.application import CommunicationLoss
+from virtual_bus.canopen_device.device_options import (
+    NO_RTR,
+    NOT_VALID,
+    DeviceOptions,
+    PdoDefault,
+    mapping_word,
+)
 from virtual_bus.frame import Frame
 
 RPDO1, RPDO2, TPDO1, TPDO2 = 0x200 + NODE, 0x300 + NODE, 0x180 + NODE, 0x280 + NODE

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.fault_plan import (
+from virtual_bus.fault_injection.fault_plan import (
     Blackout,
     BurstLoss,
     Direction,
@@ -310,7 +310,7 @@ def test_a_flood_of_extended_identifiers_takes_no_memory() -> None:
 PRINT_FATES = """
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.test_faults import IN, fates, started, uniform
-from virtual_bus.fault_plan import BurstLoss, IndependentLoss
+from virtual_bus.fault_injection.fault_plan import BurstLoss, IndependentLoss
 burst = BurstLoss(p_good_to_bad=0.1, p_bad_to_good=0.3)
 print(fates(started(IndependentLoss(probability=0.1), burst, uniform(0, 1000)), 50))
 """

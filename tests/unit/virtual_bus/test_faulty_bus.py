@@ -10,10 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from virtual_bus.fault_plan import Direction, Fault, FaultPlan, FrameClass, IndependentLoss, Selection
-from virtual_bus.fault_plan import UniformDelay as Delay
+from virtual_bus.fault_injection.fault_plan import (
+    Direction,
+    Fault,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Selection,
+)
+from virtual_bus.fault_injection.fault_plan import UniformDelay as Delay
+from virtual_bus.fault_injection.faulty_bus import HELD_MAX, FaultyBus, LeanFaultyBus, Side
 from virtual_bus.faults import FaultInjector
-from virtual_bus.faulty_bus import HELD_MAX, FaultyBus, LeanFaultyBus, Side
 from virtual_bus.frame import Frame
 from virtual_bus.segment import Segment, SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline

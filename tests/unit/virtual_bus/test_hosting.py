@@ -8,9 +8,9 @@ import pytest
 from drivers.errors import BusDown
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
-from virtual_bus.application import NmtState
+from virtual_bus.canopen_device.application import NmtState
+from virtual_bus.canopen_device.device_options import DeviceOptions
 from virtual_bus.device import CanopenDevice
-from virtual_bus.device_options import DeviceOptions
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment, serve
 from virtual_bus.segment import Segment, SimulatedBus

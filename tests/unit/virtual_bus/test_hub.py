@@ -18,10 +18,10 @@ import can
 import pytest
 
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from virtual_bus.can_bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
+from virtual_bus.can_bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
-from virtual_bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
-from virtual_bus.hub_protocol import Hello, encode_hello
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
-from virtual_bus.hub_protocol import (
+from virtual_bus.can_bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
     Hello,

@@ -14,7 +14,7 @@ from drivers.profile402 import (
     State,
     command_path,
 )
-from virtual_bus.power_state import Motion, PowerStateMachine
+from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
 
 STANDARD_OPTIONS = {
     Object.QUICK_STOP_OPTION: 2,

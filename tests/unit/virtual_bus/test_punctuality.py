@@ -7,7 +7,7 @@ from pathlib import Path
 SCRIPT = """
 import os
 from drivers.timebase import MonotonicClock, instant_after
-from virtual_bus.punctuality import ask_for_punctuality
+from virtual_bus.can_bus.punctuality import ask_for_punctuality
 ask_for_punctuality()
 clock = MonotonicClock()
 deadline = instant_after(clock.now(), 10.0)

@@ -21,13 +21,13 @@ from drivers.profile402 import (
 from drivers.timebase import Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
-from virtual_bus import motor_kernel as kernel
-from virtual_bus.application import ErrorRegister
+from virtual_bus.canopen_device.application import ErrorRegister
+from virtual_bus.canopen_device.sdo_abort import AbortCode
 from virtual_bus.frame import Frame
-from virtual_bus.sdo_abort import AbortCode
 from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_objects import LOAD_MACHINE, RPM, VELOCITY_UNIT_RAD_S
-from virtual_bus.servo_parameters import DriveParameters
+from virtual_bus.servo_drive import motor_kernel as kernel
+from virtual_bus.servo_drive.servo_objects import LOAD_MACHINE, RPM, VELOCITY_UNIT_RAD_S
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 MASTER = 127
 NO_BRAKE = DriveParameters(brake_torque_nm=0.0)

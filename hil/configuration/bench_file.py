@@ -1,0 +1,122 @@
+"""Loading a bench file and the motor, controller and fault files that it names, with every fault of each."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from drivers.errors import BadInput, BenchError
+from hil.configuration.config import BenchConfig, Faults
+from hil.configuration.config_axis import Controller, ControllerFile
+from hil.configuration.config_checks import cross_faults
+from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
+from hil.configuration.config_files import NamedBy, read_toml
+from hil.configuration.motor_file import load_motor
+from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.fault_injection.fault_plan_toml import read_fault_plan
+
+
+def load_bench(path: Path) -> BenchConfig:
+    """The bench file at ``path``, with the files that it names. Raises BadInput or BadInputs."""
+    return bench_from(read_toml(path, "bench file"), str(path), path.parent)
+
+
+def load_faults(path: Path, named_by: NamedBy | None = None) -> FaultPlan:
+    """The fault plan at ``path``; ``named_by``: who names it. Raises BadInput or BadInputs."""
+    return faults_from(read_toml(path, "fault plan", named_by), str(path)).plan
+
+
+def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Faults:
+    """A fault plan from the tables of a file, there under ``prefix``. Raises BadInput or BadInputs."""
+    plan, errors = read_fault_plan(tables, source, prefix)
+    if errors:
+        raise_all(errors)
+    return Faults(tables=dict(tables), plan=plan)
+
+
+def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig:
+    """A bench from the tables of a file; paths in it start at ``folder``. Raises BadInput or BadInputs."""
+    expansion = _Expansion(source, folder)
+    tables = expansion.bench(raw)
+    errors = expansion.errors
+    try:
+        config = BenchConfig.model_validate(tables)
+    except ValidationError as error:
+        found = translate(error, source, tables, BenchConfig)
+        raise_all(errors + [item for item in found if not expansion.failed_at(item.key)])
+    if errors:
+        raise_all(errors)
+    if errors := cross_faults(config, source):
+        raise_all(errors)
+    return config.named(source)
+
+
+def load_controller(path: Path, named_by: NamedBy | None = None) -> Controller:
+    """The controller file at ``path``. Raises BadInput or BadInputs."""
+    tables = read_toml(path, "controller file", named_by)
+    try:
+        return ControllerFile.model_validate(tables).controller
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, ControllerFile))
+
+
+class _Expansion:
+    """Puts what the paths of a bench file name into its tables, and collects what fails."""
+
+    def __init__(self, source: str, folder: Path) -> None:
+        self.errors: list[BadInput] = []
+        self._failed_keys: list[str] = []
+        self._source = source
+        self._folder = folder
+
+    def failed_at(self, key: str) -> bool:
+        """Whether ``key`` lies in a file that could not be loaded, whose own errors are known already."""
+        return any(key == failed or key.startswith(f"{failed}.") for failed in self._failed_keys)
+
+    def bench(self, raw: Mapping[str, Any]) -> dict[str, Any]:
+        tables = dict(raw)
+        drives = tables.get("drive")
+        if isinstance(drives, Mapping):
+            tables["drive"] = {name: self._drive(name, drive) for name, drive in drives.items()}
+        faults = tables.get("faults")
+        if isinstance(faults, Mapping):
+            tables["faults"] = self._attempt("faults", lambda: self._faults(faults))
+        return tables
+
+    def _drive(self, name: str, drive: Any) -> Any:
+        if not isinstance(drive, Mapping):
+            return drive
+        tables = dict(drive)
+        readers: dict[str, Callable[[Path, NamedBy], Any]] = {
+            "motor": load_motor,
+            "controller": load_controller,
+        }
+        for part, read in readers.items():
+            value = tables.get(part)
+            if isinstance(value, str):
+                named_by = NamedBy(self._source, f"drive.{name}.{part}", value)
+                tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
+        return tables
+
+    def _faults(self, tables: Mapping[str, Any]) -> Faults:
+        if "plan" not in tables:
+            return faults_from(tables, self._source, "faults")
+        name = tables["plan"]
+        if not isinstance(name, str):
+            raise BadInput(self._source, "faults.plan", name, "the path of a fault plan in quotes")
+        if others := sorted(set(tables) - {"plan"}):
+            expected = "either plan or the plan's own tables"
+            raise BadInput(self._source, "faults", f"plan and {', '.join(others)}", expected)
+        path = self._folder / name
+        named_by = NamedBy(self._source, "faults.plan", name)
+        return faults_from(read_toml(path, "fault plan", named_by), str(path))
+
+    def _attempt(self, key: str, load: Callable[[], Any]) -> Any:
+        try:
+            return load()
+        except BenchError as error:
+            self.errors.extend(bad_inputs_of(error))
+            self._failed_keys.append(key)
+            return None

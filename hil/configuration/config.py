@@ -1,0 +1,166 @@
+"""Bench files: what is on the bus, who commands it, what is asked of it, and when it has passed.
+
+A bench file is TOML; every key is checked, an unknown one is fatal, and all faults
+of a file are reported together. Times are seconds or whole microseconds, the unit
+is the last part of a key's name.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from hil.configuration.config_axis import Drive, LoadStep, Reference
+from hil.configuration.config_files import Section
+from hil.configuration.toml_text import toml_text
+from virtual_bus.fault_injection.fault_plan import FaultPlan
+
+BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
+"""The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
+
+AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class Bench(Section):
+    """``[bench]``"""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="a name of letters, digits, . _ -")
+    duration_s: float = Field(gt=0, le=86_400, description="how long the loop runs, s")
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    """Seeds every random stream of the run."""
+
+
+class Bus(Section):
+    """``[bus]``"""
+
+    spec: str = Field(default="simulated", min_length=1)
+    """``simulated``, ``hub:NAME``, ``socketcan:can0``, or INTERFACE:CHANNEL of python-can."""
+    bitrate_bit_s: BitRate = 1_000_000
+
+
+class Host(Section):
+    """``[host]``: the CANopen master that the bench is."""
+
+    node: int = Field(default=127, ge=1, le=127)
+    heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
+    heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)
+    """A drive that does not hear the host for so long stops by itself (CiA 301, 0x1016)."""
+
+    connect_timeout_s: float = Field(default=3.0, gt=0, le=600)
+    """How long a drive may take to answer for the first time."""
+
+    @property
+    def heartbeat(self) -> Duration:
+        """Period of the host's heartbeat, ns."""
+        return Duration(self.heartbeat_ms * NS_PER_MS)
+
+
+class Loop(Section):
+    """``[loop]``: the cycle, and what still counts as a reading."""
+
+    period_us: int = Field(default=1000, ge=100, le=1_000_000)
+    decide_after_us: int = Field(default_factory=lambda data: 7 * data["period_us"] // 10, ge=0)
+    """The command is computed no later than this after the tick."""
+    deadline_us: int = Field(default=2000, gt=0)
+    """A reading older than this when it arrives is LATE."""
+    horizon_periods: int = Field(default=20, ge=1, le=10_000)
+    """A reading not there after so many periods is LOST."""
+    actuation: Literal["on_arrival", "on_sync"] = "on_arrival"
+    """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""
+
+    @property
+    def period(self) -> Duration:
+        """One cycle, ns."""
+        return Duration(self.period_us * NS_PER_US)
+
+    @property
+    def decide_after(self) -> Duration:
+        """From the tick to the latest moment of decision, ns."""
+        return Duration(self.decide_after_us * NS_PER_US)
+
+    @property
+    def deadline(self) -> Duration:
+        """Greatest age of a usable reading on arrival, ns."""
+        return Duration(self.deadline_us * NS_PER_US)
+
+    @property
+    def horizon(self) -> Duration:
+        """After this a missing reading is lost, ns."""
+        return Duration(self.horizon_periods * self.period)
+
+
+class Verdict(Section):
+    """``[verdict]``: limits for a run that passes; a limit that is absent is not judged."""
+
+    speed_error_peak_percent_max: float | None = Field(default=None, ge=0)
+    after_load_percent_max: float | None = Field(default=None, ge=0)
+    speed_error_rms_rad_s_max: float | None = Field(default=None, ge=0)
+    dropouts_percent_max: float | None = Field(default=None, ge=0, le=100)
+    delay_p99_us_max: float | None = Field(default=None, gt=0)
+    bus_load_percent_max: float | None = Field(default=None, gt=0, le=100)
+
+
+class Recording(Section):
+    """``[recording]``"""
+
+    frames: bool = True
+    """Whether every frame goes to frames.log as well."""
+
+
+class Faults(Section):
+    """``[faults]``: what the bench does to the frames of its own bus connection."""
+
+    tables: dict[str, Any]
+    """The plan as its file has it."""
+    plan: FaultPlan
+
+
+class BenchConfig(Section):
+    """A whole bench file, checked; paths are resolved and what they name is loaded."""
+
+    bench: Bench = Field(description="the table [bench] with name and duration_s")
+    bus: Bus = Bus()
+    host: Host = Host()
+    loop: Loop = Loop()
+    drive: dict[AxisName, Drive] = Field(min_length=1, description="at least one table [drive.NAME]")
+    reference: dict[str, Annotated[tuple[Reference, ...], Field(strict=False)]] = Field(default_factory=dict)
+    load: dict[str, Annotated[tuple[LoadStep, ...], Field(strict=False)]] = Field(default_factory=dict)
+    faults: Faults | None = None
+    verdict: Verdict = Verdict()
+    recording: Recording = Recording()
+    _source: str = PrivateAttr(default="")
+
+    def named(self, source: str) -> "BenchConfig":
+        """This bench, knowing the file that it was read from."""
+        copy = self.model_copy()
+        copy._source = source
+        return copy
+
+    @property
+    def source(self) -> str:
+        """Path of the file it was read from: the ``source`` of later errors."""
+        return self._source
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order in which the loop serves them."""
+        return tuple(sorted(self.drive))
+
+    @property
+    def fault_plan(self) -> FaultPlan | None:
+        """The faults of the bench's own bus connection; None: none."""
+        return self.faults.plan if self.faults else None
+
+    def resolved_text(self, *, bus_spec: str | None = None, seed: int | None = None) -> str:
+        """This bench as one TOML file: every default written out, motor and fault plan inline.
+
+        ``bus_spec``, ``seed``: what the command line put in place of the file's.
+        """
+        tables = self.model_dump(mode="json", exclude_none=True, exclude={"faults"})
+        if bus_spec is not None:
+            tables["bus"]["spec"] = bus_spec
+        if seed is not None:
+            tables["bench"]["seed"] = seed
+        if self.faults:
+            tables["faults"] = self.faults.tables
+        return toml_text(tables)

@@ -1,0 +1,169 @@
+"""``[drive.NAME]`` of a bench file: a drive, its limits, and the controller that closes its loop."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hil.configuration.config_files import Section
+from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
+
+
+class Simulation(Section):
+    """``simulation``: the drive that the bench makes itself on the bus ``simulated``."""
+
+    encoder_counts_per_revolution: int = Field(default=65536, ge=16, le=2**30)
+    inner_rate_hz: int = Field(default=16000, ge=4000, le=64000)
+    """Rate of the current loops."""
+    clock_drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
+    """How much faster than the host's the drive's clock runs."""
+
+
+class Limits(Section):
+    """``limits``: what the host lets through to the drive, whatever the controller asks."""
+
+    speed_max_rpm: float = Field(gt=0, description="the speed at which the bench stops the drive, r/min")
+    torque_max_nm: float = Field(gt=0, description="the largest torque set-point, N m")
+    torque_slew_max_nm_s: float | None = Field(default=None, gt=0)
+    dropouts_consecutive_max: int = Field(default=100, ge=1)
+    """With more cycles in a row without a reading the bench stops the drive."""
+
+    @property
+    def speed_max_rad_s(self) -> float:
+        """``speed_max_rpm`` in rad/s."""
+        return self.speed_max_rpm * RAD_S_PER_RPM
+
+
+class ArrivalCompensator(Section):
+    """The newest reading is used as soon as it is there."""
+
+    kind: Literal["arrival"]
+
+
+class StampCompensator(Section):
+    """A reading is used when it is exactly ``delay_us`` old, [Ling2012] 2.3."""
+
+    kind: Literal["stamp"]
+    delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
+
+
+class PidController(Section):
+    """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
+
+    kind: Literal["pid"]
+    proportional_nm_s_rad: float = Field(ge=0, description="Kp, N m per rad/s")
+    integral_nm_rad: float = Field(default=0.0, ge=0)
+    derivative_nm_s2_rad: float = Field(default=0.0, ge=0)
+    derivative_filter_s: float = Field(default=0.002, gt=0)
+    anti_windup_s: float | None = Field(default=None, gt=0)
+    """Time constant of back-calculation; Kp/Ki if absent."""
+    feedforward_nm_s_rad: float = 0.0
+    """Torque per reference speed, usually the viscous friction."""
+
+
+Gain = Annotated[tuple[float, float], Field(strict=False)]
+
+
+class StateFeedbackController(Section):
+    """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14)."""
+
+    kind: Literal["state_feedback"]
+    gain: Gain = Field(description="K as a list of two numbers: [K1 in A/A, K2 in A s/rad]")
+    feedforward_load_nm: float = 0.0
+    """Load torque that the nominal current carries beside the friction."""
+
+
+Compensator = Annotated[ArrivalCompensator | StampCompensator, Field(discriminator="kind")]
+Controller = Annotated[PidController | StateFeedbackController, Field(discriminator="kind")]
+
+
+class Drive(Section):
+    """One axis: where its drive is, what turns on it, and who commands it."""
+
+    node: int = Field(ge=1, le=127, description="the drive's CANopen node id, 1..127")
+    motor: MotorFile = Field(description="the path of a motor file, or its tables inline")
+    eds: str | None = None
+    """Electronic data sheet of a real drive, relative to the bench file."""
+    simulation: Simulation = Simulation()
+    limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
+    compensator: Compensator = ArrivalCompensator(kind="arrival")
+    controller: Controller = Field(description="a table with kind = 'pid' or 'state_feedback', or a path")
+
+
+class ControllerFile(Section):
+    """A controller in a file of its own."""
+
+    controller: Controller = Field(description="the table [controller] with kind = 'pid' or 'state_feedback'")
+
+
+class StepReference(Section):
+    """From ``at_s`` on: this speed."""
+
+    kind: Literal["step"]
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+    speed_rpm: float = Field(description="the speed to go to, r/min")
+
+    @property
+    def speed_rad_s(self) -> float:
+        """``speed_rpm`` in rad/s."""
+        return self.speed_rpm * RAD_S_PER_RPM
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"step to {self.speed_rpm:g} r/min"
+
+
+class RampReference(Section):
+    """From ``at_s`` on: to this speed at a constant rate within ``over_s``, then stay."""
+
+    kind: Literal["ramp"]
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+    speed_rpm: float = Field(description="the speed to go to, r/min")
+    over_s: float = Field(gt=0, description="how long the ramp takes, s")
+
+    @property
+    def speed_rad_s(self) -> float:
+        """``speed_rpm`` in rad/s."""
+        return self.speed_rpm * RAD_S_PER_RPM
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"ramp to {self.speed_rpm:g} r/min over {self.over_s:g} s"
+
+
+class SineReference(Section):
+    """From ``at_s`` on: swing about the speed of that moment."""
+
+    kind: Literal["sine"]
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+    amplitude_rpm: float = Field(gt=0, description="the amplitude of the swing, r/min")
+    frequency_hz: float = Field(gt=0, description="the frequency of the swing, Hz")
+
+    @property
+    def amplitude_rad_s(self) -> float:
+        """``amplitude_rpm`` in rad/s."""
+        return self.amplitude_rpm * RAD_S_PER_RPM
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"sine of {self.amplitude_rpm:g} r/min at {self.frequency_hz:g} Hz"
+
+
+Reference = Annotated[StepReference | RampReference | SineReference, Field(discriminator="kind")]
+
+
+class LoadStep(Section):
+    """From ``at_s`` on: this load torque; a positive one opposes positive speed."""
+
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+    torque_nm: float = Field(description="the load torque, N m")
+
+
+def peak_speed_rpm(profile: tuple[Reference, ...]) -> float:
+    """The largest |speed| that ``profile`` can ask for, r/min."""
+    peak = level = 0.0
+    for segment in profile:
+        level = (
+            level + segment.amplitude_rpm if isinstance(segment, SineReference) else abs(segment.speed_rpm)
+        )
+        peak = max(peak, level)
+    return peak

@@ -1,0 +1,137 @@
+"""What no single key of a bench file can tell: values that do not go together."""
+
+import math
+from collections.abc import Iterator
+
+from drivers.adapters import parse_bus_spec
+from drivers.errors import BadInput
+from drivers.pdo import torque_plan
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_axis import Drive, StampCompensator, peak_speed_rpm
+from hil.configuration.key_advice import nearest
+from hil.configuration.motor_file import speed_max_rpm
+
+FRAME_BITS_WITHOUT_DATA = 47
+"""Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
+TOLERANCE = 1.0 + 1e-9
+"""So that a limit written as the rounded decimal of the motor's own is accepted."""
+
+
+def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
+    """Every value that does not agree with another one; empty for a bench that can be run."""
+    errors = [
+        BadInput(source, key, value, expected, remedy)
+        for check in (_nodes, _times, _bus, _limits, _profiles)
+        for key, value, expected, remedy in check(config)
+    ]
+    try:
+        parse_bus_spec(config.bus.spec, source, "bus.spec")
+    except BadInput as error:
+        errors.append(error)
+    return errors
+
+
+Fault = tuple[str, object, str, str]
+"""key, value found, what was expected, remedy."""
+
+
+def _nodes(config: BenchConfig) -> Iterator[Fault]:
+    taken = {config.host.node: "host.node"}
+    for axis in config.axes:
+        key, node = f"drive.{axis}.node", config.drive[axis].node
+        if node in taken:
+            yield key, node, f"a node id of its own; {taken[node]} is {node} too", ""
+        taken.setdefault(node, key)
+
+
+def _times(config: BenchConfig) -> Iterator[Fault]:
+    loop, host = config.loop, config.host
+    horizon_us = loop.horizon_periods * loop.period_us
+    if loop.decide_after_us >= loop.period_us:
+        yield "loop.decide_after_us", loop.decide_after_us, f"less than loop.period_us = {loop.period_us}", ""
+    if loop.deadline_us > horizon_us:
+        expected = f"at most horizon_periods * period_us = {horizon_us}"
+        yield "loop.deadline_us", loop.deadline_us, expected, "a reading is given up before it could be late"
+    if host.heartbeat_timeout_ms <= host.heartbeat_ms:
+        expected = f"more than host.heartbeat_ms = {host.heartbeat_ms}"
+        remedy = f"{3 * host.heartbeat_ms} rides over two lost heartbeats"
+        yield "host.heartbeat_timeout_ms", host.heartbeat_timeout_ms, expected, remedy
+    if config.bench.duration_s * 1e6 < loop.period_us:
+        yield "bench.duration_s", config.bench.duration_s, "at least one loop.period_us", ""
+    for axis in config.axes:
+        compensator = config.drive[axis].compensator
+        if isinstance(compensator, StampCompensator) and compensator.delay_us > horizon_us:
+            expected = f"at most horizon_periods * period_us = {horizon_us}"
+            yield f"drive.{axis}.compensator.delay_us", compensator.delay_us, expected, ""
+
+
+def _bus(config: BenchConfig) -> Iterator[Fault]:
+    """The frames of a cycle must fit into it, if only just: stuff bits and other traffic come on top."""
+    plans = [torque_plan(config.drive[axis].node, device_stamp=True) for axis in config.axes]
+    lengths = [0, *(length for plan in plans for length in plan.frame_lengths)]
+    bits = sum(FRAME_BITS_WITHOUT_DATA + 8 * length for length in lengths)
+    least_us = math.ceil(bits * 1e6 / config.bus.bitrate_bit_s)
+    if config.loop.period_us < least_us:
+        expected = (
+            f"at least {least_us}, which {len(plans)} drive(s) take at {config.bus.bitrate_bit_s} bit/s"
+        )
+        yield "loop.period_us", config.loop.period_us, expected, "raise loop.period_us or bus.bitrate_bit_s"
+
+
+def _limits(config: BenchConfig) -> Iterator[Fault]:
+    for axis in config.axes:
+        drive = config.drive[axis]
+        motor = drive.motor.parameters
+        key = f"drive.{axis}.limits"
+        if drive.limits.torque_max_nm > motor.torque_max_nm * TOLERANCE:
+            expected = (
+                f"at most {motor.torque_max_nm:.4g} N m, what {motor.name} gives at {motor.current_max_a:g} A"
+            )
+            yield f"{key}.torque_max_nm", drive.limits.torque_max_nm, expected, ""
+        speed = speed_max_rpm(motor)
+        if drive.limits.speed_max_rpm > speed * TOLERANCE:
+            expected = (
+                f"at most {speed:.0f} r/min, where {motor.name}'s back-EMF takes {motor.dc_bus_voltage_v:g} V"
+            )
+            yield f"{key}.speed_max_rpm", drive.limits.speed_max_rpm, expected, ""
+
+
+def _profiles(config: BenchConfig) -> Iterator[Fault]:
+    profiles = (("reference", config.reference), ("load", config.load))
+    for table, profile in profiles:
+        for axis, entries in profile.items():
+            key = f"{table}.{axis}"
+            if axis not in config.drive:
+                yield key, axis, f"one of the axes: {', '.join(config.axes)}", _did_you_mean(axis, config)
+                continue
+            yield from _order(key, [entry.at_s for entry in entries], config.bench.duration_s)
+    for axis in config.axes:
+        yield from _demands(axis, config.drive[axis], config)
+
+
+def _did_you_mean(axis: str, config: BenchConfig) -> str:
+    near = nearest(axis, config.axes)
+    return f"did you mean {near}?" if near else ""
+
+
+def _order(key: str, times_s: list[float], duration_s: float) -> Iterator[Fault]:
+    for index, at_s in enumerate(times_s):
+        place = f"{key}[{index}].at_s"
+        if at_s >= duration_s:
+            yield place, at_s, f"less than bench.duration_s = {duration_s}", ""
+        if index and at_s <= times_s[index - 1]:
+            yield place, at_s, f"more than the entry before it, {times_s[index - 1]}", ""
+
+
+def _demands(axis: str, drive: Drive, config: BenchConfig) -> Iterator[Fault]:
+    peak = peak_speed_rpm(config.reference.get(axis, ()))
+    limit = drive.limits.speed_max_rpm
+    if peak >= limit:
+        expected = f"less than drive.{axis}.limits.speed_max_rpm = {limit:g}"
+        yield f"reference.{axis}", peak, expected, "the bench would stop the drive there"
+    for index, step in enumerate(config.load.get(axis, ())):
+        if abs(step.torque_nm) > drive.limits.torque_max_nm:
+            expected = (
+                f"at most drive.{axis}.limits.torque_max_nm = {drive.limits.torque_max_nm:g} in magnitude"
+            )
+            yield f"load.{axis}[{index}].torque_nm", step.torque_nm, expected, "no command could hold it"

@@ -1,0 +1,108 @@
+"""Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from design.motor import PmsmParameters, Transform
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+
+RAD_S_PER_RPM = math.tau / 60.0
+
+
+class Windings(Section):
+    """``[motor]``: the electric part, in the dq frame of ``transform``."""
+
+    name: str = Field(min_length=1, description="the motor's name in quotes")
+    resistance_ohm: float = Field(gt=0, description="resistance of a phase, ohm")
+    inductance_d_h: float = Field(gt=0, description="d-axis inductance, H")
+    inductance_q_h: float = Field(gt=0, description="q-axis inductance, H")
+    flux_linkage_wb: float = Field(gt=0, description="permanent-magnet flux of the dq equations, Wb")
+    pole_pairs: int = Field(gt=0, le=200, description="number of pole pairs")
+    transform: Literal["power_invariant", "amplitude_invariant"] = Field(
+        description="'power_invariant' or 'amplitude_invariant'"
+    )
+
+
+class Mechanics(Section):
+    """``[mechanics]``: rotor and what turns with it."""
+
+    inertia_kg_m2: float = Field(gt=0, description="moment of inertia, kg m^2")
+    viscous_friction_nm_s: float = Field(default=0.0, ge=0)
+    """N m per rad/s."""
+    coulomb_friction_nm: float = Field(default=0.0, ge=0)
+
+
+class Rating(Section):
+    """``[rating]``: what the motor and its inverter are made for."""
+
+    torque_nm: float = Field(gt=0, description="continuous torque, N m")
+    speed_rpm: float = Field(gt=0, description="rated speed, r/min")
+    current_max_a: float = Field(gt=0, description="largest dq current, A")
+    dc_bus_voltage_v: float = Field(gt=0, description="voltage of the inverter's DC bus, V")
+
+
+class MotorFile(Section):
+    """A whole motor file."""
+
+    motor: Windings = Field(description="the table [motor]")
+    mechanics: Mechanics = Field(description="the table [mechanics]")
+    rating: Rating = Field(description="the table [rating]")
+
+    @property
+    def parameters(self) -> PmsmParameters:
+        """The same in the form that plant and firmware take."""
+        return PmsmParameters(
+            name=self.motor.name,
+            resistance_ohm=self.motor.resistance_ohm,
+            inductance_d_h=self.motor.inductance_d_h,
+            inductance_q_h=self.motor.inductance_q_h,
+            flux_linkage_wb=self.motor.flux_linkage_wb,
+            pole_pairs=self.motor.pole_pairs,
+            inertia_kg_m2=self.mechanics.inertia_kg_m2,
+            viscous_friction_nm_s=self.mechanics.viscous_friction_nm_s,
+            coulomb_friction_nm=self.mechanics.coulomb_friction_nm,
+            transform=Transform(self.motor.transform),
+            rated_torque_nm=self.rating.torque_nm,
+            rated_speed_rad_s=self.rating.speed_rpm * RAD_S_PER_RPM,
+            current_max_a=self.rating.current_max_a,
+            dc_bus_voltage_v=self.rating.dc_bus_voltage_v,
+        )
+
+
+LING2012 = MotorFile(
+    motor=Windings(
+        name="Ling2012",
+        resistance_ohm=2.875,
+        inductance_d_h=0.0085,
+        inductance_q_h=0.0085,
+        flux_linkage_wb=0.0999392,
+        pole_pairs=4,
+        transform="power_invariant",
+    ),
+    mechanics=Mechanics(inertia_kg_m2=0.0008, viscous_friction_nm_s=0.00185),
+    rating=Rating(torque_nm=2.0, speed_rpm=1500.0, current_max_a=15.0, dc_bus_voltage_v=300.0),
+)
+"""[Ling2012] Table 1: the motor of ``hil simulate`` if none is named. Current and DC bus were chosen here."""
+
+
+def load_motor(path: Path, named_by: NamedBy | None = None) -> MotorFile:
+    """The motor file at ``path``; ``named_by``: who names it. Raises BadInput or BadInputs."""
+    raw = read_toml(path, "motor file", named_by)
+    return motor_from(raw, str(path))
+
+
+def motor_from(raw: dict[str, Any], source: str) -> MotorFile:
+    """A motor from the tables of a file. Raises BadInput or BadInputs."""
+    try:
+        return MotorFile.model_validate(raw)
+    except ValidationError as error:
+        raise_all(translate(error, source, raw, MotorFile))
+
+
+def speed_max_rpm(motor: PmsmParameters) -> float:
+    """Speed at which the back-EMF alone takes the whole voltage of the inverter, r/min."""
+    return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb) / RAD_S_PER_RPM

@@ -1,0 +1,72 @@
+"""The figures of a run, computed from its packed records in bounded memory, chunk by chunk."""
+
+import hashlib
+
+import numpy as np
+
+from drivers.timebase import NS_PER_US
+from hil.figures.histogram import TimeHistogram
+from hil.figures.speed_error import SpeedErrorMeter, worst
+from hil.figures.summary import DropoutCounts, Figures, Percentiles
+from hil.recording.recording_plan import ReviewPlan
+from hil.recording.records import CAUSES, ROW_DTYPE, Rows
+from hil.samples import DropoutCause
+
+DIGEST_BYTES = 16
+
+
+class Review:
+    """Feed it rows in the order of recording; ask for the figures at any time.
+
+    The digest covers every field of every row. In simulated time each of them follows
+    from the bench file and the seed; in real time the digest only names the recording.
+    """
+
+    def __init__(self, plan: ReviewPlan) -> None:
+        self.delay = TimeHistogram()
+        self._lateness = TimeHistogram()
+        self._errors = [SpeedErrorMeter(axis, plan.settling) for axis in plan.axes]
+        self._axis_rows = [0] * len(plan.axes)
+        self._fates = np.zeros(len(CAUSES) + 1, np.int64)
+        self._digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+
+    def add(self, rows: Rows) -> None:
+        """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence.
+
+        Any division into chunks gives the same figures.
+        """
+        if rows.dtype != ROW_DTYPE:
+            raise TypeError(f"rows of {rows.dtype}, expected ROW_DTYPE")
+        if not rows.size:
+            return
+        self._digest.update(np.ascontiguousarray(rows).data)
+        self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
+        delay = rows["delay_ns"]
+        self.delay.add(delay[delay >= 0])
+        self._lateness.add(rows["woke_at"] - rows["due_at"])
+        for axis, meter in enumerate(self._errors):
+            mine = rows if len(self._errors) == 1 else rows[rows["axis"] == axis]
+            self._axis_rows[axis] += mine.size
+            meter.add(mine)
+
+    def figures(self) -> Figures:
+        """The figures of all rows so far."""
+        count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
+        return Figures(
+            cycles=max(self._axis_rows, default=0),
+            rows=int(self._fates.sum()),
+            dropouts=DropoutCounts(
+                count[DropoutCause.LOST], count[DropoutCause.LATE], count[DropoutCause.STALE]
+            ),
+            delay_us=_percentiles_us(self.delay),
+            speed_error=worst([meter.figures() for meter in self._errors]),
+            lateness_us=_percentiles_us(self._lateness),
+            digest=self._digest.hexdigest(),
+        )
+
+
+def _percentiles_us(times: TimeHistogram) -> Percentiles:
+    p50, p99, largest = times.quantile_ns(0.50), times.quantile_ns(0.99), times.largest_ns
+    if p50 is None or p99 is None or largest is None:
+        return Percentiles(None, None, None)
+    return Percentiles(p50 / NS_PER_US, p99 / NS_PER_US, largest / NS_PER_US)

@@ -1,0 +1,202 @@
+"""What a run came to: the figures, the limits they were held against, and the verdict.
+
+The figures rest on the cycle records alone (see :mod:`hil.figures.review`), never on the telemetry.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+_METRICS = {
+    "speed_error_peak_percent_max": "speed error, peak [%]",
+    "after_load_percent_max": "speed error after load step [%]",
+    "speed_error_rms_rad_s_max": "speed error, RMS [rad/s]",
+    "dropouts_percent_max": "dropouts [%]",
+    "delay_p99_us_max": "delay p99 [us]",
+    "bus_load_percent_max": "bus load [%]",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictLimits:
+    """Upper limits that a run must keep; None: not asked for. The names are those of the bench file."""
+
+    speed_error_peak_percent_max: float | None = None
+    after_load_percent_max: float | None = None
+    speed_error_rms_rad_s_max: float | None = None
+    dropouts_percent_max: float | None = None
+    delay_p99_us_max: float | None = None
+    bus_load_percent_max: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Of a time, us; None where nothing was measured. The resolution is 0.1 %, ``max`` is exact."""
+
+    p50: float | None
+    p99: float | None
+    max: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class DropoutCounts:
+    """Cycles without a usable reading, over all axes, by cause."""
+
+    lost: int
+    late: int
+    stale: int
+
+    @property
+    def total(self) -> int:
+        return self.lost + self.late + self.stale
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedError:
+    """Reference minus measured speed, worst axis; None: no cycle counts (:mod:`hil.figures.speed_error`)."""
+
+    peak_rad_s: float | None
+    peak_percent: float | None
+    rms_rad_s: float | None
+    after_load_percent: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the records alone tell."""
+
+    cycles: int
+    """Control cycles: the rows of the axis that has most."""
+    rows: int
+    """Records over all axes; the base of ``dropouts_percent``."""
+    dropouts: DropoutCounts
+    delay_us: Percentiles
+    """Sampled to received, of every reading that came, late ones included."""
+    speed_error: SpeedError
+    lateness_us: Percentiles
+    """Woke minus due, of every cycle."""
+    digest: str
+    """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.recording.records`)."""
+
+    @property
+    def dropouts_percent(self) -> float | None:
+        return 100.0 * self.dropouts.total / self.rows if self.rows else None
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """What the records cannot tell; handed over when the run ends."""
+
+    bus_load_percent: float
+    realtime_factor: float
+    """Bench time over wall time."""
+    completed: bool = True
+    """False if the run was cut short; such a run never passes."""
+    reason: str = ""
+    """Why it was cut short."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One limit and what was found. A value that was not measured fails."""
+
+    metric: str
+    value: float | None
+    limit: float
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Passed if the run was completed and every limit kept."""
+
+    passed: bool
+    completed: bool
+    reason: str
+    limits: tuple[Check, ...]
+
+
+def judge(figures: Figures, outcome: RunOutcome, limits: VerdictLimits) -> Verdict:
+    """Hold the figures against the limits of the bench file."""
+    values = {
+        "speed_error_peak_percent_max": figures.speed_error.peak_percent,
+        "after_load_percent_max": figures.speed_error.after_load_percent,
+        "speed_error_rms_rad_s_max": figures.speed_error.rms_rad_s,
+        "dropouts_percent_max": figures.dropouts_percent,
+        "delay_p99_us_max": figures.delay_us.p99,
+        "bus_load_percent_max": outcome.bus_load_percent,
+    }
+    checks = tuple(
+        Check(key, value, limit, value is not None and value <= limit)
+        for key, value in values.items()
+        if (limit := getattr(limits, key)) is not None
+    )
+    passed = outcome.completed and all(check.passed for check in checks)
+    return Verdict(passed, outcome.completed, outcome.reason, checks)
+
+
+def metric_title(key: str) -> str:
+    """A limit's key in the words of a reader, with its unit."""
+    return _METRICS[key]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The whole of a run; ``as_json`` is what ``hil run --json`` prints."""
+
+    cycles: int
+    dropouts: DropoutCounts
+    delay_us: Percentiles
+    speed_error: SpeedError
+    bus_load_percent: float
+    realtime_factor: float
+    lateness_us: Percentiles
+    verdict: Verdict
+    recording: str
+    """The folder of the run; empty if nothing was kept."""
+    seed: int
+    digest: str
+    recording_faults: tuple[str, ...] = ()
+    """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers, strings and None; ``recording_faults`` only if there are any."""
+        found = asdict(self)
+        if not self.recording_faults:
+            del found["recording_faults"]
+        return found
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "Summary":
+        """Inverse of :meth:`as_json`."""
+        values = dict(found)
+        values["dropouts"] = DropoutCounts(**values["dropouts"])
+        values["delay_us"] = Percentiles(**values["delay_us"])
+        values["lateness_us"] = Percentiles(**values["lateness_us"])
+        values["speed_error"] = SpeedError(**values["speed_error"])
+        verdict = dict(values["verdict"])
+        verdict["limits"] = tuple(Check(**check) for check in verdict["limits"])
+        values["verdict"] = Verdict(**verdict)
+        values["recording_faults"] = tuple(values.get("recording_faults", ()))
+        return cls(**values)
+
+
+def summarise(
+    figures: Figures,
+    outcome: RunOutcome,
+    limits: VerdictLimits,
+    recording: str,
+    seed: int,
+    recording_faults: tuple[str, ...] = (),
+) -> Summary:
+    """Figures, outcome and verdict in one."""
+    shared = {field.name for field in fields(Figures)} & {field.name for field in fields(Summary)}
+    return Summary(
+        **{name: getattr(figures, name) for name in shared},
+        bus_load_percent=outcome.bus_load_percent,
+        realtime_factor=outcome.realtime_factor,
+        verdict=judge(figures, outcome, limits),
+        recording=recording,
+        seed=seed,
+        recording_faults=recording_faults,
+    )

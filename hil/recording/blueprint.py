@@ -1,0 +1,93 @@
+"""How the Rerun viewer lays a run out: states, plots of each axis, verdict, delay histogram, events."""
+
+import math
+
+import rerun.blueprint as rrb
+
+from hil.figures.summary import Summary
+from hil.recording.recording_plan import RecordingPlan
+
+TIMELINE = "run_time"
+STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"
+_RPM = 30.0 / math.pi
+_STATES_SHARE, _LANE_SHARE, _PLOTS_SHARE = 0.34, 0.33, 6.0
+
+
+def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint:
+    """The layout while the run goes on, or with ranges that fit the figures once they are known."""
+    names = [axis.name for axis in plan.review.axes]
+    plots = [_axis_plots(name, plan, summary) for name in names]
+    # One lane for each axis' drive and link, one for the phase
+    lanes = 2 * len(names) + 1
+    states = rrb.StateTimelineView(
+        origin=STATE_ROOT, name="States", time_view=rrb.TimeAxis(link="LinkToGlobal")
+    )
+    left = rrb.Vertical(
+        states,
+        plots[0] if len(plots) == 1 else rrb.Tabs(*plots),
+        row_shares=[_STATES_SHARE + _LANE_SHARE * lanes, _PLOTS_SHARE],
+    )
+    columns = rrb.archetypes.TextLogColumns(
+        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
+    )
+    right = rrb.Vertical(
+        rrb.TextDocumentView(origin=VERDICT, name="Verdict"),
+        rrb.BarChartView(
+            origin=HISTOGRAM,
+            name="Delay histogram: readings over us",
+            plot_legend=rrb.PlotLegend(visible=False),
+        ),
+        rrb.TextLogView(origin=EVENTS, name="Events", columns=columns),
+        row_shares=[4.2, 2.2, 2.8],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[7, 3]),
+        rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, play_state="following" if summary is None else "paused"
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _axis_plots(name: str, plan: RecordingPlan, summary: Summary | None) -> rrb.Vertical:
+    return rrb.Vertical(
+        _plot(f"/{name}/speed", "Speed [rpm]"),
+        _plot(f"/{name}/error", "Speed error [rpm]", _error_range(summary), legend=False),
+        _plot(f"/{name}/torque", "Torque [N m]"),
+        _plot(f"/{name}/delay", "Delay of the readings [us]", _delay_range(plan, summary)),
+        row_shares=[2.2, 1.2, 1.4, 1.4],
+        name=name,
+    )
+
+
+def _plot(
+    origin: str, name: str, y_range: tuple[float, float] | None = None, legend: bool = True
+) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=None if y_range is None else rrb.ScalarAxis(range=y_range),
+        plot_legend=rrb.PlotLegend(visible=legend, corner=rrb.Corner2D.LeftTop),
+        time_ranges=rrb.VisibleTimeRange(
+            TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
+        ),
+    )
+
+
+def _error_range(summary: Summary | None) -> tuple[float, float] | None:
+    """Wide enough for the error that counts, so that a step's first instant does not flatten the rest."""
+    peak = summary.speed_error.peak_rad_s if summary is not None else None
+    if not peak:
+        return None
+    return -2.5 * peak * _RPM, 2.5 * peak * _RPM
+
+
+def _delay_range(plan: RecordingPlan, summary: Summary | None) -> tuple[float, float] | None:
+    if summary is None:
+        return None
+    top = 1.15 * max(plan.deadline / 1_000, summary.delay_us.max or 0.0)
+    return -0.08 * top, top

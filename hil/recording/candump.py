@@ -1,0 +1,67 @@
+"""Raw frames as a log that candump -L would write, and that can-utils, python-can and SavvyCAN read.
+
+    (1436509052.249713) can0 123#11223344 T
+
+T was sent by the bench, R was received by it. The lines are made by columns, ~0.2 us each.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import NS_PER_US
+from hil.recording.side_rows import EXTENDED_FLAG, REMOTE_FLAG
+
+_HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
+_IDENTIFIER_MASK = (1 << 29) - 1
+_SECONDS_DIGITS = 10
+_DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
+
+
+def candump_lines(rows: NDArray[np.void], interface: str, wall_offset_ns: int) -> bytes:
+    """The lines of ``rows``: (n,) of FRAME_DTYPE. The stamp is ``at`` + ``wall_offset_ns``, to 1 us."""
+    if not rows.size:
+        return b""
+    count = rows.size
+    extended = (rows["can_id"] & EXTENDED_FLAG) != 0
+    remote = (rows["can_id"] & REMOTE_FLAG) != 0
+    always = np.ones((count, 1), bool)
+    parts: list[tuple[NDArray[np.uint8], NDArray[np.bool_]]] = []
+
+    def text(letters: str) -> None:
+        block = np.broadcast_to(np.frombuffer(letters.encode(), np.uint8), (count, len(letters)))
+        parts.append((block, np.broadcast_to(always, block.shape)))
+
+    stamp = _decimal_digits((rows["at"] + wall_offset_ns) // NS_PER_US)
+    text("(")
+    parts.append((stamp[:, :_SECONDS_DIGITS], np.broadcast_to(always, (count, _SECONDS_DIGITS))))
+    text(".")
+    parts.append((stamp[:, _SECONDS_DIGITS:], np.broadcast_to(always, (count, 6))))
+    text(f") {interface} ")
+    identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK, 8)
+    # a standard identifier has the last three digits, an extended one all eight
+    parts.append(
+        (identifier, np.concatenate((np.repeat(extended[:, None], 5, 1), np.repeat(always, 3, 1)), 1))
+    )
+    text("#")
+    parts.append((np.full((count, 1), ord("R"), np.uint8), remote[:, None]))
+    data = _HEX[np.stack((rows["data"] >> 4, rows["data"] & 15), 2)].reshape(count, 16)
+    present = np.repeat(np.arange(8) < rows["length"][:, None], 2, 1) & ~remote[:, None]
+    parts.append((data, present))
+    text(" ")
+    parts.append((np.where(rows["sent"] != 0, ord("T"), ord("R")).astype(np.uint8)[:, None], always))
+    text("\n")
+    letters = np.concatenate([part for part, _ in parts], 1)
+    lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()
+    return lines
+
+
+def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(n, 16) ASCII digits with leading zeros."""
+    return (values[:, None] // _DIGIT_WEIGHTS % 10 + ord("0")).astype(np.uint8)
+
+
+def _hex_digits(values: NDArray[np.integer], digits: int) -> NDArray[np.uint8]:
+    """(n, digits) ASCII digits with leading zeros."""
+    shifts = np.arange(4 * (digits - 1), -1, -4, dtype=np.uint32)
+    found: NDArray[np.uint8] = _HEX[(values[:, None] >> shifts) & 15]
+    return found

@@ -1,0 +1,252 @@
+"""What keeps a part of a run: the files of its folder, and the live view."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+from uuid import uuid4
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from hil.figures.histogram import TimeHistogram
+from hil.figures.summary import Summary
+from hil.recording.candump import candump_lines
+from hil.recording.recording_plan import RecordingPlan
+from hil.recording.records import Rows
+from hil.recording.records_file import RECORDS_FILE, RecordsWriter
+from hil.recording.side_rows import BeginEvent, RunEvent, TextEvent
+from hil.recording.telemetry import RERUN_FILE, Telemetry
+
+FRAMES_FILE, EVENTS_FILE = "frames.log", "events.jsonl"
+_BLOCK_ROWS = 8_192
+_LIVE_MEMORY = "256MiB"
+_LOOPBACK = "127.0.0.1"
+
+
+class Keeper(Protocol):
+    """Takes what was drained. Every method may raise OSError; it is not called again then."""
+
+    name: str
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
+        """What came since the last call: (n,) of ROW_DTYPE, (m,) of FRAME_DTYPE, and the events."""
+        ...
+
+    def flush(self) -> None:
+        """Bring it to the disk, or to the viewer; about once a second."""
+        ...
+
+    def finish(self, summary: Summary) -> None:
+        """The end of the run."""
+        ...
+
+
+class RowBlocks:
+    """Collects drained rows into fewer, larger blocks; small ones cost more room than their content."""
+
+    def __init__(self) -> None:
+        self._parts: list[Rows] = []
+        self._count = 0
+
+    def add(self, rows: Rows) -> bool:
+        """True if there is enough for a block."""
+        if rows.size:
+            self._parts.append(rows)
+            self._count += rows.size
+        return self._count >= _BLOCK_ROWS
+
+    def take(self) -> Rows | None:
+        """All collected rows; None if there are none."""
+        if not self._parts:
+            return None
+        block = np.concatenate(self._parts)
+        self._parts, self._count = [], 0
+        return block
+
+
+class AppendFile:
+    """A new file without a buffer of its own: what a write could not store, no close tries again."""
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+
+    def write(self, data: bytes) -> None:
+        """All of ``data``. Error: OSError; the file is closed then."""
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[os.write(self._descriptor, view) :]
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+class RecordsKeeper:
+    """records.arrow."""
+
+    name = RECORDS_FILE
+
+    def __init__(self, folder: Path) -> None:
+        self._writer = RecordsWriter(folder / RECORDS_FILE)
+        self._blocks = RowBlocks()
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        if self._blocks.add(rows):
+            self.flush()
+
+    def flush(self) -> None:
+        block = self._blocks.take()
+        if block is not None:
+            self._writer.write(block)
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        self.flush()
+        self._writer.close()
+
+
+class FramesKeeper:
+    """frames.log."""
+
+    name = FRAMES_FILE
+
+    def __init__(self, plan: RecordingPlan) -> None:
+        self._file = AppendFile(plan.folder / FRAMES_FILE)
+        self._interface = plan.bus.rpartition(":")[2]
+        self._wall_offset = plan.wall_offset
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._file.write(candump_lines(frames, self._interface, self._wall_offset))
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        self._file.close()
+
+
+class EventsKeeper:
+    """events.jsonl: one JSON object a line, with the bench's instant in ns."""
+
+    name = EVENTS_FILE
+
+    def __init__(self, folder: Path) -> None:
+        self._file = AppendFile(folder / EVENTS_FILE)
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        for event in events:
+            self._file.write((json.dumps(_event_json(event)) + "\n").encode())
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        self._file.close()
+
+
+class RerunKeeper:
+    """run.rrd; in a stream of its own, so that no viewer can hold it up."""
+
+    name = RERUN_FILE
+
+    def __init__(self, plan: RecordingPlan, recording_id: str, delay: TimeHistogram) -> None:
+        self._telemetry = Telemetry(plan, recording_id, rr.FileSink(plan.folder / RERUN_FILE))
+        self._blocks = RowBlocks()
+        self._delay = delay
+        self._show_at_end = plan.folder / RERUN_FILE if plan.view and not plan.real_time else None
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._telemetry.take_events(events)
+        if self._blocks.add(rows):
+            self._send_block()
+
+    def flush(self) -> None:
+        self._send_block()
+        self._telemetry.flush()
+
+    def finish(self, summary: Summary) -> None:
+        self._send_block()
+        self._telemetry.show_histogram(self._delay)
+        self._telemetry.finish(summary)
+        if self._show_at_end is not None:
+            _start_viewer(str(self._show_at_end))
+
+    def _send_block(self) -> None:
+        block = self._blocks.take()
+        if block is not None:
+            self._telemetry.take_rows(block)
+
+
+class LiveKeeper:
+    """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
+
+    name = "live view"
+
+    def __init__(self, plan: RecordingPlan, recording_id: str, delay: TimeHistogram) -> None:
+        sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
+        self._telemetry = Telemetry(plan, recording_id, sink)
+        self._delay = delay
+        _start_viewer("--connect", sink.uri)
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._telemetry.take_events(events)
+        self._telemetry.take_rows(rows)
+
+    def flush(self) -> None:
+        self._telemetry.show_histogram(self._delay)
+        self._telemetry.flush()
+
+    def finish(self, summary: Summary) -> None:
+        self._telemetry.show_histogram(self._delay)
+        self._telemetry.finish(summary)
+
+
+def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
+    """Everything that the plan asks for. ``delay``: the review's, shown as the histogram."""
+    recording_id = uuid4().hex
+    keepers: list[Keeper] = [
+        RecordsKeeper(plan.folder),
+        EventsKeeper(plan.folder),
+        RerunKeeper(plan, recording_id, delay),
+    ]
+    if plan.frames:
+        keepers.append(FramesKeeper(plan))
+    if plan.view and plan.real_time:
+        keepers.append(LiveKeeper(plan, recording_id, delay))
+    return keepers
+
+
+def _start_viewer(*arguments: str) -> None:
+    """Start the viewer as a process that outlives this one."""
+    command = [sys.executable, "-m", "rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments]
+    subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def _free_port() -> int:
+    """A port of the loopback that nobody listens on; the sink tells no port of its own choice."""
+    with socket.socket() as probe:
+        probe.bind((_LOOPBACK, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _event_json(event: RunEvent) -> dict[str, object]:
+    if isinstance(event, TextEvent):
+        return {"at_ns": event.at, "level": event.level, "text": event.text}
+    if isinstance(event, BeginEvent):
+        return {"at_ns": event.at, "begin": True}
+    return {"at_ns": event.at, "track": event.track, "state": event.label}

@@ -1,0 +1,82 @@
+"""What a recording needs to know before the first cycle; plain values that can be sent to another process."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.timebase import Duration
+from hil.figures.summary import VerdictLimits
+
+SETTLING = Duration(250_000_000)
+NO_OFFSET = Duration(0)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisPlan:
+    """One axis, as the review sees it."""
+
+    name: str
+    acceleration_max_rad_s2: float
+    """What its torque limit and inertia allow; a reference that changes faster opens a settling window."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewPlan:
+    """What the figures and the verdict depend on, beside the records."""
+
+    axes: tuple[AxisPlan, ...]
+    """By axis number of the records."""
+    limits: VerdictLimits = field(default_factory=VerdictLimits)
+    settling: Duration = SETTLING
+    """How long after a reference step the speed error is not counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingPlan:
+    """One run's recording."""
+
+    folder: Path
+    """Made by the recorder; holds everything of the run."""
+    name: str
+    """Of the bench, for titles."""
+    seed: int
+    bus: str
+    """Bus spec; its last part is the interface name of frames.log."""
+    real_time: bool
+    """True: a full ring loses rows and counts them. False: a full ring makes the writer wait."""
+    deadline: Duration
+    """Age at which a reading counts as late; drawn beside the delay."""
+    review: ReviewPlan
+    bench_toml: str
+    """The resolved bench file."""
+    wall_offset: Duration = NO_OFFSET
+    """Wall clock minus bench clock, for frames.log; 0 in simulated time."""
+    frames: bool = True
+    """Whether frames.log is kept."""
+    view: bool = False
+    """Whether a Rerun viewer shows the run while it goes on."""
+    notes: Mapping[str, str] = field(default_factory=dict)
+    """Shown beside the verdict, e.g. {"controller": "pid"}."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        found = asdict(self)
+        found["folder"] = str(self.folder)
+        return found
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "RecordingPlan":
+        """Inverse of :meth:`as_json`."""
+        review = found["review"]
+        return cls(
+            **{
+                **found,
+                "folder": Path(found["folder"]),
+                "review": ReviewPlan(
+                    tuple(AxisPlan(**axis) for axis in review["axes"]),
+                    VerdictLimits(**review["limits"]),
+                    review["settling"],
+                ),
+            }
+        )

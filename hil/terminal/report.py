@@ -1,0 +1,135 @@
+"""The summary of a run, for the terminal."""
+
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console, Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from hil.configuration.config import BenchConfig
+from hil.figures.summary import Check, Percentiles, Summary, metric_title
+
+WIDTH_MAX = 100
+
+
+def print_run(
+    config: BenchConfig,
+    summary: Mapping[str, Any],
+    recording: Path | None,
+    *,
+    bus_spec: str | None = None,
+    console: Console | None = None,
+) -> None:
+    """One screen: what was run, how well it went, the verdict, and where the recording is."""
+    console = console or Console(highlight=False)
+    found = Summary.from_json(summary)
+    passed = found.verdict.passed
+    panel = Panel(
+        Group(_figures(config, found, bus_spec), Text(), _verdict_table(found), *_notes(found)),
+        title=Text(f"{config.bench.name}: {'PASSED' if passed else 'NOT PASSED'}", style="bold"),
+        title_align="left",
+        border_style="green" if passed else "red",
+        width=min(console.width, WIDTH_MAX),
+        padding=(0, 1),
+    )
+    console.print(panel)
+    for line in recording_lines(recording):
+        console.print(Text(line), soft_wrap=True)
+
+
+def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table:
+    error, dropouts, axes = found.speed_error, found.dropouts, len(config.axes)
+    rows = found.cycles * axes
+    share = f" ({100.0 * dropouts.total / rows:.2f} %)" if rows else ""
+    lines = {
+        "Run": f"{found.cycles} cycles at {1e6 / config.loop.period_us:g} Hz, "
+        f"{axes} {'axis' if axes == 1 else 'axes'}, bus {bus_spec or config.bus.spec}, seed {found.seed}",
+        "Tracking error": f"peak {_number(error.peak_rad_s)} rad/s ({_number(error.peak_percent)} %), "
+        f"rms {_number(error.rms_rad_s)} rad/s",
+        "After load step": f"{_number(error.after_load_percent)} % at most"
+        if error.after_load_percent is not None
+        else "not measured",
+        "Delay": _percentiles(found.delay_us),
+        "Lateness": _percentiles(found.lateness_us),
+        "Dropouts": f"{dropouts.total}{share}: "
+        f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale",
+        "Bus load": f"{_number(found.bus_load_percent)} %",
+        "Pace": f"{_number(found.realtime_factor)} times real time",
+        "Digest": found.digest,
+    }
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for title, line in lines.items():
+        # Text, because a plain string's square brackets would be read as markup.
+        table.add_row(title, Text(line))
+    return table
+
+
+def _verdict_table(found: Summary) -> Table | Text:
+    if not found.verdict.limits:
+        return Text("The bench file sets no limits in [verdict].", style="yellow")
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", collapse_padding=True)
+    table.add_column("Verdict")
+    table.add_column("value", justify="right")
+    table.add_column("limit", justify="right")
+    table.add_column("")
+    for check in found.verdict.limits:
+        table.add_row(
+            Text(metric_title(check.metric)), _number(check.value), f"{check.limit:g}", _mark(check)
+        )
+    return table
+
+
+def _mark(check: Check) -> Text:
+    if check.passed:
+        return Text("ok", style="green")
+    return Text("not measured" if check.value is None else "too high", style="bold red")
+
+
+def _notes(found: Summary) -> list[Text]:
+    notes = []
+    if not found.verdict.completed:
+        notes.append(Text(f"The run was cut short: {found.verdict.reason}", style="bold red"))
+    notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in found.recording_faults)
+    return notes
+
+
+def _percentiles(found: Percentiles) -> str:
+    return f"p50 {_number(found.p50)} us, p99 {_number(found.p99)} us, max {_number(found.max)} us"
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits, whole numbers in full; a dash for what was not measured."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def recording_lines(recording: Path | None) -> list[str]:
+    """Where the recording is and the command that opens it; ``recording``: a folder, or the .rrd itself."""
+    if recording is None:
+        return []
+    path = recording if recording.suffix == ".rrd" else recording / "run.rrd"
+    place = _shortest(path)
+    return [f"Recording  {place}", f"Open with  {viewer_command()} {place}"]
+
+
+def viewer_command() -> str:
+    """The Rerun viewer: by name if it is on the PATH, else the one beside this interpreter."""
+    beside = Path(sys.executable).parent / "rerun"
+    if shutil.which("rerun") or not beside.exists():
+        return "rerun"
+    return _shortest(beside)
+
+
+def _shortest(path: Path) -> str:
+    """Relative to the working directory if it lies below."""
+    absolute = path.absolute()
+    working = Path.cwd()
+    return str(absolute.relative_to(working)) if absolute.is_relative_to(working) else str(path)
