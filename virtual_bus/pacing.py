@@ -2,15 +2,18 @@
 
 from collections.abc import Sized
 
-from drivers.timebase import Clock, Instant
+from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from virtual_bus.timeline import Timeline
+
+CATCH_UP_MAX = Duration(50 * NS_PER_MS)
 
 
 class PacedTimeline(Timeline):
     """A timeline whose events wait until ``clock`` has come as far; its own instants stay simulated.
 
-    So a run gives the same records as at full speed, only later. Where the machine
-    falls behind, it catches up without skipping anything.
+    So a run gives the same records as at full speed, only later. A lag of up to
+    :data:`CATCH_UP_MAX` is made good, as a late wake-up leaves one; a longer one is
+    not, since it would be followed by a run at full speed.
     """
 
     __slots__ = ("_clock", "_origin")
@@ -42,4 +45,8 @@ class PacedTimeline(Timeline):
         return True
 
     def _wait(self, when: Instant) -> None:
-        self._clock.sleep_until(Instant(self._origin + when))
+        lag = self._clock.now() - self._origin - when
+        if lag > CATCH_UP_MAX:
+            self._origin = Instant(self._origin + lag)
+        elif lag < 0:
+            self._clock.sleep_until(Instant(self._origin + when))

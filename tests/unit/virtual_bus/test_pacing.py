@@ -39,8 +39,19 @@ def test_a_wait_ends_with_the_event_that_fills_the_inbox() -> None:
     assert clock.now() == 1_000_040
 
 
-def test_a_clock_that_is_ahead_is_not_waited_for() -> None:
+def test_a_short_lag_is_made_good() -> None:
     timeline, clock = paced()
     clock.sleep_until(Instant(2_000_000))
     timeline.run_until(Instant(100))
     assert (timeline.now, clock.now()) == (100, 2_000_000)
+    timeline.run_until(Instant(1_500_000))
+    assert clock.now() == 2_500_000
+
+
+def test_a_long_lag_is_not_followed_by_a_run_at_full_speed() -> None:
+    timeline, clock = paced()
+    clock.sleep_until(Instant(3_001_000_000))
+    timeline.run_until(Instant(100))
+    assert clock.now() == 3_001_000_000
+    timeline.run_until(Instant(1_000_100))
+    assert clock.now() == 3_002_000_000
