@@ -10,7 +10,8 @@ from typing import NamedTuple
 from drivers.errors import PeerFault, TransferAborted
 from drivers.objects import RemoteObjects, SettingRefused
 from drivers.objects402 import Object
-from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoPlan, torque_plan, write_plan
+from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoPlan, write_plan
+from drivers.pdo_plans import mode_plan
 from drivers.profile402 import (
     AbortConnectionOption,
     DisableOperationOption,
@@ -18,7 +19,6 @@ from drivers.profile402 import (
     Mode,
     QuickStopOption,
     ShutdownOption,
-    supported_mode_bit,
 )
 from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
 from drivers.sdo import object_name
@@ -54,9 +54,13 @@ class DriveSettings:
 
     sync_period_ns: Duration
     plan: PdoPlan | None = None
-    """None: :func:`drivers.pdo.torque_plan`, with the drive's time stamp if it has one."""
+    """None: :func:`drivers.pdo_plans.mode_plan`, with the drive's time stamp if it has one."""
+    mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    """The mode to begin with."""
     synchronous_command: bool = False
     """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
+    position_every_cycles: int = 1
+    """As in :func:`drivers.pdo_plans.mode_plan`. Without effect beside ``plan``."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""
@@ -220,23 +224,21 @@ def write_optional(
     return []
 
 
-def check_torque_mode(objects: RemoteObjects) -> None:
-    """Raises PeerFault if 0x6502 is there and lacks cyclic synchronous torque."""
-    modes = objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
-    mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
-    if modes and not modes & supported_mode_bit(mode):
-        raise PeerFault(
-            f"node {objects.node_id} has no cyclic synchronous torque mode", f"6502h is {modes:08X}h"
-        )
-
-
 def choose_plan(objects: RemoteObjects, settings: DriveSettings) -> PdoPlan:
     """The plan of the settings, or the standard one for what this drive can map."""
     if settings.plan is not None:
         return settings.plan
     stamped = objects.read_if_there(HIGH_RESOLUTION_TIME_STAMP) is not None
-    return torque_plan(
-        objects.node_id, device_stamp=stamped, synchronous_command=settings.synchronous_command
+    return _standard_plan(objects, settings, stamped)
+
+
+def _standard_plan(objects: RemoteObjects, settings: DriveSettings, stamped: bool) -> PdoPlan:
+    return mode_plan(
+        objects.node_id,
+        settings.mode,
+        device_stamp=stamped,
+        synchronous_command=settings.synchronous_command,
+        position_every_cycles=settings.position_every_cycles,
     )
 
 
@@ -249,5 +251,5 @@ def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, 
         if settings.plan is not None or plan.tpdos[1].place_of(HIGH_RESOLUTION_TIME_STAMP) is None:
             raise
         refusal = error
-    plan = torque_plan(objects.node_id, device_stamp=False, synchronous_command=settings.synchronous_command)
+    plan = _standard_plan(objects, settings, stamped=False)
     return plan, [f"1013h is not mapped: {refusal.evidence}", *write_plan(objects, plan)]

@@ -26,9 +26,21 @@ class Object(IntEnum):
     """Encoder increments."""
     POSITION_ACTUAL_VALUE = 0x6064
     """User position unit."""
+    FOLLOWING_ERROR_WINDOW = 0x6065
+    FOLLOWING_ERROR_TIME_OUT = 0x6066
+    """ms."""
+    POSITION_WINDOW = 0x6067
+    POSITION_WINDOW_TIME = 0x6068
+    """ms."""
     VELOCITY_DEMAND_VALUE = 0x606B
     VELOCITY_ACTUAL_VALUE = 0x606C
     """User velocity unit."""
+    VELOCITY_WINDOW = 0x606D
+    VELOCITY_WINDOW_TIME = 0x606E
+    """ms."""
+    VELOCITY_THRESHOLD = 0x606F
+    VELOCITY_THRESHOLD_TIME = 0x6070
+    """ms."""
     TARGET_TORQUE = 0x6071
     """Per thousand of 0x6076."""
     MAX_TORQUE = 0x6072
@@ -48,27 +60,44 @@ class Object(IntEnum):
     DC_LINK_CIRCUIT_VOLTAGE = 0x6079
     """mV."""
     TARGET_POSITION = 0x607A
+    HOME_OFFSET = 0x607C
+    SOFTWARE_POSITION_LIMIT = 0x607D
+    """Sub 1 minimum, sub 2 maximum."""
     POLARITY = 0x607E
     MAX_PROFILE_VELOCITY = 0x607F
     MAX_MOTOR_SPEED = 0x6080
     """rev/min."""
+    PROFILE_VELOCITY = 0x6081
     PROFILE_ACCELERATION = 0x6083
     PROFILE_DECELERATION = 0x6084
     QUICK_STOP_DECELERATION = 0x6085
     """User acceleration unit."""
+    TORQUE_SLOPE = 0x6087
+    """Per thousand of 0x6076, per second."""
     POSITION_ENCODER_RESOLUTION = 0x608F
     """Sub 1 encoder increments per sub 2 motor revolutions."""
     VELOCITY_ENCODER_RESOLUTION = 0x6090
     GEAR_RATIO = 0x6091
     FEED_CONSTANT = 0x6092
     VELOCITY_FACTOR = 0x6096
+    HOMING_METHOD = 0x6098
+    HOMING_SPEEDS = 0x6099
+    """Sub 1 while searching for the switch, sub 2 for the zero."""
+    HOMING_ACCELERATION = 0x609A
     SI_UNIT_POSITION = 0x60A8
     SI_UNIT_VELOCITY = 0x60A9
     SI_UNIT_ACCELERATION = 0x60AA
+    SI_UNIT_JERK = 0x60AB
+    POSITION_OFFSET = 0x60B0
     VELOCITY_OFFSET = 0x60B1
     TORQUE_OFFSET = 0x60B2
     """Per thousand of 0x6076."""
     INTERPOLATION_TIME_PERIOD = 0x60C2
+    MAX_ACCELERATION = 0x60C5
+    MAX_DECELERATION = 0x60C6
+    SUPPORTED_HOMING_METHODS = 0x60E3
+    """Sub 1 and on: one method each."""
+    FOLLOWING_ERROR_ACTUAL_VALUE = 0x60F4
     TARGET_VELOCITY = 0x60FF
     DIGITAL_INPUTS = 0x60FD
     SUPPORTED_DRIVE_MODES = 0x6502

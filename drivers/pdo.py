@@ -11,7 +11,6 @@ from struct import Struct
 
 from drivers.errors import TransferAborted
 from drivers.objects import RemoteObjects, SettingRefused
-from drivers.objects402 import Object
 from drivers.sdo import object_name
 from drivers.timebase import NS_PER_S, Duration
 
@@ -136,36 +135,12 @@ class PdoPlan:
             raise ValueError("two PDOs of the plan share an identifier")
 
     @property
-    def frame_lengths(self) -> tuple[int, ...]:
-        """Data bytes of each PDO."""
-        return tuple((pdo.bits + 7) // 8 for pdo in (*self.tpdos, *self.rpdos))
-
-
-def torque_plan(node_id: int, *, device_stamp: bool, synchronous_command: bool = False) -> PdoPlan:
-    """The plan for cyclic synchronous torque.
-
-    TPDO1: statusword, velocity, torque. TPDO2: position and, with ``device_stamp``, the drive's own stamp
-    0x1013. RPDO1: controlword and target torque, applied on arrival or, if ``synchronous_command``, at the
-    next SYNC.
-    """
-    transmit, receive = PdoDirection.TRANSMIT, PdoDirection.RECEIVE
-    actual = (
-        PdoEntry(Object.STATUSWORD, 0, "H"),
-        PdoEntry(Object.VELOCITY_ACTUAL_VALUE, 0, "i"),
-        PdoEntry(Object.TORQUE_ACTUAL_VALUE, 0, "h"),
-    )
-    position: tuple[PdoEntry, ...] = (PdoEntry(Object.POSITION_ACTUAL_VALUE, 0, "i"),)
-    if device_stamp:
-        position += (PdoEntry(HIGH_RESOLUTION_TIME_STAMP, 0, "I"),)
-    command = (PdoEntry(Object.CONTROLWORD, 0, "H"), PdoEntry(Object.TARGET_TORQUE, 0, "h"))
-    command_type = EVERY_SYNC if synchronous_command else EVENT_DRIVEN
-    return PdoPlan(
-        tpdos=(
-            PdoMap(transmit, 1, transmit.default_cob_id(1, node_id), actual),
-            PdoMap(transmit, 2, transmit.default_cob_id(2, node_id), position),
-        ),
-        rpdos=(PdoMap(receive, 1, receive.default_cob_id(1, node_id), command, command_type),),
-    )
+    def frames_a_cycle(self) -> tuple[tuple[int, float], ...]:
+        """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
+        return tuple(
+            ((pdo.bits + 7) // 8, 1.0 / max(1, pdo.transmission_type) if pdo.synchronous else 1.0)
+            for pdo in (*self.tpdos, *self.rpdos)
+        )
 
 
 def frame_bits_max(data_bytes: int) -> int:
@@ -179,10 +154,10 @@ def frame_bits_max(data_bytes: int) -> int:
 
 
 def bus_load_percent_max(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> float:
-    """Share of the bus that SYNC and the PDOs of all plans take at most, each PDO once in ``period_ns``."""
-    bits = frame_bits_max(0)
+    """Share of the bus that SYNC, sent every ``period_ns``, and the PDOs of all plans take at most."""
+    bits = float(frame_bits_max(0))
     for plan in plans:
-        bits += sum(frame_bits_max(length) for length in plan.frame_lengths)
+        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle)
     return 100.0 * bits * NS_PER_S / (bitrate_bit_s * period_ns)
 
 

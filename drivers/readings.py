@@ -1,13 +1,11 @@
 """TPDOs of one drive put together into readings in SI units."""
 
-from struct import Struct
-
 from drivers.exchange import Reading
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
-from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.pdo import EVERY_SYNC, HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
 from drivers.scaling import Scaling
-from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
 _WORD = 1 << 32
 _HALF_WORD = 1 << 31
@@ -34,15 +32,28 @@ class ReadingAssembler:
     A set certainly is of one SYNC if, since the last complete set, as many of its first TPDOs arrived as
     periods went by on the drive's own clock. Otherwise, and for a drive without that clock, it is taken for
     one if its frames arrived within half a period.
+
+    A TPDO that comes only with every n-th SYNC delays no reading. If the position travels in such a one, it
+    is carried along by the speed in between:
+
+        SYNC          k          k+1        k+2        ...  k+n
+        TPDO1         speed      speed      speed           speed
+        TPDO2         position                              position
+        reading       carried    + speed T  + speed T  ...  carried
+
+    and a time stamp that does not come with every reading is not used.
     """
 
     __slots__ = (
+        "_carried_rad",
         "_carrier",
+        "_carries",
         "_expected",
         "_first_at",
         "_firsts",
         "_half_period_ns",
         "_network",
+        "_period_s",
         "_period_us",
         "_places",
         "_position",
@@ -51,6 +62,7 @@ class ReadingAssembler:
         "_seen",
         "_stamp_raw",
         "_stamp_us",
+        "_syncs",
         "_told",
         "_values",
         "incoherent",
@@ -73,6 +85,7 @@ class ReadingAssembler:
         self._told = told
         self._half_period_ns = period_ns // 2
         self._period_us = max(1, period_ns // NS_PER_US)
+        self._period_s = period_ns / NS_PER_S
         self._readings: list[Reading] = []
         self._values: list[int] = []
         self._seen = self._expected = self._firsts = 0
@@ -80,7 +93,12 @@ class ReadingAssembler:
         self._position = self._stamp_us = 0
         self._position_raw: int | None = None
         self._stamp_raw: int | None = None
-        self._places = self._subscribe(sorted(plan.tpdos, key=lambda pdo: pdo.cob_id))
+        self._carried_rad = 0.0
+        self._syncs = network.sync_count
+        each = sorted(_with_each_sync(plan), key=lambda pdo: pdo.cob_id)
+        seldom = [pdo for pdo in plan.tpdos if pdo not in each]
+        self._places = self._subscribe(each, seldom)
+        self._carries = not any(pdo.place_of(Object.POSITION_ACTUAL_VALUE) is not None for pdo in each)
 
     def take(self) -> list[Reading]:
         """The readings completed since the last call, oldest first."""
@@ -89,17 +107,35 @@ class ReadingAssembler:
             self._readings = []
         return taken
 
-    def _subscribe(self, pdos: list[PdoMap]) -> tuple[int, int, int, int, int]:
+    def anchor_position(self, raw: int) -> None:
+        """0x6064 as the drive tells it now: what positions are carried on from."""
+        self._unwrap_position(raw)
+        self._carried_rad = 0.0
+        self._syncs = self._network.sync_count
+
+    def frame_arrived(self, bit: int, at: Instant) -> None:
+        """A TPDO of a reading arrived, the one of ``bit``; 0: the last of its SYNC."""
+        if not bit:
+            self._complete(at)
+            return
+        self._seen |= bit
+        if bit == 1:
+            self._firsts += 1
+            self._first_at = at
+
+    def _subscribe(self, each: list[PdoMap], seldom: list[PdoMap]) -> tuple[int, int, int, int, int]:
         """Give each PDO its slice of the values; the places of the five values of a reading among them."""
         places: dict[tuple[int, int], int] = {}
-        for number, pdo in enumerate(pdos):
+        last = len(each) - 1
+        for number, pdo in enumerate(each + seldom):
             low = len(self._values)
             self._values.extend([0] * len(pdo.entries))
             for offset, entry in enumerate(pdo.entries):
                 places.setdefault((entry.index, entry.sub), low + offset)
-            last = number == len(pdos) - 1
-            self._listen(pdo, low, 0 if last else 1 << number)
-        self._expected = (1 << (len(pdos) - 1)) - 1
+            bit = _SELDOM if number > last else 0 if number == last else 1 << number
+            inlet = _Inlet(self, pdo, self._values, low, bit, self._told)
+            self._network.listen(pdo.cob_id, inlet.take)
+        self._expected = (1 << last) - 1
         wanted = (
             Object.STATUSWORD,
             Object.POSITION_ACTUAL_VALUE,
@@ -110,31 +146,9 @@ class ReadingAssembler:
         if missing:
             raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
         status, position, velocity, torque = (places[index, 0] for index in wanted)
-        return status, position, velocity, torque, places.get((HIGH_RESOLUTION_TIME_STAMP, 0), -1)
-
-    def _listen(self, pdo: PdoMap, low: int, bit: int) -> None:
-        """Take the PDO's frames into ``values[low:]``; ``bit`` 0 marks the one that completes a reading."""
-        codec: Struct = pdo.codec()
-        unpack, size, values, high = codec.unpack, codec.size, self._values, low + len(pdo.entries)
-        told = self._told
-        status_place = pdo.place_of(Object.STATUSWORD)
-
-        def take(data: bytes, at: Instant) -> None:
-            if len(data) != size:
-                self.malformed += 1
-                return
-            values[low:high] = fields = unpack(data)
-            if status_place is not None:
-                told.statusword = fields[status_place]
-            if not bit:
-                self._complete(at)
-                return
-            self._seen |= bit
-            if bit == 1:
-                self._firsts += 1
-                self._first_at = at
-
-        self._network.listen(pdo.cob_id, take)
+        stamped = any(pdo.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None for pdo in each)
+        stamp = places[HIGH_RESOLUTION_TIME_STAMP, 0] if stamped else -1
+        return status, position, velocity, torque, stamp
 
     def _complete(self, at: Instant) -> None:
         """The last TPDO of a set arrived: build the reading, or count why there is none."""
@@ -146,7 +160,10 @@ class ReadingAssembler:
             passed_us = self._unwrap_stamp(values[stamp])
             device_time_ns = self._stamp_us * NS_PER_US
             periods = (passed_us + self._period_us // 2) // self._period_us
-        self._unwrap_position(values[position])
+        if self._carries:
+            self._carry_position(values[velocity])
+        else:
+            self._unwrap_position(values[position])
         firsts, self._firsts = self._firsts, 0
         seen, self._seen = self._seen, 0
         if seen != self._expected:
@@ -159,7 +176,7 @@ class ReadingAssembler:
         self._readings.append(
             Reading(
                 self._network.sync_count,
-                self._position * scaling.position_rad,
+                self._position * scaling.position_rad + self._carried_rad,
                 values[velocity] * scaling.velocity_rad_s,
                 values[torque] * scaling.torque_nm,
                 values[status],
@@ -167,6 +184,14 @@ class ReadingAssembler:
                 at,
             )
         )
+
+    def _carry_position(self, velocity_raw: int) -> None:
+        """Add what the shaft turned since the reading before, at this speed."""
+        syncs = self._network.sync_count
+        self._carried_rad += (
+            (syncs - self._syncs) * self._period_s * velocity_raw * self.scaling.velocity_rad_s
+        )
+        self._syncs = syncs
 
     def _unwrap_stamp(self, raw: int) -> int:
         """Microseconds since the stamp before, 0 for the first; negative if the drive's clock was set back.
@@ -189,3 +214,58 @@ class ReadingAssembler:
         else:
             self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
         self._position_raw = raw
+
+
+_SELDOM = -1
+
+
+class _Inlet:
+    """Takes the frames of one TPDO into its slice of an assembler's values."""
+
+    __slots__ = (
+        "_assembler",
+        "_bit",
+        "_high",
+        "_low",
+        "_position",
+        "_size",
+        "_status",
+        "_told",
+        "_unpack",
+        "_values",
+    )
+
+    def __init__(
+        self, assembler: ReadingAssembler, pdo: PdoMap, values: list[int], low: int, bit: int, told: Seen
+    ) -> None:
+        """``bit``: its mark in the set of a SYNC, 0 for the one that completes it, -1 outside any set."""
+        codec = pdo.codec()
+        self._assembler = assembler
+        self._unpack = codec.unpack
+        self._size = codec.size
+        self._values = values
+        self._low = low
+        self._high = low + len(pdo.entries)
+        self._bit = bit
+        self._told = told
+        status, position = pdo.place_of(Object.STATUSWORD), pdo.place_of(Object.POSITION_ACTUAL_VALUE)
+        self._status = -1 if status is None else status
+        self._position = -1 if position is None else position
+
+    def take(self, data: bytes, at: Instant) -> None:
+        if len(data) != self._size:
+            self._assembler.malformed += 1
+            return
+        fields = self._unpack(data)
+        self._values[self._low : self._high] = fields
+        if self._status >= 0:
+            self._told.statusword = fields[self._status]
+        if self._bit != _SELDOM:
+            self._assembler.frame_arrived(self._bit, at)
+        elif self._position >= 0:
+            self._assembler.anchor_position(fields[self._position])
+
+
+def _with_each_sync(plan: PdoPlan) -> list[PdoMap]:
+    """The TPDOs that make up a reading; of a plan without any such, all."""
+    return [pdo for pdo in plan.tpdos if pdo.transmission_type == EVERY_SYNC] or list(plan.tpdos)

@@ -1,11 +1,10 @@
-"""A CiA 402 servo drive in cyclic synchronous torque mode, simulated or real, as a loop sees it."""
+"""A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
 
 from typing import NamedTuple
 
 from drivers.drive_setup import (
     DriveSettings,
     Identity,
-    check_torque_mode,
     forget_host,
     map_pdos,
     read_identity,
@@ -16,23 +15,24 @@ from drivers.drive_setup import (
 )
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
 from drivers.exchange import Command, Reading
+from drivers.mode_control import MODE_BITS, ModeControl
+from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
 from drivers.nmt import NmtCommand, NmtState
-from drivers.objects import RemoteObjects, SettingRefused
+from drivers.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.profile402 import DriveCommand, Mode, State, state_of
 from drivers.readings import ReadingAssembler, Seen
 from drivers.setpoint import SetPoint
-from drivers.state_control import FAULTY, POLL_NS, StateControl
+from drivers.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 NOT_SENT = Instant(-1)
 REST_RAD_S = 1.0
 """A shaft that turns slower counts as at rest."""
 RELEASE_LIMIT = Duration(3 * NS_PER_S)
-_CHANGE_LIMIT = NS_PER_S
-"""Time for a change of mode or NMT state."""
 
 _ENABLED_BITS, _ENABLED = 0x6F, 0x27
 _CONNECT_TRY_S = 0.1
@@ -75,6 +75,8 @@ class ServoDrive:
         """What was mapped; None before ``configure``."""
         self._told = Seen()
         self.control = StateControl(self.objects, self.name, self._told)
+        self.modes = ModeControl(self.control)
+        self.motion: Motion | None = None
         self._assembler: ReadingAssembler | None = None
         self._enabled = False
         self._boot_ups = 0
@@ -91,7 +93,7 @@ class ServoDrive:
                 break
             except NoAnswer as error:
                 if clock.now() >= deadline:
-                    raise self._nobody() from error
+                    raise nobody_there(self.network, self.node_id, self.control.title) from error
         self.identity = read_identity(self.objects)
         return self.identity
 
@@ -107,15 +109,19 @@ class ServoDrive:
         self._consumer_entry = write_heartbeats(self.objects, settings)
         network.watch(self.node_id, Duration(settings.drive_heartbeat_timeout_ms * NS_PER_MS))
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
-        check_torque_mode(self.objects)
         scaling = read_scaling(self.objects, settings.scale)
         notes = write_reactions(self.objects) + write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
-        self.control.set_point = SetPoint(network, plan, scaling, settings.torque_max_nm)
+        self._assembler.anchor_position(self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i"))
+        self.control.set_point = SetPoint(
+            network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
+        )
+        self.control.controlword = NONE_SENT
         self.plan = plan
-        self._choose_mode(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        self.motion = Motion(self.control, self.modes, scaling)
         self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
+        self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
         self._boot_ups = self.status.boot_ups
         self.notes = notes + pdo_notes
         return self.notes
@@ -123,9 +129,10 @@ class ServoDrive:
     # ---- state ----------------------------------------------------------------------------------------
 
     def enable(self, deadline: Instant) -> None:
-        """Walk to OPERATION ENABLED with a torque set-point of 0."""
-        self._configured().hold_torque(0.0)
-        self.objects.write(Object.TARGET_TORQUE, 0, "h", 0)
+        """Walk to OPERATION ENABLED with a set-point that leaves the drive at rest."""
+        self._configured()
+        self.control.clear_bits(MODE_BITS)
+        self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
         self._boot_ups = self.status.boot_ups
         self._enabled = True
@@ -204,8 +211,7 @@ class ServoDrive:
         -1 and nothing sent if the command has expired. Torque beyond the drive's set limit is clipped to it.
         Raises ValueError for a torque that is no number.
         """
-        if self.network.clock.now() > command.expires_at:
-            self.unsent_commands += 1
+        if self._expired(command.expires_at):
             return NOT_SENT
         return self._configured().send_torque(command.torque_nm)
 
@@ -254,7 +260,83 @@ class ServoDrive:
             raise RuntimeError(f"{self.name} was not configured")
         return self._assembler.scaling.rated_torque_nm
 
+    # ---- modes ----------------------------------------------------------------------------------------
+
+    def change_mode(self, mode: Mode, deadline: Instant) -> None:
+        """As :meth:`drivers.mode_control.ModeControl.change`."""
+        self._configured()
+        self.modes.change(mode, deadline)
+
+    def move_to(
+        self,
+        position_rad: float,
+        deadline: Instant,
+        profile: Profile = AS_THE_DRIVE_HOLDS,
+        *,
+        relative: bool = False,
+    ) -> None:
+        """Profile position: move, and wait until the drive has reached the target.
+
+        Moves that are not waited for, or are queued in the drive: :meth:`drivers.motion.Motion.start_move`.
+        """
+        motion = self._moving()
+        motion.start_move(position_rad, deadline, profile, relative=relative)
+        motion.await_target(deadline)
+
+    def run_at(self, speed_rad_s: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS) -> None:
+        """Profile velocity: go to a speed by the drive's ramps, and wait until it is reached."""
+        motion = self._moving()
+        motion.start_speed(speed_rad_s, deadline, profile)
+        motion.await_target(deadline)
+
+    def apply_torque(
+        self, torque_nm: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS
+    ) -> None:
+        """Profile torque: go to a torque by the drive's slope, and wait until it is reached."""
+        motion = self._moving()
+        motion.start_torque(torque_nm, deadline, profile)
+        motion.await_target(deadline)
+
+    def home(self, method: int, deadline: Instant, how: Homing = HOMING_AS_THE_DRIVE_HOLDS) -> None:
+        """Homing by a method of CiA 402-2, to its end."""
+        self._moving().home(method, deadline, how)
+
+    def halt(self, deadline: Instant) -> None:
+        """Stop and stay enabled; ``resume`` goes on. For the profile modes and homing."""
+        self._moving().halt(deadline)
+
+    def resume(self) -> None:
+        """Take a halt back."""
+        self._moving().resume()
+
+    def write_speed(self, speed_rad_s: float, expires_at: Instant) -> Instant:
+        """As :meth:`write`, for cyclic synchronous velocity."""
+        if self._expired(expires_at):
+            return NOT_SENT
+        return self._configured().send_speed(speed_rad_s)
+
+    def write_position(self, position_rad: float, expires_at: Instant) -> Instant:
+        """As :meth:`write`, for cyclic synchronous position; counted as in a reading."""
+        if self._expired(expires_at):
+            return NOT_SENT
+        return self._configured().send_position(position_rad)
+
     # ---- inside ---------------------------------------------------------------------------------------
+
+    def _expired(self, expires_at: Instant) -> bool:
+        if self.network.clock.now() <= expires_at:
+            return False
+        self.unsent_commands += 1
+        return True
+
+    def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
+        heartbeat = Duration(settings.drive_heartbeat_ms * NS_PER_MS)
+        change_nmt(self.network, self.node_id, self.control.title, command, wanted, heartbeat)
+
+    def _moving(self) -> Motion:
+        if self.motion is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self.motion
 
     def _configured(self) -> SetPoint:
         if self.control.set_point is None:
@@ -294,38 +376,6 @@ class ServoDrive:
         raw = self.objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
         return abs(raw * self._assembler.scaling.velocity_rad_s) < REST_RAD_S
 
-    def _choose_mode(self, mode: Mode) -> None:
-        self.objects.write(Object.MODES_OF_OPERATION, 0, "b", mode)
-        deadline = self.network.deadline_after(Duration(_CHANGE_LIMIT))
-        while (held := self.objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")) != mode:
-            if held is None:
-                return
-            if self.network.clock.now() >= deadline:
-                raise SettingRefused(
-                    f"{self.control.title} stays in mode {held}", f"mode {mode:d} was asked for"
-                )
-            self.network.pump(self.network.deadline_after(Duration(POLL_NS)))
-
-    def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
-        """Send an NMT command until a later heartbeat shows its effect."""
-        network, status = self.network, self.status
-        patience = Duration(2 * settings.drive_heartbeat_ms * NS_PER_MS)
-        deadline = network.deadline_after(Duration(_CHANGE_LIMIT + 2 * patience))
-        while network.clock.now() < deadline:
-            sent_at = network.command(command, self.node_id)
-            resend_at = Instant(sent_at + patience)
-            while network.pump_one(resend_at):
-                if (
-                    status.state is wanted
-                    and status.heartbeat_at is not None
-                    and status.heartbeat_at > sent_at
-                ):
-                    return
-        seen = "no heartbeat" if status.state is None else f"its heartbeat says {status.state.name}"
-        raise NoAnswer(
-            f"{self.control.title} did not become {wanted.name}", seen, "check its supply and the cable"
-        )
-
     def _out_of_operation(self) -> DriveInFault:
         state = self.state
         if state in FAULTY:
@@ -333,17 +383,4 @@ class ServoDrive:
         named = "an unknown state" if state is None else repr(state.value)
         return DriveInFault(
             f"{self.control.title} fell out of operation into {named}", self.control.evidence()
-        )
-
-    def _nobody(self) -> NoAnswer:
-        others = sorted(set(self.network.scanner.nodes) - {self.node_id})
-        heard = (
-            f"heard on the bus: nodes {', '.join(map(str, others))}" if others else "nothing heard on the bus"
-        )
-        if self.status.heartbeat_at is not None:
-            heard = "its heartbeat is there, but it answers no SDO"
-        return NoAnswer(
-            f"{self.control.title} does not answer",
-            heard,
-            "check that it is powered, its node id, the bit rate and the wiring",
         )

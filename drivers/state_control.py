@@ -19,6 +19,7 @@ from drivers.readings import Seen
 from drivers.setpoint import SetPoint
 from drivers.timebase import NS_PER_MS, Instant
 
+NONE_SENT = -1
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
 _RESEND_NS = 50 * NS_PER_MS
@@ -37,24 +38,53 @@ class StateControl:
         """How an error names the drive."""
         self.set_point: SetPoint | None = None
         """What carries the controlword by RPDO; None before the PDOs are mapped."""
+        self.controlword = NONE_SENT
+        """What is in force: the last one sent."""
         self._told = told
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
         self.network.on_emergency(self._on_emergency)
 
     def read_state(self) -> State | None:
         """The state by SDO, now; None if the statusword is no coding of the standard."""
+        return state_of(self.read_status())
+
+    def read_status(self) -> int:
+        """The statusword by SDO, now."""
         self._told.statusword = word = self.objects.read(Object.STATUSWORD, 0, "H")
-        return state_of(word)
+        return word
 
     def command(self, command: DriveCommand) -> None:
         """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
-        self.command_by_pdo(command)
-        self.objects.write(Object.CONTROLWORD, 0, "H", CONTROLWORDS[command])
+        self._put_in_force(CONTROLWORDS[command])
 
     def command_by_pdo(self, command: DriveCommand) -> None:
         """Put a controlword in force without waiting for anything; nothing happens before the mapping."""
+        self.controlword = CONTROLWORDS[command]
         if self.set_point is not None:
-            self.set_point.send_controlword(CONTROLWORDS[command])
+            self.set_point.send_controlword(self.controlword)
+
+    def set_bits(self, mask: int, value: int) -> None:
+        """Change some bits of the controlword in force, by RPDO and by SDO."""
+        held = max(self.controlword, 0)
+        self._put_in_force(held & ~mask | value)
+
+    def clear_bits(self, mask: int) -> None:
+        """Clear bits of the controlword in force; nothing is sent if they are clear."""
+        if self.controlword != NONE_SENT and self.controlword & mask:
+            self.set_bits(mask, 0)
+
+    def write_value(self, index: int, code: str, raw: int) -> None:
+        """Give a set-point or the mode to the drive, by SDO and then in every RPDO that carries it.
+
+        An RPDO that waits for a SYNC, or is sent later, so repeats the new value, not the old one. Before the
+        first command no RPDO is sent, as it would be the one that brings a controlword. Raises ValueError if
+        the value does not fit, TransferAborted if the drive refuses it; RPDOs then stay as they were.
+        """
+        self.objects.write(index, 0, code, raw)
+        if self.set_point is not None:
+            self.set_point.hold(index, raw)
+            if self.controlword != NONE_SENT:
+                self.set_point.send(index)
 
     def walk(self, target: State, deadline: Instant) -> None:
         """Go by the shortest path of the state machine; a command without effect is repeated.
@@ -114,6 +144,12 @@ class StateControl:
     def stuck(self, action: str) -> DriveInFault:
         """The error for a drive that did not do what it was asked by the deadline."""
         return DriveInFault(f"{self.title} did not {action} in time", self.evidence())
+
+    def _put_in_force(self, controlword: int) -> None:
+        self.controlword = controlword
+        if self.set_point is not None:
+            self.set_point.send_controlword(controlword)
+        self.objects.write(Object.CONTROLWORD, 0, "H", controlword)
 
     def _on_emergency(self, emergency: Emergency) -> None:
         if emergency.node_id == self.objects.node_id:

@@ -113,6 +113,8 @@ class Axis:
         for reading in readings:
             if reading.device_time_ns is not None:
                 self.parts.clock_map.observe(sync_sent_at, reading.device_time_ns, reading.received_at)
+            else:
+                self.meter.learn(Duration(reading.received_at - sync_sent_at - self._sync_latency))
         return bool(readings)
 
     def begin(self, tick: Tick) -> None:
@@ -214,11 +216,26 @@ class Axis:
         return None
 
     def _place_by_arrival(self, reading: Reading) -> Sample | None:
+        """The SYNC of which a reading, after the usual delay, would have come nearest to this moment.
+
+        A drive answers SYNCs in order, so those before the newest one answered are out. A delay that jumps
+        by more than half a period is taken for one that is whole periods off.
+        """
+        usual = self.meter.typical_delay + self._sync_latency
+        newest = self.meter.newest
+        best_sequence, best_sent_at, best_miss = 0, Instant(0), -1
         for sequence, sent_at in reversed(self._syncs):
-            if sequence == reading.sequence:
-                error_ns = reading.received_at - sent_at
-                return Sample(sequence, reading, Instant(sent_at + self._sync_latency), error_ns)
-        return None
+            age = reading.received_at - sent_at
+            if age < 0:
+                continue
+            miss = abs(age - usual)
+            if sequence <= newest or 0 <= best_miss < miss:
+                break
+            best_sequence, best_sent_at, best_miss = sequence, sent_at, miss
+        if best_miss < 0:
+            return None
+        error_ns = reading.received_at - best_sent_at
+        return Sample(best_sequence, reading, Instant(best_sent_at + self._sync_latency), error_ns)
 
     def _apply_load(self, torque_nm: float) -> None:
         if torque_nm != self._load_nm and self.parts.load_machine is not None:

@@ -169,14 +169,19 @@ class _Run:
             self._stop.check()
         self._enter("configuring")
         for drive in self._drives:
-            limits = self._config.drive[drive.name].limits
+            wanted = self._config.drive[drive.name]
+            limits = wanted.limits
             settings = DriveSettings(
                 sync_period_ns=timing.period,
                 synchronous_command=timing.actuation.value == "on_sync",
+                position_every_cycles=self._config.loop.position_every_cycles,
+                drive_heartbeat_ms=wanted.heartbeat_ms,
+                drive_heartbeat_timeout_ms=wanted.heartbeat_timeout_ms,
                 host_heartbeat_ms=host.heartbeat_ms,
                 host_heartbeat_timeout_ms=host.heartbeat_timeout_ms,
                 torque_max_nm=limits.torque_max_nm,
                 speed_max_rad_s=limits.speed_max_rad_s,
+                quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
             )
             for note in drive.configure(settings):
                 self._say(f"{drive.name}: {note}", "WARN")

@@ -71,7 +71,7 @@ class DelayMeter:
             self.unmatched += 1
             return False
         delay = Duration(sample.reading.received_at - sample.sampled_at)
-        self._learn(delay)
+        self.learn(delay)
         cause = None
         if delay > self._deadline:
             cause = DropoutCause.LATE
@@ -116,8 +116,11 @@ class DelayMeter:
         dropout = Dropout(place.sequence, Instant(place.due_at + self._deadline), DropoutCause.LOST)
         return Fate(place.sequence, dropout, UNKNOWN_DELAY)
 
-    def _learn(self, delay: Duration) -> None:
-        """Median by stochastic approximation: a step up or down, as long as a twentieth of the value."""
+    def learn(self, delay: Duration) -> None:
+        """Take a delay into :attr:`typical_delay`.
+
+        Median by stochastic approximation: a step up or down, as long as a twentieth of the value.
+        """
         if self._typical_ns == 0.0:
             self._typical_ns = float(delay)
             return

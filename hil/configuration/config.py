@@ -67,6 +67,9 @@ class Loop(Section):
     """A reading not there after so many periods is LOST."""
     actuation: Literal["on_arrival", "on_sync"] = "on_arrival"
     """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""
+    position_every_cycles: int = Field(default=1, ge=1, le=240)
+    """1: position and the drive's time stamp come with every reading. More: the position comes once in so
+    many cycles and is carried along by the speed in between, without a stamp; three drives then fit a bus."""
 
     @property
     def period(self) -> Duration:

@@ -26,11 +26,19 @@ class Limits(Section):
     torque_slew_max_nm_s: float | None = Field(default=None, gt=0)
     dropouts_consecutive_max: int = Field(default=100, ge=1)
     """With more cycles in a row without a reading the bench stops the drive."""
+    quick_stop_deceleration_rpm_s: float | None = Field(default=None, gt=0)
+    """What the drive stops with when it is told to, or misses the host (0x6085); its own if absent."""
 
     @property
     def speed_max_rad_s(self) -> float:
         """``speed_max_rpm`` in rad/s."""
         return self.speed_max_rpm * RAD_S_PER_RPM
+
+    @property
+    def quick_stop_deceleration_rad_s2(self) -> float | None:
+        """``quick_stop_deceleration_rpm_s`` in rad/s^2."""
+        wanted = self.quick_stop_deceleration_rpm_s
+        return None if wanted is None else wanted * RAD_S_PER_RPM
 
 
 class ArrivalCompensator(Section):
@@ -83,6 +91,10 @@ class Drive(Section):
     motor: MotorFile = Field(description="the path of a motor file, or its tables inline")
     eds: str | None = None
     """Electronic data sheet of a real drive, relative to the bench file."""
+    heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
+    """Period of the drive's own heartbeat (0x1017)."""
+    heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)
+    """A drive that is silent for so long counts as lost."""
     simulation: Simulation = Simulation()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: Compensator = ArrivalCompensator(kind="arrival")

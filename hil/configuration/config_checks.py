@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
-from drivers.pdo import torque_plan
+from drivers.pdo_plans import torque_plan
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive, StampCompensator, peak_speed_rpm
 from hil.configuration.key_advice import nearest
@@ -56,6 +56,12 @@ def _times(config: BenchConfig) -> Iterator[Fault]:
         expected = f"more than host.heartbeat_ms = {host.heartbeat_ms}"
         remedy = f"{3 * host.heartbeat_ms} rides over two lost heartbeats"
         yield "host.heartbeat_timeout_ms", host.heartbeat_timeout_ms, expected, remedy
+    for axis in config.axes:
+        drive = config.drive[axis]
+        if drive.heartbeat_timeout_ms <= drive.heartbeat_ms:
+            expected = f"more than drive.{axis}.heartbeat_ms = {drive.heartbeat_ms}"
+            remedy = f"{3 * drive.heartbeat_ms} rides over two lost heartbeats"
+            yield f"drive.{axis}.heartbeat_timeout_ms", drive.heartbeat_timeout_ms, expected, remedy
     if config.bench.duration_s * 1e6 < loop.period_us:
         yield "bench.duration_s", config.bench.duration_s, "at least one loop.period_us", ""
     for axis in config.axes:
@@ -67,15 +73,22 @@ def _times(config: BenchConfig) -> Iterator[Fault]:
 
 def _bus(config: BenchConfig) -> Iterator[Fault]:
     """The frames of a cycle must fit into it, if only just: stuff bits and other traffic come on top."""
-    plans = [torque_plan(config.drive[axis].node, device_stamp=True) for axis in config.axes]
-    lengths = [0, *(length for plan in plans for length in plan.frame_lengths)]
-    bits = sum(FRAME_BITS_WITHOUT_DATA + 8 * length for length in lengths)
+    every = config.loop.position_every_cycles
+    plans = [
+        torque_plan(config.drive[axis].node, device_stamp=True, position_every_cycles=every)
+        for axis in config.axes
+    ]
+    frames = [(0, 1.0), *(frame for plan in plans for frame in plan.frames_a_cycle)]
+    bits = sum(share * (FRAME_BITS_WITHOUT_DATA + 8 * length) for length, share in frames)
     least_us = math.ceil(bits * 1e6 / config.bus.bitrate_bit_s)
     if config.loop.period_us < least_us:
         expected = (
             f"at least {least_us}, which {len(plans)} drive(s) take at {config.bus.bitrate_bit_s} bit/s"
         )
-        yield "loop.period_us", config.loop.period_us, expected, "raise loop.period_us or bus.bitrate_bit_s"
+        remedy = "raise loop.period_us or bus.bitrate_bit_s"
+        if every == 1:
+            remedy += ", or set loop.position_every_cycles = 10"
+        yield "loop.period_us", config.loop.period_us, expected, remedy
 
 
 def _limits(config: BenchConfig) -> Iterator[Fault]:

@@ -21,9 +21,10 @@ from virtual_bus.fault_injection.fault_plan import FaultPlan, FrameClass, Indepe
 from virtual_bus.fault_injection.faulty_bus import FaultyBus
 from virtual_bus.faults import FaultInjector
 from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment, SimulatedBus
+from virtual_bus.segment import Segment
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MOTOR = PmsmParameters(
@@ -182,6 +183,16 @@ def test_synchronous_set_points_act_too(bench: Bench) -> None:
     assert bench.drive.plan.rpdos[0].synchronous
     assert bench.run(50, 1.0)[-1].velocity_rad_s > 30.0
     assert bench.drive.release().at_rest
+
+
+def test_a_seldom_position_agrees_with_one_of_every_cycle(bench: Bench) -> None:
+    bench.enable(replace(SETTINGS, position_every_cycles=10))
+    readings = bench.run(200, 1.0)
+    assert [reading.sequence for reading in readings] == list(range(1, 201))
+    # Between two positions the error grows by what the speed changes: 1.2 rad/s a cycle, ten cycles.
+    counts = bench.device.drive.objects.position.value
+    assert readings[-1].position_rad == pytest.approx(counts * math.tau / 65536, abs=0.3)
+    assert {reading.device_time_ns for reading in readings} == {None}
 
 
 def test_nobody_at_another_node_id(bench: Bench) -> None:

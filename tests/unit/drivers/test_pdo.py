@@ -14,9 +14,9 @@ from drivers.pdo import (
     bus_load_percent_max,
     differences,
     frame_bits_max,
-    torque_plan,
     write_plan,
 )
+from drivers.pdo_plans import torque_plan
 from drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
@@ -45,6 +45,24 @@ def test_codec_is_little_endian_without_padding() -> None:
     codec = PLAN.tpdos[0].codec()
     assert codec.size == 8
     assert codec.unpack(bytes.fromhex("2702102700009cff")) == (0x0227, 10000, -100)
+
+
+def test_a_seldom_position_leaves_room_on_the_bus() -> None:
+    plans = [torque_plan(node, device_stamp=True, position_every_cycles=10) for node in (1, 2, 3)]
+    position = plans[0].tpdos[1]
+    assert [entry.index for entry in position.entries] == [0x6064]
+    assert position.transmission_type == 10
+    # SYNC 55, and three times 135 + 95 / 10 + 95 bits a millisecond.
+    load = bus_load_percent_max(plans, Duration(NS_PER_MS), 1_000_000)
+    assert load == pytest.approx((55 + 3 * (135 + 9.5 + 95)) / 10)
+    whole = [torque_plan(node, device_stamp=True) for node in (1, 2, 3)]
+    assert bus_load_percent_max(whole, Duration(NS_PER_MS), 1_000_000) > 100.0
+
+
+@pytest.mark.parametrize("cycles", [0, 241])
+def test_a_position_is_sent_every_1_to_240_syncs(cycles: int) -> None:
+    with pytest.raises(ValueError, match=r"in 1\.\.240"):
+        torque_plan(1, device_stamp=True, position_every_cycles=cycles)
 
 
 def test_mapping_word() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.network import CanopenNetwork
-from drivers.pdo import torque_plan
+from drivers.pdo_plans import torque_plan
 from drivers.readings import ReadingAssembler, Seen
 from drivers.scaling import Scaling
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
@@ -149,3 +149,39 @@ def test_a_plan_without_position_is_refused() -> None:
     with pytest.raises(ValueError, match="6064h"):
         ReadingAssembler(network, short, SCALING, PERIOD, Seen())
     bus.shutdown()
+
+
+class SeldomRig:
+    """A position every fourth SYNC; each SYNC is really sent, so that the gaps are known."""
+
+    def __init__(self) -> None:
+        self.bus, self.network = make_network()
+        self.plan = torque_plan(1, device_stamp=True, position_every_cycles=4)
+        scaling = Scaling(0.001, 1.0, 1.0, 1000.0, 1.0)
+        self.assembler = ReadingAssembler(self.network, self.plan, scaling, PERIOD, Seen())
+
+    def cycle(self, velocity: int | None, position: int | None = None) -> float | None:
+        """Position of the reading of this cycle; None if there is none."""
+        self.network.send_sync()
+        if velocity is not None:
+            self.bus.deliver(0x181, self.plan.tpdos[0].codec().pack(0x0227, velocity, 0), 130 * NS_PER_US)
+        if position is not None:
+            self.bus.deliver(0x281, self.plan.tpdos[1].codec().pack(position), 260 * NS_PER_US)
+        self.network.pump(self.network.deadline_after(PERIOD))
+        readings = self.assembler.take()
+        assert all(reading.device_time_ns is None for reading in readings)
+        return readings[0].position_rad if readings else None
+
+
+def test_a_position_that_comes_seldom_is_carried_along_by_the_speed() -> None:
+    rig = SeldomRig()
+    rig.assembler.anchor_position(5000)
+    assert rig.cycle(100) == pytest.approx(5.1)
+    assert rig.cycle(100, position=5200) == pytest.approx(5.2)
+    assert rig.cycle(200) == pytest.approx(5.4)
+    assert rig.cycle(None) is None
+    assert rig.cycle(200) == pytest.approx(5.8), "a lost reading leaves no gap in the way"
+    assert rig.cycle(200, position=7000) == pytest.approx(6.0)
+    assert rig.cycle(0) == pytest.approx(7.0)
+    assert rig.assembler.incomplete == rig.assembler.incoherent == 0
+    rig.bus.shutdown()

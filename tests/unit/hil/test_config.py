@@ -55,6 +55,22 @@ def only_error_of(raw: dict[str, Any]) -> BadInput:
     return errors[0]
 
 
+def test_a_bus_that_is_too_narrow_names_the_seldom_position() -> None:
+    raw = tomllib.loads((EXAMPLES / "three_axes.toml").read_text())
+    raw["loop"] |= {"period_us": 900, "decide_after_us": 600}
+    load(raw)
+    del raw["loop"]["position_every_cycles"]
+    error = only_error_of(raw)
+    assert error.key == "loop.period_us"
+    assert "set loop.position_every_cycles = 10" in error.remedy
+
+
+def test_a_drives_heartbeat_must_fit_its_time_out() -> None:
+    error = only_error_of(edited("drive", "axis1", "heartbeat_timeout_ms", value=50))
+    assert error.key == "drive.axis1.heartbeat_timeout_ms"
+    assert error.expected == "more than drive.axis1.heartbeat_ms = 50"
+
+
 @pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.toml")))
 def test_every_example_loads(name: str) -> None:
     config = load_bench(EXAMPLES / name)
