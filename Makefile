@@ -6,6 +6,8 @@
 #   make test        the tests that need no SocketCAN
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make bench       print the benchmarks' figures
+#   make compile     compile the hot modules; demo, test and bench do it by themselves
+#   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command: the same)
 #   make lock        renew the lock files from pyproject.toml (UPGRADE=1: newest versions)
 #   make clean       remove the virtual environment and the tools' caches
 
@@ -19,7 +21,7 @@ TOOLS   := $(VENV)/.tools
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo check format test test-vcan bench lock clean
+.PHONY: help setup compile pure demo check format test test-vcan bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -45,7 +47,21 @@ $(TOOLS): requirements-dev.lock $(RUNTIME)
 	@$(BIN)/pip install --quiet --require-hashes -r requirements-dev.lock
 	@touch $@
 
-demo: $(RUNTIME)
+# Whether a build is needed is decided by the digests of the sources, not by the ages of files.
+compile: $(RUNTIME)
+ifdef SERVOBENCH_PURE
+	@$(BIN)/python setup.py remove
+else
+	@mkdir -p build
+	@SERVOBENCH_COMPILE=1 $(BIN)/python setup.py --quiet build_ext --inplace 2>build/compile.log || { \
+	  cat build/compile.log; echo "The hot modules do not compile; SERVOBENCH_PURE=1 runs them interpreted" >&2; \
+	  $(BIN)/python setup.py remove; exit 1; }
+endif
+
+pure: $(RUNTIME)
+	@$(BIN)/python setup.py remove
+
+demo: compile
 	@$(BIN)/hil run examples/ling2012.toml
 
 check: $(TOOLS)
@@ -58,23 +74,25 @@ format: $(TOOLS)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-test: $(TOOLS)
+test: $(TOOLS) compile
 	$(BIN)/pytest --ignore=tests/vcan
 
-test-vcan: $(TOOLS)
+test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
 
-bench: $(TOOLS)
+bench: $(TOOLS) compile
 	@for file in tests/benchmarks/bench_*.py; do $(BIN)/python "$$file" || exit; done
 
 # The build backend is in the lock too: the editable install runs without build isolation.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
           --no-annotate --custom-compile-command "make lock" $(if $(UPGRADE),--upgrade)
-BACKEND = import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])
+BACKEND = import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
 
 lock: $(TOOLS)
 	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) -o requirements.lock pyproject.toml -
 	$(COMPILE) --group dev -c requirements.lock -o requirements-dev.lock
 
 clean:
+	find design drivers hil virtual_bus -name '*.so' -delete
+	rm -f drivers/compiled.json
 	rm -rf $(VENV) build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

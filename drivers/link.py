@@ -1,16 +1,16 @@
 """Frames in and out of a python-can bus, stamped on the bench's clock.
 
-A bus may offer, beside python-can's ``recv`` and ``send``, the lean path: ``recv_frame`` and ``send_frame``
-on plain tuples, whose stamps are on the bench's axis already. It is used where it is there.
+The lean path of a bus (:mod:`drivers.lean_bus`) is used where it is there.
 """
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Literal, NamedTuple, NoReturn, Protocol, runtime_checkable
+from typing import Literal, NoReturn
 
 import can
 
 from drivers.errors import BusDown
+from drivers.lean_bus import LeanBus, WireFrame
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, wall_clock_offset
 
 Direction = Literal["tx", "rx"]
@@ -19,29 +19,6 @@ Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
 
 Received = tuple[int, bytes, Instant]
 """Identifier, data, and the bus's stamp of the frame."""
-
-
-class WireFrame(NamedTuple):
-    """A classical CAN frame on the lean path; the fields in this order are all that the path relies on."""
-
-    can_id: int
-    data: bytes = b""
-    extended: bool = False
-    remote: bool = False
-    remote_length: int = 0
-
-
-@runtime_checkable
-class LeanBus(Protocol):
-    """The lean path of a bus."""
-
-    def recv_frame(self, until: Instant) -> tuple[tuple[int, bytes, bool, bool, int], Instant] | None:
-        """The next frame and its stamp on the bench's axis; None once ``until`` has come."""
-        ...
-
-    def send_frame(self, frame: WireFrame) -> None:
-        """Queue a frame for sending."""
-        ...
 
 
 class StampSource(Enum):

@@ -1,6 +1,6 @@
 """CANopen master that its caller pumps: no thread, no Notifier, no clock but the bench's.
 
-Frames are handled only inside :meth:`CanopenNetwork.pump` and :meth:`CanopenNetwork.pump_one`; whatever waits
+Frames are handled only inside ``CanopenNetwork.pump`` and ``CanopenNetwork.pump_one``; whatever waits
 (an SDO transfer, a drive's state change) waits by calling them. So the same code serves simulated time,
 the hub and a real bus. The cyclic path has its own dispatch table in front of canopen's subscribers.
 """
@@ -13,6 +13,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from drivers.errors import NoAnswer, TransferAborted
+from drivers.frame_pump import NEVER, FramePump, Handler
 from drivers.link import BusLink
 from drivers.nmt import Emergency, NmtCommand, NodeStatus, parse_emergency
 from drivers.sdo import (
@@ -26,7 +27,6 @@ from drivers.sdo import (
 )
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 
-SYNC = 0x080
 EMERGENCY = 0x080
 ERROR_CONTROL = 0x700
 MASTER_NODE_ID = 127
@@ -34,8 +34,6 @@ NODE_ID_MAX = 127
 SDO_ATTEMPTS = 6
 """Requests sent before a node is given up."""
 
-Handler = Callable[[bytes, Instant], None]
-_NEVER = Instant(1 << 62)
 _OPERATIONAL = b"\x05"
 
 
@@ -52,7 +50,6 @@ class CanopenNetwork(canopen.Network):
         self.clock = clock
         self.node_id = node_id
         """The master's own, for its heartbeat."""
-        self.sync_count = 0
         self.emergencies: deque[Emergency] = deque(maxlen=1000)
         self.emergencies_seen = 0
         self.sdo_timeout_s = 0.2
@@ -62,40 +59,26 @@ class CanopenNetwork(canopen.Network):
         self._status: dict[int, NodeStatus] = {}
         self._clients: dict[int, PumpedSdoClient] = {}
         self._posts: dict[int, DownloadPost] = {}
-        self._handlers: dict[int, Handler] = {}
+        self._pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
+        self.pump: Callable[[Instant], None] = pump.pump
+        """See :meth:`FramePump.pump`."""
+        self.pump_one: Callable[[Instant], bool] = pump.pump_one
+        """See :meth:`FramePump.pump_one`."""
+        self.send_sync: Callable[[], Instant] = pump.send_sync
+        """See :meth:`FramePump.send_sync`."""
         self._heartbeat_period_ns = Duration(0)
-        self._heartbeat_due = _NEVER
-        self._housekeeping_at = _NEVER
+        self._heartbeat_due = NEVER
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
 
     # ---- time -----------------------------------------------------------------------------------------
 
-    def pump(self, until: Instant) -> None:
-        """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.
+    @property
+    def sync_count(self) -> int:
+        """SYNCs sent."""
+        return self._pump.sync_count
 
-        Frames that are waiting already are handled in either case.
-        """
-        while self.pump_one(until):
-            pass
-
-    def pump_one(self, until: Instant) -> bool:
-        """Handle the next frame and return True; False once ``until`` has come without one."""
-        while True:
-            due = self._housekeeping_at
-            received = self.link.recv(until if until < due else due)
-            if received is not None:
-                can_id, data, at = received
-                handler = self._handlers.get(can_id)
-                if handler is not None:
-                    handler(data, at)
-                else:
-                    self.notify(can_id, bytearray(data), at / NS_PER_S)
-                if at >= self._housekeeping_at:
-                    self._keep_house(at)
-                return True
-            if due > until:
-                return False
-            self._keep_house(max(due, self.clock.now()))
+    def _tell_canopen(self, can_id: int, data: bytes, at: Instant) -> None:
+        self.notify(can_id, bytearray(data), at / NS_PER_S)
 
     def deadline_after(self, duration: Duration) -> Instant:
         """The instant ``duration`` from now."""
@@ -109,11 +92,6 @@ class CanopenNetwork(canopen.Network):
             raise ValueError("this master sends no remote frames (CiA 301 advises against them)")
         self.link.send(can_id, bytes(data))
 
-    def send_sync(self) -> Instant:
-        """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
-        self.sync_count += 1
-        return self.link.send(SYNC, b"")
-
     def command(self, command: NmtCommand, node_id: int = 0) -> Instant:
         """Send an NMT command to a node; to all nodes with ``node_id`` 0 (CiA 301 7.2.8.2.1)."""
         return self.link.send(0x000, bytes((command, node_id)))
@@ -124,7 +102,7 @@ class CanopenNetwork(canopen.Network):
         It is sent by the pump, so a master that stops pumping stops its heartbeat: that is its purpose.
         """
         self._heartbeat_period_ns = period_ns
-        self._heartbeat_due = self.clock.now() if period_ns else _NEVER
+        self._heartbeat_due = self.clock.now() if period_ns else NEVER
         self._keep_house(self.clock.now())
 
     @property
@@ -152,11 +130,11 @@ class CanopenNetwork(canopen.Network):
 
     def listen(self, can_id: int, handler: Handler) -> None:
         """Have ``handler(data, at)`` take all frames of this identifier, before canopen's subscribers."""
-        self._handlers[can_id] = handler
+        self._pump.handlers[can_id] = handler
 
     def unlisten(self, can_id: int) -> None:
         """Undo :meth:`listen`."""
-        self._handlers.pop(can_id, None)
+        self._pump.handlers.pop(can_id, None)
 
     def on_emergency(self, listener: Callable[[Emergency], None]) -> None:
         """Have ``listener`` told of every EMCY from a node whose :meth:`status` is followed."""
@@ -220,7 +198,7 @@ class CanopenNetwork(canopen.Network):
 
     def disconnect(self) -> None:
         """Leave the bus to its owner; only this object's services end."""
-        self._heartbeat_due = self._housekeeping_at = _NEVER
+        self._heartbeat_due = self._pump.housekeeping_at = NEVER
 
     def _post(self, node_id: int) -> DownloadPost:
         post = self._posts.get(node_id)
@@ -301,4 +279,4 @@ class CanopenNetwork(canopen.Network):
         for post in self._posts.values():
             if post.in_flight is not None and post.in_flight.deadline < due:
                 due = post.in_flight.deadline
-        self._housekeeping_at = due
+        self._pump.housekeeping_at = due

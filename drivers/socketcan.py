@@ -8,7 +8,7 @@ from typing import Any
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-from drivers.link import WireFrame
+from drivers.lean_bus import WireFrame
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, MonotonicClock, wall_clock_offset
 
 RECEIVE_BUFFER_BYTES = 4 << 20

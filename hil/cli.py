@@ -11,7 +11,9 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import ExitStatus, reported_errors
+from drivers.errors import BadInput
+from hil.machine.compiled import require_fresh
+from hil.terminal.exit_status import ExitStatus, complain, reported_errors
 
 app = typer.Typer(
     name="hil",
@@ -176,6 +178,10 @@ def doctor(as_json: JsonOption = False) -> None:
 
 def main() -> None:
     """Entry point of the command ``hil``."""
+    try:
+        require_fresh()
+    except BadInput as error:
+        sys.exit(complain(error))
     app()
 
 

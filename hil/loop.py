@@ -33,7 +33,10 @@ class Actuation(Enum):
 class Master(Protocol):
     """What the loop needs of the CANopen master."""
 
-    sync_count: int
+    @property
+    def sync_count(self) -> int:
+        """SYNCs sent."""
+        ...
 
     def send_sync(self) -> Instant:
         """Send a SYNC; when it was handed to the bus."""

@@ -16,7 +16,8 @@ from virtual_bus.faults import FaultInjector
 from virtual_bus.frame import Device, Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.pacing import PacedTimeline
-from virtual_bus.segment import Segment, SimulatedBus
+from virtual_bus.segment import Segment
+from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 

@@ -11,19 +11,15 @@ not depend on the order of events within an instant.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from heapq import heappop, heappush
 
 import can
-from can.typechecking import CanFilters
 
-from drivers.timebase import Duration, Instant, instant_after
+from drivers.timebase import Duration, Instant
 from virtual_bus.can_bus.arbitration import arbitration_key
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, LONGEST_FRAME_BITS, bits_duration, wire_bits
 from virtual_bus.can_bus.bus_load import BusLoad
-from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
-from virtual_bus.can_bus.filters import accepts
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
@@ -209,131 +205,3 @@ class Segment:
             if contenders:
                 key, _, port = heappop(contenders)
                 self._begin(key, port)
-
-
-RECEIVE_QUEUE_MAX = 65_536
-"""Frames that a simulated bus holds for its reader; later ones are lost and counted."""
-
-_NEVER = Instant(1 << 62)
-
-
-class _OwnFrame(tuple[Frame, Instant]):
-    """A received entry that came back to its sender."""
-
-
-class SimulatedBus(can.BusABC):
-    """python-can's view of a segment: ``can.Bus(interface="simulated", segment=segment)``.
-
-    Without ``segment`` it makes its own, on a timeline of its own. ``recv`` lets simulated
-    time pass until a frame is there; ``send`` queues at the present instant and lets none pass.
-    A message's timestamp is its end of frame in seconds of simulated time.
-    """
-
-    def __init__(
-        self,
-        channel: str | None = None,
-        can_filters: CanFilters | None = None,
-        *,
-        segment: Segment | None = None,
-        bitrate: int = 1_000_000,
-        receive_own_messages: bool = False,
-        **_: object,
-    ) -> None:
-        self.segment = segment if segment is not None else Segment(Timeline(), bitrate)
-        self.timeline = self.segment.timeline
-        self.channel_info = f"simulated segment, port {channel or 'host'}"
-        self.overruns = 0
-        """Frames lost because nobody fetched them."""
-        self._channel = channel
-        self._received: deque[tuple[Frame, Instant]] = deque()
-        self._port = self.segment.attach(channel or "host", self._store)
-        if receive_own_messages:
-            self._port.on_sent = self._store_own
-        super().__init__(channel or "", can_filters)
-
-    def recv_frame(self, until: Instant) -> tuple[Frame, Instant] | None:
-        """The next frame and its end of frame; None if there is none up to ``until``.
-
-        Time passes no further than to that frame, or to ``until``.
-        """
-        received = self._received
-        if received or self.timeline.run_until_filled(until, received):
-            return received.popleft()
-        return None
-
-    def send_frame(self, frame: Frame) -> None:
-        """Queue ``frame`` now. Raises can.CanOperationError if the transmit queue is full."""
-        self._port.send(frame)
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next message; None after ``timeout`` seconds of simulated time.
-
-        Raises can.CanOperationError if the bus is shut down, and without a timeout also if
-        no event is left that could bring a frame.
-        """
-        if self._is_shutdown:
-            raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
-        if timeout is None:
-            self._step_until(lambda: bool(self._received), _NEVER)
-            if not self._received:
-                raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
-        received = self.recv_frame(instant_after(self.timeline.now, max(timeout or 0.0, 0.0)))
-        if received is None:
-            return None
-        return message_of(*received, is_rx=not isinstance(received, _OwnFrame), channel=self._channel)
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue ``msg`` now; if the queue is full, let up to ``timeout`` seconds pass for a free place.
-
-        Raises can.CanOperationError if the queue stays full, the bus is shut down or the
-        message is none of classical CAN.
-        """
-        frame = frame_of(msg)
-        port = self._port
-        if timeout and port.pending >= TRANSMIT_QUEUE_MAX:
-            limit = instant_after(self.timeline.now, timeout)
-            self._step_until(lambda: port.pending < TRANSMIT_QUEUE_MAX, limit)
-        port.send(frame)
-
-    def shutdown(self) -> None:
-        """Leave the segment; frames already queued still go out as its time passes."""
-        super().shutdown()
-        self._port.detach()
-
-    def _step_until(self, done: Callable[[], bool], limit: Instant) -> None:
-        timeline = self.timeline
-        while not done():
-            upcoming = timeline.next_at()
-            if upcoming is None or upcoming > limit:
-                return
-            timeline.step()
-
-    def _store(self, frame: Frame, at: Instant) -> None:
-        if self._filters is None and len(self._received) < RECEIVE_QUEUE_MAX:
-            self._received.append((frame, at))
-        else:
-            self._keep((frame, at))
-
-    def _store_own(self, frame: Frame, at: Instant) -> None:
-        self._keep(_OwnFrame((frame, at)))
-
-    def _keep(self, entry: tuple[Frame, Instant]) -> None:
-        if self._filters is not None and not accepts(self._filters, entry[0]):
-            return
-        if len(self._received) < RECEIVE_QUEUE_MAX:
-            self._received.append(entry)
-        else:
-            self.overruns += 1
-
-    def _send_periodic_internal(
-        self,
-        msgs: Sequence[can.Message] | can.Message,
-        period: float,
-        duration: float | None = None,
-        autostart: bool = True,
-        modifier_callback: Callable[[can.Message], None] | None = None,
-    ) -> TimelineCyclicTask:
-        task = TimelineCyclicTask(self.timeline, self.send, msgs, period, duration, modifier_callback)
-        if autostart:
-            task.start()
-        return task

@@ -6,6 +6,7 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
 """
 
 import math
+from typing import cast
 
 from design.motor import PmsmParameters
 from drivers.objects402 import Object
@@ -82,9 +83,10 @@ class ServoApplication(Application):
         self.motor = motor
         self.drive = drive
         self.firmware = Firmware(motor, drive)
-        self._state = self.firmware.state.data  # gives plain floats, which an array does not
+        # gives plain floats, which an array does not; numpy's stubs call every buffer one of integers
+        self._state = cast("memoryview[float]", self.firmware.state.data)
         self._demand = self.firmware.demand
-        self.wake_at: Instant = Instant(0)
+        self.wake_at = Instant(0)
         self._powered = False
         self._motion = Motion.OFF
         self._revision = -1
@@ -136,7 +138,8 @@ class ServoApplication(Application):
 
     def advance(self, now: Instant) -> None:
         if not self.firmware.advance_to(now):
-            if self.wake_at <= now:
+            due = self.wake_at
+            if due is not None and due <= now:
                 self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
             return
         power = self.power

@@ -33,8 +33,7 @@ def reported_errors() -> Iterator[None]:
     try:
         yield
     except BenchError as error:
-        print(error_text(error), file=sys.stderr)
-        raise typer.Exit(error.exit_status) from None
+        raise typer.Exit(complain(error)) from None
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise typer.Exit(ExitStatus.INTERRUPTED) from None
@@ -43,6 +42,12 @@ def reported_errors() -> Iterator[None]:
     except Exception:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
         traceback.print_exc()
         raise typer.Exit(ExitStatus.DEFECT) from None
+
+
+def complain(error: BenchError) -> int:
+    """Print the error on stderr; the exit status that it asks for."""
+    print(error_text(error), file=sys.stderr)
+    return error.exit_status
 
 
 def error_text(error: BenchError) -> str:

@@ -8,7 +8,8 @@ import pytest
 
 from drivers.adapters import open_bus, parse_bus_spec, socketcan_links
 from drivers.errors import BusDown
-from drivers.link import BusLink, LeanBus, WireFrame
+from drivers.lean_bus import LeanBus, WireFrame
+from drivers.link import BusLink
 from drivers.socketcan import StampedSocketcanBus
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 

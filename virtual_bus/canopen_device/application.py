@@ -20,6 +20,8 @@ waiting are applied; ``on_sync``. So a TPDO shows the device just before the new
 from enum import Enum, IntFlag
 from typing import Protocol
 
+from mypy_extensions import mypyc_attr
+
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.nmt_state import NmtState as NmtState
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary, Variable
@@ -96,6 +98,7 @@ class DeviceServices(Protocol):
         ...
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Application:
     """A device's application; the base class is a device that does nothing. Override what is needed."""
 

@@ -2,8 +2,9 @@
 
 What the owner sends is lost, or held and put on the bus at its time; what the bus brings is lost,
 or held and handed over at its time. All that takes time is the inner bus's own ``recv``: there is
-no thread and no sleep, so a held frame goes out on time only while the owner is inside ``recv``
-(on a simulated bus the timeline sends it, wherever the owner is). One thread at a time may use it.
+no thread and no sleep, so a held frame goes out on time only while the owner is inside ``recv``.
+One thread at a time may use it. On a simulated bus the faults sit inside, at its own inbox and
+transmit queue, and its timeline lets go what is held, wherever the owner is.
 
 Only one side of a bus should wear the same plan, or every frame meets each fault twice. Leave
 ``receive_own_messages`` off: an echo would be taken for a frame from the other side.
@@ -11,7 +12,7 @@ Only one side of a bus should wear the same plan, or every frame meets each faul
 
 import contextlib
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from heapq import heappop, heappush
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
@@ -20,15 +21,13 @@ import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
-from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
+from virtual_bus.can_bus.host_port import HELD_MAX, Entry
 from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.faults import FOREVER, PASSED, Fate, FateSource
 from virtual_bus.frame import Frame
-from virtual_bus.timeline import Timeline
+from virtual_bus.simulated_bus import SimulatedBus
 
-HELD_MAX = 4096
-"""Frames held in one direction; one more is lost and counted as ``overflow``."""
 POLL_MAX = 4096
 """Frames looked at in one call after its deadline, so that a babbling bus cannot hold the caller."""
 
@@ -54,12 +53,16 @@ class FaultyBus(can.BusABC):
     the frame's stamp; None if unknown, then it counts from its receipt. Stamps stay on the axis
     of ``bus``: each is moved by the time for which its frame was held.
 
-    Given a :class:`LeanBus`, the constructor makes a :class:`LeanFaultyBus`.
+    Given a :class:`SimulatedBus`, the constructor makes a :class:`SimulatedFaultyBus`; given another
+    :class:`LeanBus`, a :class:`LeanFaultyBus`.
     """
 
     def __new__(cls, bus: can.BusABC, *_args: Any, **_kwargs: Any) -> Self:
-        lean = cls is FaultyBus and isinstance(bus, LeanBus)
-        chosen: Any = LeanFaultyBus if lean else cls
+        chosen: Any = cls
+        if cls is FaultyBus and isinstance(bus, SimulatedBus):
+            chosen = SimulatedFaultyBus
+        elif cls is FaultyBus and isinstance(bus, LeanBus):
+            chosen = LeanFaultyBus
         made: Self = super().__new__(chosen)
         return made
 
@@ -84,8 +87,6 @@ class FaultyBus(can.BusABC):
         self._order = 0
         self._seen_until: int = -FOREVER
         self._overflow = dict.fromkeys(Direction, 0)
-        self.timeline: Timeline | None = getattr(bus, "timeline", None)
-        """That of a simulated bus: it sends what is held at its time, wherever the owner is."""
         super().__init__(channel="", can_filters=bus.filters)
 
     def start(self, now: Instant) -> None:
@@ -178,7 +179,7 @@ class FaultyBus(can.BusABC):
                     return heappop(incoming)
                 if due < wait:
                     wait = due
-            if outgoing and self.timeline is None and outgoing[0][0] < wait:
+            if outgoing and outgoing[0][0] < wait:
                 wait = outgoing[0][0]
             if self._take(wait):
                 polled += now >= until
@@ -234,10 +235,7 @@ class FaultyBus(can.BusABC):
             self._overflow[self._out] += 1
             return
         self._order = order = self._order + 1
-        due = Instant(now + delay)
-        heappush(self._outgoing, (due, order, item, delay))
-        if self.timeline is not None:
-            self.timeline.call_at(due, self._send_due)
+        heappush(self._outgoing, (Instant(now + delay), order, item, delay))
 
     def _send_due(self, now: Instant) -> None:
         outgoing = self._outgoing
@@ -300,17 +298,43 @@ class LeanFaultyBus(FaultyBus):
     def _transmit(self, item: Frame) -> None:
         self.inner.send_frame(item)
 
-    def _send_periodic_internal(
+
+class SimulatedFaultyBus(FaultyBus):
+    """A :class:`FaultyBus` over a :class:`SimulatedBus`, whose port applies the faults itself."""
+
+    inner: SimulatedBus
+
+    def __init__(
         self,
-        msgs: Sequence[can.Message] | can.Message,
-        period: float,
-        duration: float | None = None,
-        autostart: bool = True,
-        modifier_callback: Callable[[can.Message], None] | None = None,
-    ) -> CyclicSendTaskABC:
-        if self.timeline is None:
-            return super()._send_periodic_internal(msgs, period)
-        task = TimelineCyclicTask(self.timeline, self.send, msgs, period, duration, modifier_callback)
-        if autostart:
-            task.start()
-        return task
+        bus: SimulatedBus,
+        injector: FateSource,
+        clock: Clock,
+        side: Side = "host",
+        stamp_offset: Duration | None = None,
+    ) -> None:
+        super().__init__(bus, injector, clock, side, stamp_offset)
+        self.timeline = bus.timeline
+        self._host_port = bus.host_port
+        self._host_port.put_before(injector, self._out)
+        self.recv_frame: Callable[[Instant], Entry | None] = bus.recv_frame
+        self.send_frame: Callable[[Frame], None] = bus.send_frame
+
+    def start(self, now: Instant) -> None:
+        self._host_port.overflow_in = self._host_port.overflow_out = 0
+        super().start(now)
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        self._overflow[self._out] = self._host_port.overflow_out
+        self._overflow[self._in] = self._host_port.overflow_in
+        return super().counts()
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        self._require_open()
+        return self.inner.recv(timeout)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._require_open()
+        self.inner.send(msg, timeout)
+
+    def _send_periodic_internal(self, *args: Any, **kwargs: Any) -> CyclicSendTaskABC:
+        return self.inner._send_periodic_internal(*args, **kwargs)

@@ -7,11 +7,13 @@ from typing import Any
 
 import can
 
-from drivers.link import BusLink, StampSource, WireFrame
+from drivers.lean_bus import WireFrame
+from drivers.link import BusLink, StampSource
 from drivers.network import CanopenNetwork
 from drivers.profile402 import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 
+PDOS = 4
 ANSWER_AFTER_NS = 100 * NS_PER_US
 MISSING, READ_ONLY, DEVICE_STATE = 0x06020000, 0x06010002, 0x08000022
 
@@ -129,7 +131,7 @@ class FakeServo:
         self.values: dict[tuple[int, int], int] = {place: INITIAL.get(place, 0) for place in TYPES}
         self.texts = {(0x1008, 0): b"Fake servo with a long name"}
         for base, mapping in ((0x1400, 0x1600), (0x1800, 0x1A00)):
-            for number in range(2):
+            for number in range(PDOS):
                 self._add_pdo(base + number, mapping + number)
         self.refuse: dict[tuple[int, int], int] = {}
         """Objects that refuse to be written, with the abort code."""
@@ -141,6 +143,8 @@ class FakeServo:
         self.lost_tpdos: set[int] = set()
         self.state = State.SWITCH_ON_DISABLED
         self.nmt_state = 0x7F
+        self.mode_status = 0
+        """Bits of the statusword that belong to the mode."""
         self.control_history: list[int] = []
         self.stop_ns = 5 * NS_PER_MS
         self._segments = b""
@@ -230,7 +234,7 @@ class FakeServo:
         return pack("<BHB", 0x43 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
 
     def _encoded(self, index: int, sub: int) -> bytes:
-        self.values[0x6041, 0] = STATUS_PATTERNS[self.state].value | 0x0200
+        self.values[0x6041, 0] = STATUS_PATTERNS[self.state].value | 0x0200 | self.mode_status
         self.values[0x1013, 0] = (self.bus.time // NS_PER_US) & 0xFFFFFFFF
         return pack("<" + self.types[index, sub], self.values[index, sub])
 
@@ -266,14 +270,14 @@ class FakeServo:
         return [(word >> 16, word >> 8 & 0xFF) for word in words]
 
     def _transmit(self) -> None:
-        for number in range(2):
+        for number in range(PDOS):
             cob_id = self.values[0x1800 + number, 1]
             if not cob_id >> 31 and number + 1 not in self.lost_tpdos:
                 data = b"".join(self._encoded(*place) for place in self._mapped(0x1A00 + number))
                 self.bus.deliver(cob_id & 0x7FF, data, (number + 1) * 130 * NS_PER_US)
 
     def _receive(self, frame: WireFrame) -> None:
-        for number in range(2):
+        for number in range(PDOS):
             if frame.can_id == self.values[0x1400 + number, 1]:
                 places = self._mapped(0x1600 + number)
                 codes = "<" + "".join(self.types[place] for place in places)

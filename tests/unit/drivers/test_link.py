@@ -7,7 +7,8 @@ import can
 import pytest
 
 from drivers.errors import BusDown
-from drivers.link import BusLink, LeanBus, StampSource
+from drivers.lean_bus import LeanBus
+from drivers.link import BusLink, StampSource
 from drivers.timebase import NS_PER_S, Instant, wall_clock_offset
 
 

@@ -13,7 +13,8 @@ from virtual_bus.canopen_device.device_options import DeviceOptions
 from virtual_bus.device import CanopenDevice
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment, serve
-from virtual_bus.segment import Segment, SimulatedBus
+from virtual_bus.segment import Segment
+from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MS = 1_000_000

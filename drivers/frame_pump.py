@@ -1,0 +1,69 @@
+"""The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
+
+from collections.abc import Callable
+
+from drivers.link import BusLink
+from drivers.timebase import Clock, Instant
+
+SYNC = 0x080
+NEVER = Instant(1 << 62)
+
+Handler = Callable[[bytes, Instant], None]
+"""Takes the data of a frame and its instant."""
+
+
+class FramePump:
+    """Lets time pass on ``link`` and hands out what comes.
+
+    ``others(can_id, data, at)`` gets the frames that no entry of ``handlers`` takes; ``keep_house(now)``
+    is called when ``housekeeping_at`` has come, and sets it anew.
+    """
+
+    def __init__(
+        self,
+        link: BusLink,
+        clock: Clock,
+        others: Callable[[int, bytes, Instant], None],
+        keep_house: Callable[[Instant], None],
+    ) -> None:
+        self.sync_count = 0
+        """SYNCs sent."""
+        self.handlers: dict[int, Handler] = {}
+        self.housekeeping_at: Instant = NEVER
+        self._link = link
+        self._clock = clock
+        self._others = others
+        self._keep_house = keep_house
+
+    def pump(self, until: Instant) -> None:
+        """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.
+
+        Frames that are waiting already are handled in either case.
+        """
+        while self.pump_one(until):
+            pass
+
+    def pump_one(self, until: Instant) -> bool:
+        """Handle the next frame and return True; False once ``until`` has come without one."""
+        while True:
+            due = self.housekeeping_at
+            received = self._link.recv(until if until < due else due)
+            if received is not None:
+                can_id, data, at = received
+                handler = self.handlers.get(can_id)
+                if handler is not None:
+                    handler(data, at)
+                else:
+                    self._others(can_id, data, at)
+                if at >= self.housekeeping_at:
+                    self._keep_house(at)
+                return True
+            if due > until:
+                return False
+            now = self._clock.now()
+            self._keep_house(now if now > due else due)
+
+    def send_sync(self) -> Instant:
+        """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
+        self.sync_count += 1
+        return self._link.send(SYNC, b"")

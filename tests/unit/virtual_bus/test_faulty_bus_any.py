@@ -1,0 +1,157 @@
+"""Faults in front of a bus that has no timeline: any of python-can's."""
+
+from collections.abc import Iterator
+from uuid import uuid4
+
+import can
+import pytest
+
+from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from virtual_bus.fault_injection.fault_plan import (
+    Direction,
+    Fault,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Selection,
+)
+from virtual_bus.fault_injection.fault_plan import UniformDelay as Delay
+from virtual_bus.fault_injection.faulty_bus import (
+    FaultyBus,
+)
+from virtual_bus.faults import FaultInjector
+
+OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
+TPDO, RPDO = 0x181, 0x201
+MS = 1_000_000
+LOSS = IndependentLoss(probability=1.0)
+FRAME_NS = 47_000 + 3_000
+"""More than an empty frame takes at 1 Mbit/s, at most 5 stuff bits included."""
+
+
+def delay(least: int, most: int | None = None, reorder: bool = False, *ways: Direction) -> Delay:
+    selection = Selection(directions=ways or (OUT, IN))
+    most_ns = Duration(least if most is None else most)
+    return Delay(min_ns=Duration(least), max_ns=most_ns, reorder=reorder, selection=selection)
+
+
+@pytest.fixture
+def virtual() -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    """Two ends of python-can's own bus of queues: wall-clock stamps, real waiting."""
+    channel = f"faults-{uuid4().hex}"
+    with (
+        can.Bus(interface="virtual", channel=channel) as host,
+        can.Bus(interface="virtual", channel=channel) as peer,
+    ):
+        yield host, peer
+
+
+def over_virtual(inner: can.BusABC, *faults: Fault) -> FaultyBus:
+    clock = MonotonicClock()
+    bus = FaultyBus(inner, FaultInjector(FaultPlan(faults), 3), clock)
+    bus.start(clock.now())
+    return bus
+
+
+def message_of(can_id: int, data: bytes = b"") -> can.Message:
+    return can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
+
+
+def test_any_python_can_bus_holds_what_it_receives(virtual: tuple[can.BusABC, can.BusABC]) -> None:
+    inner, peer = virtual
+    bus = over_virtual(inner, delay(3 * MS))
+    assert not hasattr(bus, "recv_frame")
+    peer.send(message_of(TPDO, b"\7"))
+    sent = MonotonicClock().now()
+    assert bus.recv(0) is None
+    message = bus.recv(1.0)
+    assert message is not None
+    assert bytes(message.data) == b"\7"
+    assert MonotonicClock().now() - sent >= 3 * MS
+    bus.shutdown()
+
+
+class ScriptedBus(can.BusABC):
+    """A bus that stamps on an axis of its own, with the clock that its waiting moves."""
+
+    def __init__(self, arrivals: list[int], stamp_offset: int) -> None:
+        self._now = Instant(0)
+        self._arrivals = arrivals
+        self._stamp_offset = stamp_offset
+        super().__init__(channel="scripted")
+
+    def now(self) -> Instant:
+        return self._now
+
+    def sleep_until(self, when: Instant) -> None:
+        self._now = max(self._now, when)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        until = self._now + round((timeout or 0.0) * NS_PER_S)
+        if not self._arrivals or self._arrivals[0] > until:
+            self._now = Instant(until)
+            return None
+        came = self._arrivals.pop(0)
+        self._now = max(self._now, Instant(came))
+        message = message_of(TPDO)
+        message.timestamp = (came + self._stamp_offset) / NS_PER_S
+        return message
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("offset", "stamps_ms", "handed_over_ms"),
+    [(Duration(100 * NS_PER_S), [3, 5], [4, 5]), (None, [3, 6], [6, 6])],
+    ids=["stamps on a known axis", "stamps on an unknown axis"],
+)
+def test_a_delay_counts_from_the_stamp_if_its_axis_is_known_and_else_from_receipt(
+    offset: Duration | None, stamps_ms: list[int], handed_over_ms: list[int]
+) -> None:
+    """Frames at 1 ms and 5 ms, a delay of 2 ms until 4.5 ms, the owner away until 4 ms."""
+    inner = ScriptedBus([1 * MS, 5 * MS], 100 * NS_PER_S)
+    window = Selection(until_ns=Duration(4_500_000))
+    held = Delay(min_ns=Duration(2 * MS), max_ns=Duration(2 * MS), selection=window)
+    bus = FaultyBus(inner, FaultInjector(FaultPlan((held,)), 3), inner, "host", offset)
+    bus.start(Instant(0))
+    inner.sleep_until(Instant(4 * MS))
+    for stamp_ms, now_ms in zip(stamps_ms, handed_over_ms, strict=True):
+        message = bus.recv(0.01)
+        assert message is not None
+        assert message.timestamp == pytest.approx(100 + stamp_ms / 1000, abs=1e-7)
+        assert inner.now() == pytest.approx(now_ms * MS, abs=10)
+    bus.shutdown()
+
+
+def test_any_python_can_bus_loses_and_holds_what_is_sent(virtual: tuple[can.BusABC, can.BusABC]) -> None:
+    inner, peer = virtual
+    sync_loss = IndependentLoss(probability=1.0, selection=Selection(frames=(FrameClass.SYNC,)))
+    bus = over_virtual(inner, sync_loss, delay(3 * MS))
+    message = message_of(RPDO, b"\1")
+    bus.send(message_of(0x080))
+    bus.send(message)
+    message.data[0] = 99
+    assert peer.recv(0) is None
+    assert bus.recv(0.006) is None
+    got = peer.recv(0)
+    assert got is not None
+    assert (got.arbitration_id, bytes(got.data)) == (RPDO, b"\1")
+    assert peer.recv(0) is None
+    bus.shutdown()
+
+
+def test_periodic_sending_from_a_thread_is_refused(virtual: tuple[can.BusABC, can.BusABC]) -> None:
+    bus = over_virtual(virtual[0])
+    with pytest.raises(NotImplementedError, match="one thread"):
+        bus.send_periodic(message_of(0x080), 0.01)
+    bus.shutdown()
+
+
+def test_a_bus_that_fails_says_so_through_the_faults(virtual: tuple[can.BusABC, can.BusABC]) -> None:
+    bus = over_virtual(virtual[0], delay(MS))
+    bus.send(message_of(RPDO))
+    virtual[0].shutdown()
+    with pytest.raises(can.CanOperationError):
+        bus.recv(0.01)
+    bus.shutdown()

@@ -1,0 +1,151 @@
+"""A participant's place on a simulated segment: its inbox, its sending, and the faults in front of both.
+
+What comes in and what goes out can be given to a judge, who passes, loses or holds each frame. What
+is held waits on the segment's own timeline, so a fault costs one event and no polling:
+
+    segment -- end of frame --> judge -- at once, or at its release --> inbox -- recv_frame --> owner
+    owner -- send_frame --> judge -- at once, or at its release --> transmit queue --> segment
+"""
+
+from collections import deque
+from heapq import heappop, heappush
+
+from can.typechecking import CanFilters
+
+from drivers.timebase import Instant
+from virtual_bus.can_bus.filters import accepts
+from virtual_bus.fault_injection.fault_plan import Direction
+from virtual_bus.faults import FateSource
+from virtual_bus.frame import Frame
+from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+
+RECEIVE_QUEUE_MAX = 65_536
+"""Frames that an inbox holds for its reader; later ones are lost and counted."""
+HELD_MAX = 4096
+"""Frames held in one direction; one more is lost and counted."""
+
+Entry = tuple[Frame, Instant]
+"""A received frame and the instant at which it came."""
+
+
+class HostPort:
+    """One participant of ``segment``."""
+
+    def __init__(self, segment: Segment, name: str) -> None:
+        self.timeline = segment.timeline
+        self.received: deque[tuple[Frame, Instant, bool]] = deque()
+        self.last_is_own = False
+        """Whether the frame that was last fetched is one of its own that came back."""
+        self.overruns = 0
+        """Frames lost because nobody fetched them."""
+        self.filters: CanFilters | None = None
+        """Acceptance filters, in front of the faults."""
+        self.overflow_in = 0
+        self.overflow_out = 0
+        """Frames lost because too many were held."""
+        self._judge: FateSource | None = None
+        self._out = Direction.HOST_TO_DRIVE
+        self._in = Direction.DRIVE_TO_HOST
+        self._incoming: list[tuple[Instant, int, Frame]] = []
+        self._outgoing: list[tuple[Instant, int, Frame]] = []
+        self._order = 0
+        self._release_in = self._let_in
+        self._release_out = self._let_out
+        self.port: Port = segment.attach(name, self._on_frame)
+
+    def put_before(self, judge: FateSource, out: Direction) -> None:
+        """Let ``judge`` decide about every frame from now on; ``out``: the way of the frames sent here."""
+        self._judge = judge
+        self._out = out
+        into_drive = out is Direction.DRIVE_TO_HOST
+        self._in = Direction.HOST_TO_DRIVE if into_drive else Direction.DRIVE_TO_HOST
+
+    def recv_frame(self, until: Instant) -> Entry | None:
+        """The next frame and the instant at which it came; None if there is none up to ``until``.
+
+        Time passes no further than to that frame, or to ``until``.
+        """
+        received = self.received
+        if received or self.timeline.run_until_filled(until, received):
+            frame, at, self.last_is_own = received.popleft()
+            return frame, at
+        return None
+
+    def send_frame(self, frame: Frame) -> None:
+        """Queue ``frame`` now. Raises can.CanOperationError if the transmit queue is full."""
+        judge = self._judge
+        if judge is None:
+            self.port.send(frame)
+            return
+        now = self.timeline.now
+        dropped, delay = judge.fate(self._out, frame.can_id, now, frame.extended)
+        if dropped:
+            return
+        if delay == 0:
+            self.port.send(frame)
+        elif len(self._outgoing) >= HELD_MAX:
+            self.overflow_out += 1
+        else:
+            self._order += 1
+            due = Instant(now + delay)
+            heappush(self._outgoing, (due, self._order, frame))
+            self.timeline.post(due, self._release_out)
+
+    def flush(self) -> None:
+        """Forget what is held for sending."""
+        self._outgoing.clear()
+
+    def hear_itself(self) -> None:
+        """Let its own frames come back from now on; they meet no fault."""
+        self.port.on_sent = self._on_sent
+
+    def _on_sent(self, frame: Frame, at: Instant) -> None:
+        self._keep(frame, at, True)
+
+    def _keep(self, frame: Frame, at: Instant, own: bool = False) -> None:
+        """Put a frame into the inbox, if a filter lets it through and there is room."""
+        if self.filters is not None and not accepts(self.filters, frame):
+            return
+        if len(self.received) < RECEIVE_QUEUE_MAX:
+            self.received.append((frame, at, own))
+        else:
+            self.overruns += 1
+
+    def close(self) -> None:
+        """Send at once what is held and has room, as a last command may be among it; leave the segment."""
+        room = TRANSMIT_QUEUE_MAX - self.port.pending
+        while self._outgoing and room > 0:
+            self.port.send(heappop(self._outgoing)[2])
+            room -= 1
+        self._outgoing.clear()
+        self._incoming.clear()
+        self.port.detach()
+
+    def _on_frame(self, frame: Frame, at: Instant) -> None:
+        judge = self._judge
+        if judge is None or (self.filters is not None and not accepts(self.filters, frame)):
+            self._keep(frame, at)
+            return
+        dropped, delay = judge.fate(self._in, frame.can_id, at, frame.extended)
+        if dropped:
+            return
+        if delay == 0:
+            self._keep(frame, at)
+        elif len(self._incoming) >= HELD_MAX:
+            self.overflow_in += 1
+        else:
+            self._order += 1
+            due = Instant(at + delay)
+            heappush(self._incoming, (due, self._order, frame))
+            self.timeline.post(due, self._release_in)
+
+    def _let_in(self, now: Instant) -> None:
+        incoming = self._incoming
+        while incoming and incoming[0][0] <= now:
+            due, _, frame = heappop(incoming)
+            self._keep(frame, due)
+
+    def _let_out(self, now: Instant) -> None:
+        outgoing = self._outgoing
+        while outgoing and outgoing[0][0] <= now:
+            self.port.send(heappop(outgoing)[2])

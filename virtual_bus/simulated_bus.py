@@ -1,0 +1,120 @@
+"""python-can's view of a simulated segment."""
+
+from collections.abc import Callable, Sequence
+
+import can
+from can.typechecking import CanFilters
+
+from drivers.timebase import Instant, instant_after
+from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
+from virtual_bus.can_bus.host_port import Entry, HostPort
+from virtual_bus.can_bus.message import frame_of, message_of
+from virtual_bus.frame import Frame
+from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Segment
+from virtual_bus.timeline import Timeline
+
+_NEVER = Instant(1 << 62)
+
+
+class SimulatedBus(can.BusABC):
+    """``can.Bus(interface="simulated", segment=segment)``.
+
+    Without ``segment`` it makes its own, on a timeline of its own. ``recv`` lets simulated
+    time pass until a frame is there; ``send`` queues at the present instant and lets none pass.
+    A message's timestamp is its end of frame in seconds of simulated time, or that of its release
+    if a fault held it.
+    """
+
+    def __init__(
+        self,
+        channel: str | None = None,
+        can_filters: CanFilters | None = None,
+        *,
+        segment: Segment | None = None,
+        bitrate: int = 1_000_000,
+        receive_own_messages: bool = False,
+        **_: object,
+    ) -> None:
+        self.segment = segment if segment is not None else Segment(Timeline(), bitrate)
+        self.timeline = self.segment.timeline
+        self.channel_info = f"simulated segment, port {channel or 'host'}"
+        self._channel = channel
+        self.host_port = host_port = HostPort(self.segment, channel or "host")
+        self.recv_frame: Callable[[Instant], Entry | None] = host_port.recv_frame
+        """The lean path, without python-can: see :meth:`HostPort.recv_frame`."""
+        self.send_frame: Callable[[Frame], None] = host_port.send_frame
+        """See :meth:`HostPort.send_frame`."""
+        if receive_own_messages:
+            host_port.hear_itself()
+        super().__init__(channel or "", can_filters)
+
+    @property
+    def overruns(self) -> int:
+        """Frames lost because nobody fetched them."""
+        return self.host_port.overruns
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message; None after ``timeout`` seconds of simulated time.
+
+        Raises can.CanOperationError if the bus is shut down, and without a timeout also if
+        no event is left that could bring a frame.
+        """
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
+        inbox = self.host_port.received
+        if timeout is None:
+            self._step_until(lambda: bool(inbox), _NEVER)
+            if not inbox:
+                raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
+        received = self.recv_frame(instant_after(self.timeline.now, max(timeout or 0.0, 0.0)))
+        if received is None:
+            return None
+        return message_of(*received, is_rx=not self.host_port.last_is_own, channel=self._channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue ``msg`` now; if the queue is full, let up to ``timeout`` seconds pass for a free place.
+
+        Raises can.CanOperationError if the queue stays full, the bus is shut down or the
+        message is none of classical CAN.
+        """
+        frame = frame_of(msg)
+        port = self.host_port.port
+        if timeout and port.pending >= TRANSMIT_QUEUE_MAX:
+            limit = instant_after(self.timeline.now, timeout)
+            self._step_until(lambda: port.pending < TRANSMIT_QUEUE_MAX, limit)
+        self.send_frame(frame)
+
+    def flush_tx_buffer(self) -> None:
+        """Forget what a fault holds back from sending."""
+        self.host_port.flush()
+
+    def shutdown(self) -> None:
+        """Leave the segment; frames already queued still go out as its time passes."""
+        if self._is_shutdown:
+            return
+        super().shutdown()
+        self.host_port.close()
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self.host_port.filters = filters
+
+    def _step_until(self, done: Callable[[], bool], limit: Instant) -> None:
+        timeline = self.timeline
+        while not done():
+            upcoming = timeline.next_at()
+            if upcoming is None or upcoming > limit:
+                return
+            timeline.step()
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[can.Message], None] | None = None,
+    ) -> TimelineCyclicTask:
+        task = TimelineCyclicTask(self.timeline, self.send, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task
