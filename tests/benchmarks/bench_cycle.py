@@ -1,0 +1,184 @@
+"""How many times faster than real time a recorded bench with faults runs, and where a cycle's time goes.
+
+The whole: the example benches with one and three axes, in this checkout and, where its hot modules are
+compiled, in an interpreted copy beside it in the same run. The stages: layers of one axis put on each
+other, beside a loop of plain Python that shows how fast this machine is now.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from hil.configuration.motor_file import LING2012
+from hil.machine.compiled import MANIFEST, compiled_modules
+from virtual_bus.can_bus.host_port import HostPort
+from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.segment import Segment
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.timeline import Timeline
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("design", "drivers", "virtual_bus", "hil")
+BENCHES = {"1 axis": "ling2012.toml", "3 axes": "three_axes.toml"}
+DURATION_S = 10.0
+CYCLES = 5_000
+REPEATS = 3
+SYNC, RPDO = Frame(0x080), Frame(0x201, b"\x06\x00\x00\x00")
+RUN = "from hil.cli import main; main()"
+
+
+def main() -> None:
+    """Print two tables."""
+    compiled = bool(compiled_modules(ROOT))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        checkouts = {"compiled" if compiled else "interpreted": ROOT}
+        if compiled:
+            checkouts["interpreted"] = _interpreted_copy(folder / "interpreted")
+        _print_whole(checkouts, folder)
+    _print_stages()
+
+
+def _interpreted_copy(target: Path) -> Path:
+    leave_out = shutil.ignore_patterns("*.so", "__pycache__", Path(MANIFEST).name)
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, target / room, ignore=leave_out)
+    return target
+
+
+def _print_whole(checkouts: dict[str, Path], folder: Path) -> None:
+    print(f"{'whole bench, recorded':28} {'x real time':>12} {'us/cycle':>10}   x interpreted")
+    for title, bench in BENCHES.items():
+        source = ROOT / "examples" / bench
+        if not source.exists():
+            continue
+        factors = {
+            name: _best_factor(checkout, _long_bench(source, folder), folder / f"{title}-{name}")
+            for name, checkout in checkouts.items()
+        }
+        for name, factor in factors.items():
+            ratio = factor / factors["interpreted"]
+            print(f"{title + ', ' + name:28} {factor:12.1f} {1000 / factor:10.1f}   {ratio:8.1f}")
+
+
+def _long_bench(source: Path, folder: Path) -> Path:
+    examples = folder / "examples"
+    if not examples.exists():
+        shutil.copytree(source.parent, examples, ignore=shutil.ignore_patterns("drive_tests"))
+    lines = (examples / source.name).read_text().splitlines()
+    lines = [f"duration_s = {DURATION_S}" if line.startswith("duration_s") else line for line in lines]
+    long = examples / f"long-{source.name}"
+    long.write_text("\n".join(lines))
+    return long
+
+
+def _best_factor(checkout: Path, bench: Path, record: Path) -> float:
+    """The best of some runs: what disturbs a run only makes it slower."""
+    factors = []
+    for number in range(REPEATS):
+        done = subprocess.run(
+            [sys.executable, "-c", RUN, "run", str(bench), "--json", "--record", f"{record}-{number}"],
+            cwd=checkout,
+            env={**os.environ, "PYTHONPATH": str(checkout), "CI": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if not done.stdout:
+            raise SystemExit(done.stderr)
+        factors.append(float(json.loads(done.stdout)["realtime_factor"]))
+    return max(factors)
+
+
+def _print_stages() -> None:
+    plain = _cost_us(_plain_python)
+    print(f"\n{'time of one 1 kHz cycle':40} {'us':>8}   x plain Python")
+    stages: list[tuple[str, Callable[[int], None]]] = [
+        ("plain Python: 100 additions (baseline)", _plain_python),
+        ("segment: one frame sent and received", _frame_cycle()),
+        ("drive alone: SYNC, 2 TPDOs, RPDO", _drive_cycle()),
+        ("segment and drive", _bus_cycle()),
+    ]
+    for title, stage in stages:
+        cost = _cost_us(stage)
+        print(f"{title:40} {cost:8.2f}   {cost / plain:8.1f}")
+
+
+def _cost_us(stage: Callable[[int], None]) -> float:
+    clock = MonotonicClock()
+    costs = []
+    for _ in range(REPEATS):
+        began = clock.now()
+        stage(CYCLES)
+        costs.append((clock.now() - began) / CYCLES / (NS_PER_S / 1_000_000))
+    return min(costs)
+
+
+def _plain_python(cycles: int) -> None:
+    for _ in range(cycles):
+        total = 0
+        for value in range(100):
+            total += value
+
+
+def _frame_cycle() -> Callable[[int], None]:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    bus = HostPort(segment, "host")
+    peer = segment.attach("peer", lambda _frame, _at: None)
+    frame = Frame(0x181, bytes(range(8)))
+
+    def run(cycles: int) -> None:
+        for _ in range(cycles):
+            due = Instant(timeline.now + NS_PER_MS)
+            peer.send(frame)
+            bus.recv_frame(due)
+            timeline.run_until(due)
+
+    return run
+
+
+def _drive_cycle() -> Callable[[int], None]:
+    drive = SimulatedServo(1, LING2012.parameters)
+    drive.start(Instant(0))
+    drive.receive(Frame(0, b"\x01\x00"), Instant(1_000))
+    now = 0
+
+    def run(cycles: int) -> None:
+        nonlocal now
+        for _ in range(cycles):
+            now += NS_PER_MS
+            drive.receive(SYNC, Instant(now))
+            drive.receive(RPDO, Instant(now + NS_PER_MS // 2))
+
+    return run
+
+
+def _bus_cycle() -> Callable[[int], None]:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    bus = HostPort(segment, "host")
+    attach_to_segment(SimulatedServo(1, LING2012.parameters), segment, timeline)
+    bus.send_frame(Frame(0, b"\x01\x00"))
+
+    def run(cycles: int) -> None:
+        for _ in range(cycles):
+            due = Instant(timeline.now + NS_PER_MS)
+            bus.send_frame(SYNC)
+            bus.recv_frame(due)
+            bus.recv_frame(due)
+            bus.send_frame(RPDO)
+            timeline.run_until(due)
+
+    return run
+
+
+if __name__ == "__main__":
+    main()
