@@ -24,9 +24,9 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_pump link readings setpoint"),
+    *_below("drivers", "exchange frame_pump link nmt readings servo setpoint"),
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
-    *_below("hil/recording", "records ring side_rows"),
+    *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device faults frame hosting pacing segment servo timeline"),
     *_below("virtual_bus/can_bus", "arbitration bus_load filters host_port"),
     *_below("virtual_bus/canopen_device", "application device_clock heartbeat object_dictionary"),

@@ -1,12 +1,13 @@
 """The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
 
 from collections.abc import Callable
+from typing import Final
 
 from drivers.link import BusLink
 from drivers.timebase import Clock, Instant
 
-SYNC = 0x080
-NEVER = Instant(1 << 62)
+SYNC: Final = 0x080
+NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""

@@ -5,7 +5,7 @@ The lean path of a bus (:mod:`drivers.lean_bus`) is used where it is there.
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Literal, NoReturn
+from typing import Final, Literal, NoReturn
 
 import can
 
@@ -32,8 +32,13 @@ class StampSource(Enum):
     """Something else, or nothing: the instant of receipt stands in for it."""
 
 
-_OFFSET_KEPT_NS = NS_PER_S // 10
+_OFFSET_KEPT_NS: Final = NS_PER_S // 10
 """How long a comparison of wall clock and bench clock holds; slewing shifts it by 500 ppm at most."""
+
+
+_new: Final = tuple.__new__
+_WIRE_FRAME: Final = WireFrame
+"""``_new(_WIRE_FRAME, values)`` takes a third of the time of ``WireFrame(*values)``."""
 
 
 class BusLink:
@@ -79,7 +84,7 @@ class BusLink:
     def _send_lean(self, can_id: int, data: bytes) -> Instant:
         at = self._clock.now()
         try:
-            self._send_frame(WireFrame(can_id, data))
+            self._send_frame(_new(_WIRE_FRAME, (can_id, data, False, False, 0)))
         except (can.CanError, OSError) as error:
             self._fail("send on", error)
         self.sent_frames += 1

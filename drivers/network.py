@@ -59,7 +59,8 @@ class CanopenNetwork(canopen.Network):
         self._status: dict[int, NodeStatus] = {}
         self._clients: dict[int, PumpedSdoClient] = {}
         self._posts: dict[int, DownloadPost] = {}
-        self._pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
+        self.frame_pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
+        """What the cyclic path uses without a detour through this object."""
         self.pump: Callable[[Instant], None] = pump.pump
         """See :meth:`FramePump.pump`."""
         self.pump_one: Callable[[Instant], bool] = pump.pump_one
@@ -75,7 +76,7 @@ class CanopenNetwork(canopen.Network):
     @property
     def sync_count(self) -> int:
         """SYNCs sent."""
-        return self._pump.sync_count
+        return self.frame_pump.sync_count
 
     def _tell_canopen(self, can_id: int, data: bytes, at: Instant) -> None:
         self.notify(can_id, bytearray(data), at / NS_PER_S)
@@ -130,11 +131,11 @@ class CanopenNetwork(canopen.Network):
 
     def listen(self, can_id: int, handler: Handler) -> None:
         """Have ``handler(data, at)`` take all frames of this identifier, before canopen's subscribers."""
-        self._pump.handlers[can_id] = handler
+        self.frame_pump.handlers[can_id] = handler
 
     def unlisten(self, can_id: int) -> None:
         """Undo :meth:`listen`."""
-        self._pump.handlers.pop(can_id, None)
+        self.frame_pump.handlers.pop(can_id, None)
 
     def on_emergency(self, listener: Callable[[Emergency], None]) -> None:
         """Have ``listener`` told of every EMCY from a node whose :meth:`status` is followed."""
@@ -198,7 +199,7 @@ class CanopenNetwork(canopen.Network):
 
     def disconnect(self) -> None:
         """Leave the bus to its owner; only this object's services end."""
-        self._heartbeat_due = self._pump.housekeeping_at = NEVER
+        self._heartbeat_due = self.frame_pump.housekeeping_at = NEVER
 
     def _post(self, node_id: int) -> DownloadPost:
         post = self._posts.get(node_id)
@@ -279,4 +280,4 @@ class CanopenNetwork(canopen.Network):
         for post in self._posts.values():
             if post.in_flight is not None and post.in_flight.deadline < due:
                 due = post.in_flight.deadline
-        self._pump.housekeeping_at = due
+        self.frame_pump.housekeeping_at = due

@@ -11,7 +11,7 @@ Object indices are in :mod:`drivers.objects402`.
 
 from collections import deque
 from enum import Enum, IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 
 class State(Enum):
@@ -90,7 +90,7 @@ STATUS_PATTERNS: dict[State, Pattern] = {
 }
 """How the statusword tells the state, CiA 402-2 table "state coding"."""
 
-_STATE_BITS = 0x6F
+_STATE_BITS: Final = 0x6F
 _STATE_OF_BITS: tuple[State | None, ...] = tuple(
     next((state for state, pattern in STATUS_PATTERNS.items() if pattern.matches(bits)), None)
     for bits in range(_STATE_BITS + 1)
@@ -160,7 +160,7 @@ class Transition(NamedTuple):
     target: State
 
 
-_POWERED = (
+_POWERED: Final = (
     State.NOT_READY,
     State.SWITCH_ON_DISABLED,
     State.READY,

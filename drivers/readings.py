@@ -1,5 +1,7 @@
 """TPDOs of one drive put together into readings in SI units."""
 
+from typing import Final
+
 from drivers.exchange import Reading
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
@@ -7,8 +9,14 @@ from drivers.pdo import EVERY_SYNC, HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
 from drivers.scaling import Scaling
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 
-_WORD = 1 << 32
-_HALF_WORD = 1 << 31
+_WORD: Final = 1 << 32
+_HALF_WORD: Final = 1 << 31
+_SELDOM: Final = -1
+"""Mark of a TPDO that delays no reading."""
+
+_new: Final = tuple.__new__
+_READING: Final = Reading
+"""``_new(_READING, values)`` takes a third of the time of ``Reading(*values)``."""
 
 
 class Seen:
@@ -58,6 +66,7 @@ class ReadingAssembler:
         "_places",
         "_position",
         "_position_raw",
+        "_pump",
         "_readings",
         "_seen",
         "_stamp_raw",
@@ -82,6 +91,7 @@ class ReadingAssembler:
         self.malformed = 0
         """PDOs of a length other than mapped."""
         self._network = network
+        self._pump = network.frame_pump
         self._told = told
         self._half_period_ns = period_ns // 2
         self._period_us = max(1, period_ns // NS_PER_US)
@@ -94,7 +104,7 @@ class ReadingAssembler:
         self._position_raw: int | None = None
         self._stamp_raw: int | None = None
         self._carried_rad = 0.0
-        self._syncs = network.sync_count
+        self._syncs = self._pump.sync_count
         each = sorted(_with_each_sync(plan), key=lambda pdo: pdo.cob_id)
         seldom = [pdo for pdo in plan.tpdos if pdo not in each]
         self._places = self._subscribe(each, seldom)
@@ -111,7 +121,7 @@ class ReadingAssembler:
         """0x6064 as the drive tells it now: what positions are carried on from."""
         self._unwrap_position(raw)
         self._carried_rad = 0.0
-        self._syncs = self._network.sync_count
+        self._syncs = self._pump.sync_count
 
     def frame_arrived(self, bit: int, at: Instant) -> None:
         """A TPDO of a reading arrived, the one of ``bit``; 0: the last of its SYNC."""
@@ -174,20 +184,23 @@ class ReadingAssembler:
             return
         scaling = self.scaling
         self._readings.append(
-            Reading(
-                self._network.sync_count,
-                self._position * scaling.position_rad + self._carried_rad,
-                values[velocity] * scaling.velocity_rad_s,
-                values[torque] * scaling.torque_nm,
-                values[status],
-                device_time_ns,
-                at,
+            _new(
+                _READING,
+                (
+                    self._pump.sync_count,
+                    self._position * scaling.position_rad + self._carried_rad,
+                    values[velocity] * scaling.velocity_rad_s,
+                    values[torque] * scaling.torque_nm,
+                    values[status],
+                    device_time_ns,
+                    at,
+                ),
             )
         )
 
     def _carry_position(self, velocity_raw: int) -> None:
         """Add what the shaft turned since the reading before, at this speed."""
-        syncs = self._network.sync_count
+        syncs = self._pump.sync_count
         self._carried_rad += (
             (syncs - self._syncs) * self._period_s * velocity_raw * self.scaling.velocity_rad_s
         )
@@ -214,9 +227,6 @@ class ReadingAssembler:
         else:
             self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
         self._position_raw = raw
-
-
-_SELDOM = -1
 
 
 class _Inlet:

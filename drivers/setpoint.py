@@ -1,7 +1,7 @@
 """Controlword and set-points of one drive, and the RPDOs that carry them."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
@@ -9,9 +9,10 @@ from drivers.pdo import PdoMap, PdoPlan
 from drivers.scaling import Scaling
 from drivers.timebase import Instant
 
-_TORQUE_RAW_MAX = 0x7FFF
-_VELOCITY_RAW_MAX = 0x7FFF_FFFF
-_WORD, _HALF_WORD = 1 << 32, 1 << 31
+_TORQUE_RAW_MAX: Final = 0x7FFF
+_VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
+_WORD: Final = 1 << 32
+_HALF_WORD: Final = 1 << 31
 
 
 class _Carrier:
@@ -43,11 +44,11 @@ class SetPoint:
     """
 
     __slots__ = (
-        "_network",
         "_per_nm",
         "_per_rad",
         "_per_rad_s",
         "_places",
+        "_send",
         "_torque",
         "_torque_raw_max",
         "_velocity_raw_max",
@@ -64,7 +65,7 @@ class SetPoint:
     ) -> None:
         self.clipped = 0
         """Set-points beyond their limit."""
-        self._network = network
+        self._send: Callable[[int, bytes], Instant] = network.link.send
         self._per_nm = 1.0 / scaling.torque_nm
         self._per_rad_s = 1.0 / scaling.velocity_rad_s
         self._per_rad = 1.0 / scaling.position_rad
@@ -89,7 +90,7 @@ class SetPoint:
         """Send every RPDO that carries an object; nothing if none does."""
         for place in self._places.get(index, ()):
             carrier = place.carrier
-            self._network.link.send(carrier.cob_id, carrier.pack(*carrier.values))
+            self._send(carrier.cob_id, carrier.pack(*carrier.values))
 
     def send_controlword(self, controlword: int) -> None:
         """Put a controlword in force and send every RPDO that carries it."""
@@ -136,7 +137,7 @@ class SetPoint:
         if not places:
             raise RuntimeError(f"no RPDO of the plan carries {index:04X}h")
         carrier = places[0].carrier
-        return self._network.link.send(carrier.cob_id, carrier.pack(*carrier.values))
+        return self._send(carrier.cob_id, carrier.pack(*carrier.values))
 
 
 def _raw_limit(limit: float | None, per_unit: float, raw_max: int) -> int:

@@ -6,7 +6,7 @@ and in simulated time.
 """
 
 import time
-from typing import NewType, Protocol
+from typing import Final, NewType, Protocol
 
 Instant = NewType("Instant", int)
 """A point on a clock's axis, ns since that clock's origin."""
@@ -14,9 +14,9 @@ Instant = NewType("Instant", int)
 Duration = NewType("Duration", int)
 """A difference of two instants, ns."""
 
-NS_PER_US = 1_000
-NS_PER_MS = 1_000_000
-NS_PER_S = 1_000_000_000
+NS_PER_US: Final = 1_000
+NS_PER_MS: Final = 1_000_000
+NS_PER_S: Final = 1_000_000_000
 
 
 class Clock(Protocol):

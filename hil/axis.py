@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command, Reading
@@ -16,8 +16,14 @@ from hil.safety import SafetyGuard
 from hil.samples import CycleRecord, Sample, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile
 
-NOT_SENT = Instant(-1)
-SYNCS_REMEMBERED = 64
+NOT_SENT: Final = Instant(-1)
+SYNCS_REMEMBERED: Final = 64
+
+_new: Final = tuple.__new__
+_COMMAND: Final = Command
+_RECORD: Final = CycleRecord
+_SAMPLE: Final = Sample
+"""``_new(_SAMPLE, values)`` takes a third of the time of ``Sample(*values)``, for the path of every cycle."""
 
 
 class Drive(Protocol):
@@ -44,29 +50,42 @@ class LoadMachine(Protocol):
         ...
 
 
-class Decision(NamedTuple):
-    """What was done in one cycle, while the fate of its own reading may still be open."""
-
-    sequence: int
-    due_at: Instant
-    woke_at: Instant
-    sync_sent_at: Instant
-    estimate: StateEstimate
-    reference_rad_s: float
-    load_torque_nm: float
-    command: Command
-    command_sent_at: Instant
-
-
-class Tick(NamedTuple):
+class Tick:
     """What all axes of a cycle share."""
 
-    sequence: int
-    due_at: Instant
-    woke_at: Instant
-    sync_sent_at: Instant
-    time_s: float
-    """Since the run began."""
+    __slots__ = ("due_at", "sequence", "sync_sent_at", "time_s", "woke_at")
+
+    def __init__(
+        self, sequence: int, due_at: Instant, woke_at: Instant, sync_sent_at: Instant, time_s: float
+    ) -> None:
+        """``time_s``: since the run began."""
+        self.sequence = sequence
+        self.due_at = due_at
+        self.woke_at = woke_at
+        self.sync_sent_at = sync_sent_at
+        self.time_s = time_s
+
+
+class Decision:
+    """What was done in one cycle, while the fate of its own reading may still be open."""
+
+    __slots__ = ("command", "command_sent_at", "estimate", "load_torque_nm", "reference_rad_s", "tick")
+
+    def __init__(
+        self,
+        tick: Tick,
+        estimate: StateEstimate,
+        reference_rad_s: float,
+        load_torque_nm: float,
+        command: Command,
+        command_sent_at: Instant,
+    ) -> None:
+        self.tick = tick
+        self.estimate = estimate
+        self.reference_rad_s = reference_rad_s
+        self.load_torque_nm = load_torque_nm
+        self.command = command
+        self.command_sent_at = command_sent_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,25 +169,13 @@ class Axis:
         estimate = parts.compensator.estimate(apply_at)
         demand_nm = parts.controller.output(estimate, reference)
         torque_nm = parts.guard.limit(demand_nm)
-        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        command = _new(_COMMAND, (tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period)))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
         parts.drive.check()
         sent_at = parts.drive.write(command)
         parts.controller.update(estimate, command)
-        self._decisions.append(
-            Decision(
-                tick.sequence,
-                tick.due_at,
-                tick.woke_at,
-                tick.sync_sent_at,
-                estimate,
-                reference,
-                self._load_nm,
-                command,
-                sent_at,
-            )
-        )
+        self._decisions.append(Decision(tick, estimate, reference, self._load_nm, command, sent_at))
 
     def settle(self) -> None:
         """Record the cycles whose readings' fates are known."""
@@ -183,20 +190,24 @@ class Axis:
 
     def _finish(self, fate: Fate) -> None:
         decision = self._decisions.popleft()
+        tick = decision.tick
         self._record(
-            CycleRecord(
-                decision.sequence,
-                self._number,
-                decision.due_at,
-                decision.woke_at,
-                decision.sync_sent_at,
-                fate.observation,
-                fate.delay,
-                decision.estimate,
-                decision.reference_rad_s,
-                decision.load_torque_nm,
-                decision.command,
-                decision.command_sent_at,
+            _new(
+                _RECORD,
+                (
+                    tick.sequence,
+                    self._number,
+                    tick.due_at,
+                    tick.woke_at,
+                    tick.sync_sent_at,
+                    fate.observation,
+                    fate.delay,
+                    decision.estimate,
+                    decision.reference_rad_s,
+                    decision.load_torque_nm,
+                    decision.command,
+                    decision.command_sent_at,
+                ),
             )
         )
 
@@ -212,7 +223,7 @@ class Axis:
                 if sampled_at - sent_at > self._period:
                     return None
                 self.parts.clock_map.observe(sent_at, reading.device_time_ns, reading.received_at)
-                return Sample(sequence, reading, sampled_at, error_ns)
+                return _new(_SAMPLE, (sequence, reading, sampled_at, error_ns))
         return None
 
     def _place_by_arrival(self, reading: Reading) -> Sample | None:

@@ -12,31 +12,26 @@ lower bound is the tight one: a SYNC of known length goes out first in its cycle
 """
 
 from collections import deque
-from typing import NamedTuple
+from typing import Final
 
 from drivers.timebase import Duration, Instant
 
-BLOCK = 64
+BLOCK: Final = 64
 """Exchanges of which the tightest one enters the fit."""
-BLOCKS_KEPT = 32
-DRIFT_MAX_PPM = 500.0
+BLOCKS_KEPT: Final = 32
+DRIFT_MAX_PPM: Final = 500.0
 """Fastest drift between two quartz clocks that is believed."""
 
 
-class Placement(NamedTuple):
-    """A device stamp on the host's axis."""
+class _Bound:
+    """What one exchange says of host minus device: at least ``lower_ns``, at most ``upper_ns``."""
 
-    sampled_at: Instant
-    error_ns: int
-    """Half-width of the interval that certainly holds it."""
+    __slots__ = ("device_ns", "lower_ns", "upper_ns")
 
-
-class _Bound(NamedTuple):
-    device_ns: int
-    lower_ns: int
-    """Host minus device, at least this."""
-    upper_ns: int
-    """Host minus device, at most this."""
+    def __init__(self, device_ns: int, lower_ns: int, upper_ns: int) -> None:
+        self.device_ns = device_ns
+        self.lower_ns = lower_ns
+        self.upper_ns = upper_ns
 
 
 class ClockMap:
@@ -88,10 +83,13 @@ class ClockMap:
             self._count = 0
             self._best = None
 
-    def place(self, device_ns: int) -> Placement:
-        """The host instant of a device stamp; needs ``ready``."""
+    def place(self, device_ns: int) -> tuple[Instant, int]:
+        """The host instant of a device stamp, and half the width of the interval that certainly holds it, ns.
+
+        Needs ``ready``.
+        """
         offset = self._offset_ns + round(self._rate * (device_ns - self._origin_ns))
-        return Placement(Instant(device_ns + offset + self._sync_latency), self._width_ns)
+        return Instant(device_ns + offset + self._sync_latency), self._width_ns
 
     def _refit(self) -> None:
         best = self._best

@@ -9,21 +9,24 @@ fates are handed out in order of sequence.
 """
 
 from collections import deque
-from typing import NamedTuple
+from typing import Final
 
 from drivers.timebase import Duration, Instant
 from hil.samples import Dropout, DropoutCause, Observation, Sample
 
-UNKNOWN_DELAY = Duration(-1)
+UNKNOWN_DELAY: Final = Duration(-1)
 
 
-class Fate(NamedTuple):
+class Fate:
     """The end of one sequence."""
 
-    sequence: int
-    observation: Observation
-    delay: Duration
-    """Sampled to received; :data:`UNKNOWN_DELAY` if it never came."""
+    __slots__ = ("delay", "observation", "sequence")
+
+    def __init__(self, sequence: int, observation: Observation, delay: Duration) -> None:
+        """``delay``: sampled to received; :data:`UNKNOWN_DELAY` if it never came."""
+        self.sequence = sequence
+        self.observation = observation
+        self.delay = delay
 
 
 class _Outstanding:
@@ -66,22 +69,23 @@ class DelayMeter:
 
     def arrived(self, sample: Sample) -> bool:
         """A reading has come; whether the loop may use it."""
-        place = self._find(sample.sequence)
+        sequence, reading, sampled_at, _ = sample
+        place = self._find(sequence)
         if place is None or place.fate is not None:
             self.unmatched += 1
             return False
-        delay = Duration(sample.reading.received_at - sample.sampled_at)
+        delay = Duration(reading.received_at - sampled_at)
         self.learn(delay)
         cause = None
         if delay > self._deadline:
             cause = DropoutCause.LATE
-        elif sample.sequence < self._newest:
+        elif sequence < self._newest:
             cause = DropoutCause.STALE
         observation: Observation = sample
         if cause is not None:
-            observation = Dropout(sample.sequence, Instant(place.due_at + self._deadline), cause)
-        self._newest = max(self._newest, sample.sequence)
-        place.fate = Fate(sample.sequence, observation, delay)
+            observation = Dropout(sequence, Instant(place.due_at + self._deadline), cause)
+        self._newest = max(self._newest, sequence)
+        place.fate = Fate(sequence, observation, delay)
         return cause is None
 
     def settle(self) -> list[Fate]:

@@ -12,15 +12,15 @@ loop cannot tell which.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Final, Protocol
 
 from drivers.errors import NoAnswer
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
 from hil.ticker import next_tick
 
-CALIBRATION_SYNCS = 16
-PROGRESS_EVERY_CYCLES = 50
+CALIBRATION_SYNCS: Final = 16
+PROGRESS_EVERY_CYCLES: Final = 50
 
 
 class Actuation(Enum):

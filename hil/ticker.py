@@ -9,23 +9,13 @@ altogether are skipped rather than made up for, since a burst of SYNCs would tel
 the drive a false time.
 """
 
-from typing import NamedTuple
-
 from drivers.timebase import Duration, Instant
 
 
-class Tick(NamedTuple):
-    """The next cycle."""
-
-    due_at: Instant
-    missed: int
-    """Ticks skipped to get there."""
-
-
-def next_tick(due_at: Instant, period: Duration, now: Instant) -> Tick:
-    """The first tick of the grid after ``due_at`` that is not over by ``now``."""
+def next_tick(due_at: Instant, period: Duration, now: Instant) -> tuple[Instant, int]:
+    """The first tick of the grid after ``due_at`` that is not over by ``now``, and how many were skipped."""
     following = due_at + period
     if now < following + period:
-        return Tick(Instant(following), 0)
+        return Instant(following), 0
     missed = (now - following) // period
-    return Tick(Instant(following + missed * period), missed)
+    return Instant(following + missed * period), missed

@@ -10,6 +10,7 @@ got switches its feature off.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.application import Application, CommunicationLoss, ErrorRegister
@@ -32,12 +33,12 @@ from virtual_bus.canopen_device.sync_consumer import SyncConsumer
 from virtual_bus.canopen_device.time_consumer import TimeConsumer
 from virtual_bus.frame import Frame
 
-RECOVERED_FROM_BUS_OFF = 0x8140
+RECOVERED_FROM_BUS_OFF: Final = 0x8140
 """EMCY (CiA 301, table 26)."""
 
-_NOTHING: tuple[Frame, ...] = ()
-_COMMUNICATION_PROFILE = (0x1000, 0x1FFF)
-_APPLICATION = (0x2000, 0xFFFF)
+_NOTHING: Final[tuple[Frame, ...]] = ()
+_COMMUNICATION_PROFILE: Final = (0x1000, 0x1FFF)
+_APPLICATION: Final = (0x2000, 0xFFFF)
 
 
 class CanopenDevice:

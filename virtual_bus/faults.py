@@ -7,7 +7,7 @@ not. So a change of one fault never shifts the draws of another.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from drivers.timebase import Duration, Instant
 from virtual_bus.fault_injection.fault_plan import (
@@ -25,7 +25,7 @@ from virtual_bus.fault_injection.fault_plan import (
 )
 from virtual_bus.fault_injection.fault_streams import uniform_stream
 
-FOREVER = Instant(2**63 - 1)
+FOREVER: Final = Instant(2**63 - 1)
 
 
 class Fate(NamedTuple):
@@ -36,9 +36,9 @@ class Fate(NamedTuple):
     """From the instant given to ``fate`` until it goes on; 0 if dropped."""
 
 
-PASSED = Fate(False, Duration(0))
-DROPPED = Fate(True, Duration(0))
-_new_fate = tuple.__new__
+PASSED: Final = Fate(False, Duration(0))
+DROPPED: Final = Fate(True, Duration(0))
+_new_fate: Final = tuple.__new__
 """A third of the time of ``Fate(...)``, for the path of every frame."""
 
 

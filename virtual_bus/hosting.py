@@ -3,6 +3,7 @@
 import errno
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import can
 
@@ -13,10 +14,10 @@ from virtual_bus.frame import Device, Frame
 from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
-POLL_S = 0.05
+POLL_S: Final = 0.05
 """Longest time in one ``recv``, so that ``stop`` is noticed."""
 
-LOOPED_FRAMES_MAX = 4096
+LOOPED_FRAMES_MAX: Final = 4096
 """Frames that devices of one host may send each other at one instant; more is a loop among them."""
 
 

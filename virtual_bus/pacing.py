@@ -1,11 +1,12 @@
 """Simulated time at the pace of a real clock, for watching a simulated run as it happens."""
 
 from collections.abc import Sized
+from typing import Final
 
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from virtual_bus.timeline import Timeline
 
-CATCH_UP_MAX = Duration(50 * NS_PER_MS)
+CATCH_UP_MAX: Final = Duration(50 * NS_PER_MS)
 
 
 class PacedTimeline(Timeline):

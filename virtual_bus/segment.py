@@ -13,6 +13,7 @@ not depend on the order of events within an instant.
 from collections import deque
 from collections.abc import Callable
 from heapq import heappop, heappush
+from typing import Final
 
 import can
 
@@ -23,9 +24,13 @@ from virtual_bus.can_bus.bus_load import BusLoad
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
+_push: Final = heappush
+_pop: Final = heappop
+_wire_bits: Final = wire_bits
+
 OnFrame = Callable[[Frame, Instant], None]
 
-TRANSMIT_QUEUE_MAX = 256
+TRANSMIT_QUEUE_MAX: Final = 256
 """Frames that a port holds for the bus; one more is refused."""
 
 
@@ -157,10 +162,10 @@ class Segment:
             and self.timeline.now <= self._start_at
             and (key, port._rank) < (self._key, sender._rank)
         ):  # the frame chosen before has not begun and loses
-            heappush(self._contenders, (self._key, sender._rank, sender))
+            _push(self._contenders, (self._key, sender._rank, sender))
             self._begin(key, port)
             return
-        heappush(self._contenders, (key, port._rank, port))
+        _push(self._contenders, (key, port._rank, port))
 
     def _begin(self, key: int, port: Port) -> None:
         """Let ``port`` send the head of its queue as soon as the bus is free."""
@@ -170,7 +175,7 @@ class Segment:
             start = timeline.now
         _, data, _, remote, remote_length = port._queue[0][1]
         dlc = remote_length if remote else len(data)
-        bits = wire_bits(key << 4 | dlc, int.from_bytes(data))
+        bits = _wire_bits(key << 4 | dlc, int.from_bytes(data))
         self._sender = port
         self._key = key
         self._start_at = start
@@ -190,7 +195,7 @@ class Segment:
         self._load.add(free_at - self._start_at, free_at)
         contenders = self._contenders
         if queue:
-            heappush(contenders, (queue[0][0], sender._rank, sender))
+            _push(contenders, (queue[0][0], sender._rank, sender))
         self._delivering = True
         try:
             for monitor in self._monitors:
@@ -203,5 +208,5 @@ class Segment:
         finally:
             self._delivering = False
             if contenders:
-                key, _, port = heappop(contenders)
+                key, _, port = _pop(contenders)
                 self._begin(key, port)

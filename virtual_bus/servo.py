@@ -6,7 +6,7 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
 """
 
 import math
-from typing import cast
+from typing import Final, cast
 
 from design.motor import PmsmParameters
 from drivers.objects402 import Object
@@ -49,8 +49,8 @@ from virtual_bus.servo_drive.servo_parameters import (
     device_options,
 )
 
-COMMUNICATION_ERROR = 0x8100
-HEARTBEAT_ERROR = 0x8130
+COMMUNICATION_ERROR: Final = 0x8100
+HEARTBEAT_ERROR: Final = 0x8130
 LOSS_CODES: dict[CommunicationLoss, int] = {
     CommunicationLoss.HEARTBEAT: HEARTBEAT_ERROR,
     CommunicationLoss.LIFE_GUARDING: HEARTBEAT_ERROR,
@@ -59,17 +59,17 @@ LOSS_CODES: dict[CommunicationLoss, int] = {
 }
 """Error code 603Fh by what was lost; the EMCY of it is the device engine's."""
 
-REST_S = 0.005
+REST_S: Final = 0.005
 """The shaft has come to rest when it has rested for that long at the end of a ramp."""
-_WAKE_WHILE_STOPPING_NS = NS_PER_MS
-_WAKE_NS = 20 * NS_PER_MS
+_WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
+_WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
 
-_VELOCITY_RAW_PER_RAD_S = 1.0 / VELOCITY_UNIT_RAD_S
-_LOAD_NM = 1e-3
+_VELOCITY_RAW_PER_RAD_S: Final = 1.0 / VELOCITY_UNIT_RAD_S
+_LOAD_NM: Final = 1e-3
 """Unit of 2100h."""
 
-INTERNAL_LIMIT_ACTIVE = Status.INTERNAL_LIMIT_ACTIVE
+INTERNAL_LIMIT_ACTIVE: Final = Status.INTERNAL_LIMIT_ACTIVE
 
 _BASE_STATUS: dict[State, int] = {
     state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State

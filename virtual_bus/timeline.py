@@ -7,10 +7,15 @@ on nothing but its input.
 
 from collections.abc import Callable, Sized
 from heapq import heappop, heappush
+from typing import Final
 
 from drivers.timebase import Instant
 
 Callback = Callable[[Instant], object]
+
+_push: Final = heappush
+_pop: Final = heappop
+"""As constants of this module: found without a look-up where it is compiled."""
 
 
 class Event:
@@ -56,7 +61,7 @@ class Timeline:
     def post(self, when: Instant, callback: Callback) -> None:
         """As ``call_at``, for what is never taken back: cheaper."""
         self._entered = entered = self._entered + 1
-        heappush(self._heap, (when if when > self.now else self.now, entered, callback))
+        _push(self._heap, (when if when > self.now else self.now, entered, callback))
 
     def next_at(self) -> Instant | None:
         """The instant of the next event; None if there is none left."""
@@ -65,7 +70,7 @@ class Timeline:
             when, _, callback = heap[0]
             if not isinstance(callback, Event) or callback.pending:
                 return when
-            heappop(heap)
+            _pop(heap)
         return None
 
     def step(self) -> bool:
@@ -81,7 +86,7 @@ class Timeline:
         """Run every event up to and including ``when``, then stand at ``when``."""
         heap = self._heap
         while heap and heap[0][0] <= when:
-            due, _, callback = heappop(heap)
+            due, _, callback = _pop(heap)
             self.now = due
             callback(due)
         if when > self.now:
@@ -99,7 +104,7 @@ class Timeline:
                 if when > self.now:
                     self.now = when
                 return False
-            due, _, callback = heappop(heap)
+            due, _, callback = _pop(heap)
             self.now = due
             callback(due)
         return True

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -20,11 +21,10 @@ from hil.figures.summary import RunOutcome, Summary, summarise
 from hil.recording.recording_plan import RecordingPlan, ReviewPlan
 from hil.recording.records import ROW, ROW_DTYPE, row_fields
 from hil.recording.ring import RingWriter, refuse
+from hil.recording.row_writer import RowWriter
 from hil.recording.side_rows import (
     EVENT,
-    EXTENDED_FLAG,
     FRAME,
-    REMOTE_FLAG,
     BeginEvent,
     StateEvent,
     TextEvent,
@@ -130,26 +130,15 @@ class FolderRecorder:
         self._rows = RingWriter(ROW, ROWS_CAPACITY, on_full)
         self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
         self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
-        self._push_row, self._push_frame = self._rows.push, self._frames.push
-        self._keep_frames = plan.frames
+        writer = RowWriter(self._rows, self._frames, plan.frames)
+        self.record: Callable[[CycleRecord], None] = writer.record
+        """See :meth:`Recorder.record`."""
+        self.frame: Callable[[str, int, bytes, bool, bool, Instant], None] = writer.frame
+        """See :meth:`Recorder.frame`."""
         self._logger = self._start_logger(plan)
 
     def begin(self, at: Instant) -> None:
         self._events.push(*event_fields(BeginEvent(at)))
-
-    def record(self, record: CycleRecord) -> None:
-        self._push_row(*row_fields(record))
-
-    def frame(
-        self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
-    ) -> None:
-        if not self._keep_frames:
-            return
-        if extended:
-            can_id |= EXTENDED_FLAG
-        if remote:
-            can_id |= REMOTE_FLAG
-        self._push_frame(at, can_id, len(data), direction == "tx", data)
 
     def event(self, at: Instant, level: str, text: str) -> None:
         self._events.push(*event_fields(TextEvent(at, level, text)))

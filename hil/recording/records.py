@@ -6,6 +6,7 @@ hashes them, the summary is computed from them, and ``records.arrow`` holds them
 
 import math
 import struct
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,46 +56,48 @@ LAYOUT: tuple[tuple[str, str], ...] = (
 )
 """Name and struct code of each field, in the order in which the named tuples nest."""
 
-ROW = struct.Struct("<" + "".join(code for _, code in LAYOUT))
-_NUMPY = {"q": "<i8", "d": "<f8"}
-ROW_DTYPE = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
+ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
+_NUMPY: Final = {"q": "<i8", "d": "<f8"}
+ROW_DTYPE: Final = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
 """The same row for numpy. Fields of a reading that never came are NaN, -1 and statusword 0."""
 
 Rows = NDArray[np.void]
 """(n,) of ROW_DTYPE."""
 
-NO_TIME = -(2**63)
+NO_TIME: Final = -(2**63)
 """``device_time_ns`` of a drive without a clock: no instant of any clock."""
 
-FATE_SAMPLE = 0
+FATE_SAMPLE: Final = 0
 CAUSES: tuple[DropoutCause, ...] = (DropoutCause.LOST, DropoutCause.LATE, DropoutCause.STALE)
 """``fate`` of a dropout is its cause's place here, counted from 1."""
-_FATE_OF = {cause: place for place, cause in enumerate(CAUSES, start=1)}
-_NO_READING = (-1, math.nan, math.nan, math.nan, 0, NO_TIME, -1)
+_FATE_OF: Final = {cause: place for place, cause in enumerate(CAUSES, start=1)}
+_NO_READING: Final = (-1, math.nan, math.nan, math.nan, 0, NO_TIME, Instant(-1))
 
 
 def row_fields(record: CycleRecord) -> tuple[object, ...]:
     """The values of ``record`` in the order of :data:`LAYOUT`."""
     # Unpacking whole tuples costs half of naming each field; this runs in every cycle.
     sequence, axis, due_at, woke_at, sync_at, observed, delay, estimate, aim, load, command, sent_at = record
-    read: tuple[object, ...]
     if isinstance(observed, Sample):
         place, reading, observed_at, error = observed
-        fate, device_time = FATE_SAMPLE, reading.device_time_ns
-        read = reading if device_time is not None else reading._replace(device_time_ns=NO_TIME)
+        fate = FATE_SAMPLE
+        answered, position, velocity, torque, status, device_time, received_at = reading
+        if device_time is None:
+            device_time = NO_TIME
     else:
         place, observed_at, cause = observed
-        fate, error, read = _FATE_OF[cause], -1, _NO_READING
+        fate, error = _FATE_OF[cause], -1
+        answered, position, velocity, torque, status, device_time, received_at = _NO_READING
+    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
+    asked, torque_nm, effective_at, expires_at = command
+    # fmt: off
     return (
-        *(sequence, axis, due_at, woke_at, sync_at, fate, place, observed_at, error),
-        *read,
-        delay,
-        *estimate,
-        aim,
-        load,
-        *command,
-        sent_at,
+        sequence, axis, due_at, woke_at, sync_at, fate, place, observed_at, error,
+        answered, position, velocity, torque, status, device_time, received_at,
+        delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, aim, load,
+        asked, torque_nm, effective_at, expires_at, sent_at,
     )
+    # fmt: on
 
 
 def record_of(row: np.void) -> CycleRecord:

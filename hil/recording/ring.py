@@ -18,16 +18,21 @@ import platform
 import struct
 import threading
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-_HEADER_BYTES = 256
-_ROW_SIZE, _CAPACITY, _WRITTEN, _READ, _REFUSED = 0, 1, 8, 16, 24
+_HEADER_BYTES: Final = 256
+_ROW_SIZE: Final = 0
+_CAPACITY: Final = 1
+_WRITTEN: Final = 8
+_READ: Final = 16
+_REFUSED: Final = 24
 """Places of the header's words, in units of 8 bytes."""
 
 
-_STORES_STAY_IN_ORDER = platform.machine() in ("x86_64", "AMD64")
+_STORES_STAY_IN_ORDER: Final = platform.machine() in ("x86_64", "AMD64")
 """On x86-64 other cores see the stores of a core in their order; the writer needs no fence there."""
 
 
@@ -63,8 +68,8 @@ class RingWriter:
         self.descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
         os.ftruncate(self.descriptor, size)
         # MAP_POPULATE: no page fault on the control thread later
-        self._memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
-        self._words = memoryview(self._memory)[:_HEADER_BYTES].cast("Q")
+        self.memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._words = memoryview(self.memory)[:_HEADER_BYTES].cast("Q")
         self._words[_ROW_SIZE], self._words[_CAPACITY] = row.size, capacity
         self._pack, self._row_size, self._mask = row.pack_into, row.size, capacity - 1
         self._capacity, self._on_full = capacity, on_full
@@ -74,14 +79,26 @@ class RingWriter:
 
     def push(self, *values: object) -> bool:
         """Store one row of ``values``, in the order of the struct. False: the ring is full, it is refused."""
+        place = self.reserve()
+        if place < 0:
+            return False
+        self._pack(self.memory, place, *values)
+        self.commit()
+        return True
+
+    def reserve(self) -> int:
+        """Where in ``memory`` the next row is to be packed; -1: the ring is full, the row is refused."""
         written = self._written
         if written >= self._limit and not self._make_room():
-            return False
-        self._pack(self._memory, _HEADER_BYTES + (written & self._mask) * self._row_size, *values)
+            return -1
+        return _HEADER_BYTES + (written & self._mask) * self._row_size
+
+    def commit(self) -> None:
+        """The row that was reserved is complete: the reader's from now on."""
         if self._fence is not None:
             self._fence.pass_through()  # the row before its count
-        self._words[_WRITTEN] = self._written = written + 1
-        return True
+        self._written += 1
+        self._words[_WRITTEN] = self._written
 
     @property
     def refused(self) -> int:
@@ -91,7 +108,7 @@ class RingWriter:
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
         self._words.release()
-        self._memory.close()
+        self.memory.close()
         os.close(self.descriptor)
 
     def _make_room(self) -> bool:

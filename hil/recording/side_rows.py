@@ -2,19 +2,19 @@
 
 import struct
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
 
-EXTENDED_FLAG = 1 << 31
-REMOTE_FLAG = 1 << 30
+EXTENDED_FLAG: Final = 1 << 31
+REMOTE_FLAG: Final = 1 << 30
 """Flags beside the identifier, at the places where SocketCAN has them (struct can_frame)."""
 
-FRAME = struct.Struct("<qIBBxx8s")
-FRAME_DTYPE = np.dtype(
+FRAME: Final = struct.Struct("<qIBBxx8s")
+FRAME_DTYPE: Final = np.dtype(
     {
         "names": ["at", "can_id", "length", "sent", "data"],
         "formats": ["<i8", "<u4", "u1", "u1", ("u1", (8,))],
@@ -38,12 +38,12 @@ class EventKind(IntEnum):
 
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
 
-TEXT_BYTES = 500
-EVENT = struct.Struct(f"<qBBH{TEXT_BYTES}s")
-EVENT_DTYPE = np.dtype(
+TEXT_BYTES: Final = 500
+EVENT: Final = struct.Struct(f"<qBBH{TEXT_BYTES}s")
+EVENT_DTYPE: Final = np.dtype(
     [("at", "<i8"), ("kind", "u1"), ("level", "u1"), ("length", "<u2"), ("text", "u1", (TEXT_BYTES,))]
 )
-_SEPARATOR = "\x1f"
+_SEPARATOR: Final = "\x1f"
 
 
 class TextEvent(NamedTuple):

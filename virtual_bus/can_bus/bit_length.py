@@ -6,6 +6,7 @@ CRC sequence a bit of opposite value after five equal ones, itself counted towar
 """
 
 from collections.abc import Callable
+from typing import Final
 
 import numba
 import numpy as np
@@ -15,17 +16,17 @@ from drivers.timebase import NS_PER_S, Duration
 from virtual_bus.can_bus.arbitration import arbitration_key
 from virtual_bus.frame import Frame
 
-TAIL_BITS = 10
+TAIL_BITS: Final = 10
 """CRC delimiter, ACK slot, ACK delimiter and seven bits of end of frame: never stuffed."""
-INTERMISSION_BITS = 3
+INTERMISSION_BITS: Final = 3
 """Recessive bits between the end of a frame and the next start of frame."""
-LONGEST_FRAME_BITS = 157
+LONGEST_FRAME_BITS: Final = 157
 """Extended, eight data bytes, as many stuff bits as there can be: 118 + 29 + 10."""
 
-_CRC_BITS = 15
-_STANDARD_HEAD_BITS = 19
+_CRC_BITS: Final = 15
+_STANDARD_HEAD_BITS: Final = 19
 """Start of frame, identifier, RTR, IDE, r0, DLC."""
-_EXTENDED_HEAD_BITS = 39
+_EXTENDED_HEAD_BITS: Final = 39
 """Start of frame, base, SRR, IDE, extension, RTR, r1, r0, DLC."""
 
 
@@ -56,8 +57,8 @@ def _stuffing_table() -> NDArray[np.uint8]:
     return table
 
 
-_CRC = _crc_table()
-_STUFFING = _stuffing_table()
+_CRC: Final = _crc_table()
+_STUFFING: Final = _stuffing_table()
 
 
 def _wire_bits(field: int, data: int) -> int:

@@ -5,10 +5,11 @@ bus on which frames follow each other without pause has a load of 100 %.
 """
 
 from bisect import bisect_left
+from typing import Final
 
 from drivers.timebase import Duration, Instant
 
-CHECKPOINTS_MAX = 4_096
+CHECKPOINTS_MAX: Final = 4_096
 
 
 class BusLoad:

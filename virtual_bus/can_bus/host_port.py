@@ -9,6 +9,7 @@ is held waits on the segment's own timeline, so a fault costs one event and no p
 
 from collections import deque
 from heapq import heappop, heappush
+from typing import Final
 
 from can.typechecking import CanFilters
 
@@ -19,10 +20,13 @@ from virtual_bus.faults import FateSource
 from virtual_bus.frame import Frame
 from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
 
-RECEIVE_QUEUE_MAX = 65_536
+RECEIVE_QUEUE_MAX: Final = 65_536
 """Frames that an inbox holds for its reader; later ones are lost and counted."""
-HELD_MAX = 4096
+HELD_MAX: Final = 4096
 """Frames held in one direction; one more is lost and counted."""
+
+_push: Final = heappush
+_pop: Final = heappop
 
 Entry = tuple[Frame, Instant]
 """A received frame and the instant at which it came."""
@@ -88,7 +92,7 @@ class HostPort:
         else:
             self._order += 1
             due = Instant(now + delay)
-            heappush(self._outgoing, (due, self._order, frame))
+            _push(self._outgoing, (due, self._order, frame))
             self.timeline.post(due, self._release_out)
 
     def flush(self) -> None:
@@ -136,16 +140,16 @@ class HostPort:
         else:
             self._order += 1
             due = Instant(at + delay)
-            heappush(self._incoming, (due, self._order, frame))
+            _push(self._incoming, (due, self._order, frame))
             self.timeline.post(due, self._release_in)
 
     def _let_in(self, now: Instant) -> None:
         incoming = self._incoming
         while incoming and incoming[0][0] <= now:
-            due, _, frame = heappop(incoming)
+            due, _, frame = _pop(incoming)
             self._keep(frame, due)
 
     def _let_out(self, now: Instant) -> None:
         outgoing = self._outgoing
         while outgoing and outgoing[0][0] <= now:
-            self.port.send(heappop(outgoing)[2])
+            self.port.send(_pop(outgoing)[2])

@@ -1,8 +1,10 @@
 """The device's own clock, as seen in 1013h: starts somewhere, and does not run like the bench's."""
 
+from typing import Final
+
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 
-_WRAP = 1 << 32
+_WRAP: Final = 1 << 32
 
 
 class DeviceClock:

@@ -1,5 +1,7 @@
 """Heartbeat producer 1017h and heartbeat consumers 1016h (CiA 301, 7.2.8.2.2 and 7.5.2.19, 7.5.2.20)."""
 
+from typing import Final
+
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.canopen_device.application import CommunicationLoss, ErrorRegister
 from virtual_bus.canopen_device.emergency import EmergencyProducer
@@ -10,8 +12,8 @@ from virtual_bus.canopen_device.sdo_abort import AbortCode
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.frame import Frame
 
-ERROR_CONTROL = 0x700
-HEARTBEAT_ERROR = 0x8130
+ERROR_CONTROL: Final = 0x700
+HEARTBEAT_ERROR: Final = 0x8130
 """EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 
 

@@ -1,10 +1,11 @@
 """NMT states and node-IDs of a CANopen device."""
 
 from enum import IntEnum
+from typing import Final
 
-NODE_ID_MAX = 127
+NODE_ID_MAX: Final = 127
 
-UNCONFIGURED = 255
+UNCONFIGURED: Final = 255
 """Node-ID of a device that has none yet and waits for LSS (CiA 305)."""
 
 

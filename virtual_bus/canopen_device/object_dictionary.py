@@ -11,7 +11,7 @@ where an RPDO stores all its variables before the first ``on_write``.
 
 from collections.abc import Callable, Iterator
 from enum import Enum, IntEnum
-from typing import Any
+from typing import Any, Final
 
 from virtual_bus.canopen_device.data_types import BITS, DataType, decode, encode
 from virtual_bus.canopen_device.sdo_abort import AbortCode, SdoAbort
@@ -39,9 +39,9 @@ class ObjectCode(IntEnum):
     RECORD = 9
 
 
-_WRITABLE = frozenset(Access) - {Access.CONST, Access.READ_ONLY}
-_TPDO = frozenset(Access) - {Access.WRITE_ONLY, Access.READ_WRITE_RPDO}
-_RPDO = _WRITABLE - {Access.READ_WRITE_TPDO}
+_WRITABLE: Final = frozenset(Access) - {Access.CONST, Access.READ_ONLY}
+_TPDO: Final = frozenset(Access) - {Access.WRITE_ONLY, Access.READ_WRITE_RPDO}
+_RPDO: Final = _WRITABLE - {Access.READ_WRITE_TPDO}
 
 Check = Callable[[Any], AbortCode | None]
 """May refuse a value before it is stored."""

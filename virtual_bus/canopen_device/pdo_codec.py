@@ -7,15 +7,15 @@ lowest.
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 from virtual_bus.canopen_device.data_types import REALS, SIGNED, STRUCT_CODES, decode, encode
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.canopen_device.sdo_abort import AbortCode, SdoAbort
 
-PDO_BITS_MAX = 64
+PDO_BITS_MAX: Final = 64
 
-DUMMY_BITS = {0x01: 1, 0x02: 8, 0x03: 16, 0x04: 32, 0x05: 8, 0x06: 16, 0x07: 32}
+DUMMY_BITS: Final = {0x01: 1, 0x02: 8, 0x03: 16, 0x04: 32, 0x05: 8, 0x06: 16, 0x07: 32}
 """Data types that an RPDO may map as place-holders: by their own index (CiA 301, 7.4.7.3)."""
 
 

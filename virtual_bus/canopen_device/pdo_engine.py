@@ -1,5 +1,7 @@
 """All PDOs of a device: what a SYNC, an event and a change of the NMT state do to them."""
 
+from typing import Final
+
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.emergency import EmergencyProducer
 from virtual_bus.canopen_device.nmt_state import NmtState
@@ -8,7 +10,7 @@ from virtual_bus.canopen_device.rpdo import ReceivePdo
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.canopen_device.tpdo import TransmitPdo
 
-PDOS_MAX = 512
+PDOS_MAX: Final = 512
 
 
 class PdoEngine:

@@ -5,6 +5,7 @@ words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and chan
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from virtual_bus.canopen_device import cob_id
 from virtual_bus.canopen_device.object_dictionary import Check, Variable
@@ -12,7 +13,7 @@ from virtual_bus.canopen_device.pdo_codec import Field, resolve, resolve_all
 from virtual_bus.canopen_device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.canopen_device.station import Station
 
-MAPPING_ENTRIES_MAX = 64
+MAPPING_ENTRIES_MAX: Final = 64
 
 
 class PdoParameters:

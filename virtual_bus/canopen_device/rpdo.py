@@ -1,5 +1,7 @@
 """Receive PDOs: immediate (254, 255) or at the next SYNC (0..240), with deadline (CiA 301, 7.2.2)."""
 
+from typing import Final
+
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.canopen_device.application import CommunicationLoss, ErrorRegister
 from virtual_bus.canopen_device.emergency import EmergencyProducer
@@ -10,10 +12,10 @@ from virtual_bus.canopen_device.pdo_parameters import PdoParameters
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.frame import Frame
 
-PDO_TOO_SHORT = 0x8210
-PDO_TOO_LONG = 0x8220
-PDO_DEADLINE = 0x8250
-SYNCHRONOUS_TYPE_MAX = 240
+PDO_TOO_SHORT: Final = 0x8210
+PDO_TOO_LONG: Final = 0x8220
+PDO_DEADLINE: Final = 0x8250
+SYNCHRONOUS_TYPE_MAX: Final = 240
 
 
 class ReceivePdo(PdoParameters):

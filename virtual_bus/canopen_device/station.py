@@ -1,6 +1,7 @@
 """What the parts of one CANopen device share: time, NMT state, timers, frames in and out."""
 
 from collections.abc import Callable
+from typing import Final
 
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.application import Application
@@ -8,7 +9,7 @@ from virtual_bus.canopen_device.nmt_state import NmtState
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
 from virtual_bus.frame import Frame
 
-NEVER = Instant(1 << 62)
+NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[Frame, Instant], None]
 

@@ -1,5 +1,7 @@
 """SYNC consumer: 1005h, 1006h, 1007h and the counter of 1019h (CiA 301, 7.2.5 and 7.5.2.5..7.5.2.22)."""
 
+from typing import Final
+
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.canopen_device import cob_id
 from virtual_bus.canopen_device.application import ErrorRegister
@@ -10,10 +12,10 @@ from virtual_bus.canopen_device.sdo_abort import AbortCode
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.frame import Frame
 
-SYNC_LENGTH = 0x8240
+SYNC_LENGTH: Final = 0x8240
 """EMCY: unexpected SYNC data length (CiA 301, table 26)."""
-GENERATES_SYNC = 1 << 30
-COUNTER_MAX = 240
+GENERATES_SYNC: Final = 1 << 30
+COUNTER_MAX: Final = 240
 
 
 class SyncConsumer:

@@ -10,6 +10,8 @@ A remote request (allowed by bit 30 = 0 of the COB-ID) of the other types sends 
 synchronous PDO, or a fresh one of an event-driven PDO.
 """
 
+from typing import Final
+
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.canopen_device import cob_id
 from virtual_bus.canopen_device.nmt_state import NmtState
@@ -20,11 +22,16 @@ from virtual_bus.canopen_device.sdo_abort import AbortCode
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.frame import Frame
 
-SYNCHRONOUS_ACYCLIC = 0
-SYNCHRONOUS_CYCLIC_MAX = 240
-REMOTE_SYNCHRONOUS = 252
-REMOTE_EVENT = 253
-NS_PER_100_US = 100_000
+SYNCHRONOUS_ACYCLIC: Final = 0
+SYNCHRONOUS_CYCLIC_MAX: Final = 240
+REMOTE_SYNCHRONOUS: Final = 252
+REMOTE_EVENT: Final = 253
+NS_PER_100_US: Final = 100_000
+
+
+_new: Final = tuple.__new__
+_FRAME: Final = Frame
+"""``_new(_FRAME, values)`` takes a third of the time of ``Frame(*values)``."""
 
 
 class TransmitPdo(PdoParameters):
@@ -122,7 +129,7 @@ class TransmitPdo(PdoParameters):
             if not self._left:
                 self._left = kind
                 self._latched = data = self._sample()
-                self.station.out.append(Frame(self._can_id, data))
+                self.station.out.append(_new(_FRAME, (self._can_id, data, False, False, 0)))
         elif kind == REMOTE_SYNCHRONOUS:
             self._latched = self._sample()
         elif self._event:

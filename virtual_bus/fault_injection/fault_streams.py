@@ -7,13 +7,14 @@ numpy keeps that the same for ever, on every machine.
 
 from collections.abc import Callable, Iterator
 from hashlib import blake2b
+from typing import Final
 
 import numpy as np
 
-BLOCK = 512
+BLOCK: Final = 512
 """Numbers drawn at a time: a single draw from numpy costs as much as fifty from a list."""
 
-_RESOLUTION = 2.0**-53
+_RESOLUTION: Final = 2.0**-53
 
 
 def uniform_stream(seed: int, name: str) -> Callable[[], float]:

@@ -15,6 +15,7 @@ Speed loop: for ramps to rest. Time is the caller's: ``advance_to`` runs the tic
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 import numpy as np
 
@@ -23,8 +24,8 @@ from drivers.timebase import NS_PER_S, Instant
 from virtual_bus.servo_drive import motor_kernel as kernel
 from virtual_bus.servo_drive.plant import fill_machine
 
-_REST_SPEED_RAD_S = 0.5
-_COUNTS_AT_REST = 1.5
+_REST_SPEED_RAD_S: Final = 0.5
+_COUNTS_AT_REST: Final = 1.5
 """Encoder counts per inner period that still pass for rest: the last count may flicker."""
 
 

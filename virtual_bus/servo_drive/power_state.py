@@ -18,6 +18,7 @@ Rules beside the arrows, CiA 402-2 clause 6:
 
 from collections.abc import Callable
 from enum import Enum
+from typing import Final
 
 from drivers.objects402 import Object
 from drivers.profile402 import (
@@ -67,9 +68,9 @@ STOP_MOTIONS: dict[int, Motion] = {
 }
 """Option code -> how the motor stops. The codes of 605Ah; those of the others are among them."""
 
-_AFTER_REST = frozenset({5, 8})
+_AFTER_REST: Final = frozenset({5, 8})
 """Arrows that are taken only when the motor rests."""
-_COMMAND_BITS = 0x90
+_COMMAND_BITS: Final = 0x90
 
 
 class PowerStateMachine:

@@ -1,6 +1,7 @@
 """How a simulated drive is built and set, beside the motor on its shaft."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from virtual_bus.canopen_device.device_options import (
 )
 from virtual_bus.servo_drive.firmware import FirmwareParameters
 
-SERVO_DRIVE = 0x0002_0192
+SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
-HIGH_RESOLUTION_TIME_STAMP = 0x1013
-_CLOCK_RANGE_US = 1 << 32
+HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
+_CLOCK_RANGE_US: Final = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOpt
     )
 
 
-TPDO1 = PdoDefault(
+TPDO1: Final = PdoDefault(
     NO_RTR | 0x180,
     1,
     (
@@ -92,7 +93,7 @@ TPDO1 = PdoDefault(
         mapping_word(Object.TORQUE_ACTUAL_VALUE, 0, 16),
     ),
 )
-TPDO2 = PdoDefault(
+TPDO2: Final = PdoDefault(
     NO_RTR | 0x280,
     1,
     (
@@ -100,6 +101,6 @@ TPDO2 = PdoDefault(
         mapping_word(HIGH_RESOLUTION_TIME_STAMP, 0, 32),
     ),
 )
-RPDO1 = PdoDefault(
+RPDO1: Final = PdoDefault(
     0x200, 255, (mapping_word(Object.CONTROLWORD, 0, 16), mapping_word(Object.TARGET_TORQUE, 0, 16))
 )

@@ -1,0 +1,46 @@
+"""What a loop writes in every cycle: rows of cycles and of raw frames, each into its ring."""
+
+from typing import Final
+
+from drivers.timebase import Instant
+from hil.recording.records import ROW, row_fields
+from hil.recording.ring import RingWriter
+from hil.recording.side_rows import EXTENDED_FLAG, FRAME, REMOTE_FLAG
+from hil.samples import CycleRecord
+
+_pack_row: Final = ROW.pack_into
+_pack_frame: Final = FRAME.pack_into
+
+
+class RowWriter:
+    """The cyclic part of a recorder."""
+
+    def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool) -> None:
+        """``rows`` of :data:`~hil.recording.records.ROW`, ``frames`` of FRAME."""
+        self._rows = rows
+        self._frames = frames
+        self._keep_frames = keep_frames
+
+    def record(self, record: CycleRecord) -> None:
+        """Store one cycle."""
+        rows = self._rows
+        place = rows.reserve()
+        if place >= 0:
+            _pack_row(rows.memory, place, *row_fields(record))
+            rows.commit()
+
+    def frame(
+        self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
+    ) -> None:
+        """Store one raw frame, if frames are kept."""
+        if not self._keep_frames:
+            return
+        if extended:
+            can_id |= EXTENDED_FLAG
+        if remote:
+            can_id |= REMOTE_FLAG
+        frames = self._frames
+        place = frames.reserve()
+        if place >= 0:
+            _pack_frame(frames.memory, place, at, can_id, len(data), direction == "tx", data)
+            frames.commit()
