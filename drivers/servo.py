@@ -1,6 +1,6 @@
 """A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.drive_setup import (
     DriveSettings,
@@ -29,13 +29,14 @@ from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
-NOT_SENT = Instant(-1)
-REST_RAD_S = 1.0
+NOT_SENT: Final = Instant(-1)
+REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
-RELEASE_LIMIT = Duration(3 * NS_PER_S)
+RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
-_ENABLED_BITS, _ENABLED = 0x6F, 0x27
-_CONNECT_TRY_S = 0.1
+_ENABLED_BITS: Final = 0x6F
+_ENABLED: Final = 0x27
+_CONNECT_TRY_S: Final = 0.1
 
 
 class Release(NamedTuple):
@@ -62,6 +63,7 @@ class ServoDrive:
 
     def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
         self.network = network
+        self._clock = network.clock
         self.node_id = node_id
         self.name = name or f"node {node_id}"
         self.objects = RemoteObjects(network, node_id)
@@ -324,7 +326,7 @@ class ServoDrive:
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _expired(self, expires_at: Instant) -> bool:
-        if self.network.clock.now() <= expires_at:
+        if self._clock.now() <= expires_at:
             return False
         self.unsent_commands += 1
         return True

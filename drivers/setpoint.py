@@ -13,6 +13,7 @@ _TORQUE_RAW_MAX: Final = 0x7FFF
 _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
+_TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)
 
 
 class _Carrier:
@@ -115,7 +116,7 @@ class SetPoint:
         Raises RuntimeError if no RPDO carries 0x6071.
         """
         self.hold_torque(torque_nm)
-        return self._send_first(self._torque, Object.TARGET_TORQUE)
+        return self._send_first(self._torque, _TARGET_TORQUE)
 
     def send_speed(self, speed_rad_s: float) -> Instant:
         """As :meth:`send_torque`, for 0x60FF."""

@@ -39,6 +39,7 @@ class Fate(NamedTuple):
 PASSED: Final = Fate(False, Duration(0))
 DROPPED: Final = Fate(True, Duration(0))
 _new_fate: Final = tuple.__new__
+_FATE: Final = Fate
 """A third of the time of ``Fate(...)``, for the path of every frame."""
 
 
@@ -223,7 +224,7 @@ class FaultInjector:
         if held == 0:
             return PASSED
         way.delayed += 1
-        return _new_fate(Fate, (False, held))
+        return _new_fate(_FATE, (False, held))
 
     def counts(self) -> dict[str, dict[str, int]]:
         """By direction: ``frames`` seen, those lost by kind of fault (the first that struck), ``delayed``."""

@@ -38,6 +38,9 @@ def _ignore(_frame: Frame, _at: Instant) -> None:
     """What a detached port does with a frame."""
 
 
+_IGNORE: Final = _ignore
+
+
 class Port:
     """A node's connection to a segment: a first-in first-out transmit queue and a callback."""
 
@@ -59,7 +62,7 @@ class Port:
     def send(self, frame: Frame) -> None:
         """Queue ``frame``. Raises can.CanOperationError if the queue is full or the port detached."""
         queue = self._queue
-        if len(queue) >= TRANSMIT_QUEUE_MAX or self.on_frame is _ignore:
+        if len(queue) >= TRANSMIT_QUEUE_MAX or self.on_frame is _IGNORE:
             raise self._refusal()
         can_id, _, extended, remote, _ = frame
         key = arbitration_key(frame) if extended or remote else can_id << 21

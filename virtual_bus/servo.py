@@ -69,7 +69,12 @@ _VELOCITY_RAW_PER_RAD_S: Final = 1.0 / VELOCITY_UNIT_RAD_S
 _LOAD_NM: Final = 1e-3
 """Unit of 2100h."""
 
-INTERNAL_LIMIT_ACTIVE: Final = Status.INTERNAL_LIMIT_ACTIVE
+INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
+
+_COUNT: Final = int(S_COUNT)
+_SPEED: Final = int(S_SPEED_MEASURED)
+_TORQUE: Final = int(S_TORQUE_MEASURED)
+_LIMITED: Final = int(S_LIMITED)
 
 _BASE_STATUS: dict[State, int] = {
     state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
@@ -156,11 +161,11 @@ class ServoApplication(Application):
         """The cyclic values as of the last inner tick."""
         state = self._state
         position, velocity, torque, statusword = self._cyclic
-        position.value = (int(state[S_COUNT]) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        velocity.value = round(state[S_SPEED_MEASURED] * _VELOCITY_RAW_PER_RAD_S)
-        torque.value = _int16(state[S_TORQUE_MEASURED] / self._torque_unit_nm)
+        position.value = (int(state[_COUNT]) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+        velocity.value = round(state[_SPEED] * _VELOCITY_RAW_PER_RAD_S)
+        torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
         status = self._base_status
-        if state[S_LIMITED]:
+        if state[_LIMITED]:
             status |= INTERNAL_LIMIT_ACTIVE
         if status != statusword.value:
             statusword.value = status

@@ -32,10 +32,11 @@ from hil.recording.side_rows import (
 )
 from hil.samples import CycleRecord
 
-ROWS_CAPACITY = 1 << 14
-FRAMES_CAPACITY = 1 << 17
+ROWS_CAPACITY = 1 << 16
+FRAMES_CAPACITY = 1 << 19
 EVENTS_CAPACITY = 1 << 11
-"""Rows; 16 s of cycles of one axis at 1 kHz, and more of frames: the logger may be that far behind."""
+"""Rows: a minute of cycles of one axis at 1 kHz, and more of frames. The logger may be that far behind, and
+is while it starts: a loop in simulated time has done half a minute by then."""
 
 _FINISH_MAX_S = 120.0
 _POLL_NS = NS_PER_MS // 4

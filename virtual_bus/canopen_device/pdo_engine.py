@@ -11,6 +11,7 @@ from virtual_bus.canopen_device.station import Station
 from virtual_bus.canopen_device.tpdo import TransmitPdo
 
 PDOS_MAX: Final = 512
+_OPERATIONAL: Final = NmtState.OPERATIONAL
 
 
 class PdoEngine:
@@ -34,17 +35,17 @@ class PdoEngine:
     def on_state(self, state: NmtState, _now: Instant) -> None:
         """PDOs are alive in OPERATIONAL only (CiA 301, table 38)."""
         for tpdo in self.transmit:
-            if state is NmtState.OPERATIONAL:
+            if state is _OPERATIONAL:
                 tpdo.enter_operational()
             else:
                 tpdo.leave_operational()
-        if state is not NmtState.OPERATIONAL:
+        if state is not _OPERATIONAL:
             for rpdo in self.receive:
                 rpdo.leave_operational()
 
     def on_sync(self, counter: int) -> None:
         """Sample first, actuate afterwards."""
-        if self._station.state is not NmtState.OPERATIONAL:
+        if self._station.state is not _OPERATIONAL:
             return
         for tpdo in self.transmit:
             if tpdo.follows_sync:

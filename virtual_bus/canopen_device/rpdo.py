@@ -16,6 +16,7 @@ PDO_TOO_SHORT: Final = 0x8210
 PDO_TOO_LONG: Final = 0x8220
 PDO_DEADLINE: Final = 0x8250
 SYNCHRONOUS_TYPE_MAX: Final = 240
+_OPERATIONAL: Final = NmtState.OPERATIONAL
 
 
 class ReceivePdo(PdoParameters):
@@ -75,7 +76,7 @@ class ReceivePdo(PdoParameters):
             self._apply(data)
 
     def _on_frame(self, frame: Frame, now: Instant) -> None:
-        if self.station.state is not NmtState.OPERATIONAL:
+        if self.station.state is not _OPERATIONAL:
             return
         data = frame.data
         if len(data) != self._length or self._wrong_length:
@@ -93,16 +94,18 @@ class ReceivePdo(PdoParameters):
         """Store every value, then let the application act on them; the cyclic path, so without detours."""
         values = self._unpack(data)
         refused: tuple[Variable, ...] = ()
-        for variable, value in zip(self._variables, values, strict=True):
+        variables = self._variables
+        for place, variable in enumerate(variables):
+            value = values[place]
             if variable.refusal(value) is None:
                 variable.value = value
             else:
                 refused = (*refused, variable)
         self.refused += len(refused)
-        for variable, value in zip(self._variables, values, strict=True):
+        for place, variable in enumerate(variables):
             hook = variable.on_write
             if hook is not None and variable not in refused:
-                hook(value)
+                hook(values[place])
 
     def _judge_length(self, length: int) -> None:
         """8210h: too short, not processed. 8220h: too long, the first bytes are. (CiA 301, table 26)."""

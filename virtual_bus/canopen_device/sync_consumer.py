@@ -16,6 +16,8 @@ SYNC_LENGTH: Final = 0x8240
 """EMCY: unexpected SYNC data length (CiA 301, table 26)."""
 GENERATES_SYNC: Final = 1 << 30
 COUNTER_MAX: Final = 240
+_OPERATIONAL: Final = NmtState.OPERATIONAL
+_PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL
 
 
 class SyncConsumer:
@@ -60,7 +62,7 @@ class SyncConsumer:
 
     def _on_sync(self, frame: Frame, now: Instant) -> None:
         station = self._station
-        if station.state is not NmtState.OPERATIONAL and station.state is not NmtState.PRE_OPERATIONAL:
+        if station.state is not _OPERATIONAL and station.state is not _PRE_OPERATIONAL:
             return
         data = frame.data
         if len(data) != self._length or self._wrong_length:

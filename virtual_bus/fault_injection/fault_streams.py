@@ -5,7 +5,7 @@ another fault, or another node, leaves it as it was. Only the raw output of PCG6
 numpy keeps that the same for ever, on every machine.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from hashlib import blake2b
 from typing import Final
 
@@ -17,14 +17,28 @@ BLOCK: Final = 512
 _RESOLUTION: Final = 2.0**-53
 
 
+class UniformStream:
+    """Numbers even in [0, 1), drawn a block at a time."""
+
+    __slots__ = ("_next", "_numbers", "_source")
+
+    def __init__(self, seed: int, name: str) -> None:
+        digest = blake2b(name.encode(), digest_size=16).digest()
+        self._source = np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest, "little")]))
+        self._numbers: list[float] = []
+        self._next = 0
+
+    def draw(self) -> float:
+        """The next number."""
+        place = self._next
+        if place == len(self._numbers):
+            raw = self._source.random_raw(BLOCK)
+            self._numbers = ((raw >> np.uint64(11)) * _RESOLUTION).tolist()
+            place = 0
+        self._next = place + 1
+        return self._numbers[place]
+
+
 def uniform_stream(seed: int, name: str) -> Callable[[], float]:
-    """The stream called ``name``: each call gives the next number, even in [0, 1)."""
-    return _numbers(seed, name).__next__
-
-
-def _numbers(seed: int, name: str) -> Iterator[float]:
-    digest = blake2b(name.encode(), digest_size=16).digest()
-    source = np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest, "little")]))
-    while True:
-        raw = source.random_raw(BLOCK)
-        yield from ((raw >> np.uint64(11)) * _RESOLUTION).tolist()
+    """The stream called ``name``: each call gives the next number."""
+    return UniformStream(seed, name).draw

@@ -15,7 +15,7 @@ Speed loop: for ramps to rest. Time is the caller's: ``advance_to`` runs the tic
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from virtual_bus.servo_drive.plant import fill_machine
 _REST_SPEED_RAD_S: Final = 0.5
 _COUNTS_AT_REST: Final = 1.5
 """Encoder counts per inner period that still pass for rest: the last count may flicker."""
+
+_advance_drive: Final = kernel.advance_drive
+_TORQUE: Final = int(kernel.D_TORQUE)
 
 
 class InnerControl(Enum):
@@ -84,6 +87,7 @@ class Firmware:
         self.parameters = parameters
         self.state = np.zeros(kernel.STATE_SIZE)
         self.demand = np.zeros(kernel.DEMAND_SIZE)
+        self._demand = cast("memoryview[float]", self.demand.data)  # a store into it is cheaper
         self.ticks = 0
         self._p = np.zeros(kernel.PARAMETERS_SIZE)
         self._power_on = Instant(0)
@@ -132,7 +136,7 @@ class Firmware:
         due = (now - self._power_on) * self._rate_hz // NS_PER_S - self.ticks
         if due <= 0:
             return False
-        kernel.advance_drive(self.state, self._p, self.demand, due)
+        _advance_drive(self.state, self._p, self.demand, due)
         self.ticks += due
         return True
 
@@ -147,7 +151,7 @@ class Firmware:
 
     def demand_torque(self, torque_nm: float) -> None:
         """Torque set-point for ``InnerControl.TORQUE``."""
-        self.demand[kernel.D_TORQUE] = torque_nm
+        self._demand[_TORQUE] = torque_nm
 
     def ramp_to_speed(self, speed_rad_s: float, acceleration_rad_s2: float) -> None:
         """Follow a speed ramp from the present speed on."""

@@ -32,6 +32,8 @@ from drivers.profile402 import (
     commands_in,
 )
 
+_FAULT_RESET: Final = int(Control.FAULT_RESET)
+
 
 class Motion(Enum):
     """What the inner loops are to do with the motor."""
@@ -105,7 +107,7 @@ class PowerStateMachine:
         """A controlword was written, a new one or the same again."""
         rising = controlword & ~self._controlword
         self._controlword = controlword
-        if rising & Control.FAULT_RESET:
+        if rising & _FAULT_RESET:
             self.command(DriveCommand.FAULT_RESET)
             return
         bits = controlword & 0x8F
