@@ -9,6 +9,7 @@ import os
 import shutil
 import sys
 import sysconfig
+from contextlib import redirect_stdout
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -28,10 +29,12 @@ HOT_MODULES = [
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device faults frame hosting pacing segment servo timeline"),
-    *_below("virtual_bus/can_bus", "arbitration bus_load filters host_port"),
+    *_below("virtual_bus/can_bus", "arbitration bit_length bus_load filters host_port"),
     *_below("virtual_bus/canopen_device", "application device_clock heartbeat object_dictionary"),
-    *_below("virtual_bus/canopen_device", "pdo_codec pdo_engine rpdo station sync_consumer tpdo"),
-    *_below("virtual_bus/fault_injection", "fault_streams"),
+    *_below(
+        "virtual_bus/canopen_device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"
+    ),
+    *_below("virtual_bus/fault_injection", "fault_log fault_streams logged_fates special_faults"),
     *_below("virtual_bus/servo_drive", "firmware operation_modes power_state servo_parameters"),
 ]
 """What runs in every cycle of the loop or of a simulated drive."""
@@ -39,8 +42,8 @@ HOT_MODULES = [
 
 def compiler_lack() -> str | None:
     """Why C cannot be compiled here, or None."""
-    compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]
-    if shutil.which(os.environ.get("CC", compiler)) is None:
+    compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
+    if shutil.which(compiler) is None:
         return f"no C compiler {compiler!r} is here"
     header = Path(sysconfig.get_path("include"), "Python.h")
     return None if header.exists() else f"{header} is not here (Debian: apt-get install python3-dev)"
@@ -58,7 +61,8 @@ def extensions() -> list[Extension]:
     """The hot modules as one library and a stub for each."""
     from mypyc.build import mypycify
 
-    made = mypycify(list(HOT_MODULES), opt_level="3", debug_level="0", group_name="drivers.compiled")
+    with redirect_stdout(sys.stderr):  # its remarks belong to the log, like the compiler's
+        made = mypycify(list(HOT_MODULES), opt_level="3", debug_level="0", group_name="drivers.compiled")
     for extension in made:
         # A fused multiply-add, where the processor has it, would change the last bit of a result.
         extension.extra_compile_args.append("-ffp-contract=off")

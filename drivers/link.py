@@ -63,23 +63,27 @@ class BusLink:
         self._taps: tuple[Tap, ...] = ()
         self._offset_ns = Duration(0)
         self._offset_expires_at = Instant(-1)
-        self.recv: Callable[[Instant], Received | None] = self._recv_message
-        """``recv(until)``: the next data frame, or None once ``until`` has come (and nothing is waiting).
-
-        Lets time pass. Raises BusDown if the bus is gone.
-        """
-        self.send: Callable[[int, bytes], Instant] = self._send_message
-        """``send(can_id, data)``: queue a frame; returns the instant just before the bus was given it.
-
-        Raises BusDown if the bus is gone or its transmit queue is full.
-        """
+        self._lean = isinstance(bus, LeanBus)
         if isinstance(bus, LeanBus):
             self._recv_frame, self._send_frame = bus.recv_frame, bus.send_frame
-            self.recv, self.send = self._recv_lean, self._send_lean
 
     def tap(self, callback: Tap) -> None:
         """Have ``callback`` see every frame from now on."""
         self._taps = (*self._taps, callback)
+
+    def recv(self, until: Instant) -> Received | None:
+        """The next data frame, or None once ``until`` has come and nothing is waiting.
+
+        Lets time pass. Raises BusDown if the bus is gone.
+        """
+        return self._recv_lean(until) if self._lean else self._recv_message(until)
+
+    def send(self, can_id: int, data: bytes) -> Instant:
+        """Queue a frame; returns the instant just before the bus was given it.
+
+        Raises BusDown if the bus is gone or its transmit queue is full.
+        """
+        return self._send_lean(can_id, data) if self._lean else self._send_message(can_id, data)
 
     def _send_lean(self, can_id: int, data: bytes) -> Instant:
         at = self._clock.now()

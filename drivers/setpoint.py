@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Final
 
+from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
 from drivers.pdo import PdoMap, PdoPlan
@@ -14,6 +15,8 @@ _VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
 _TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)
+_round: Final = round
+"""As constants of this module: found without a look-up where it is compiled."""
 
 
 class _Carrier:
@@ -45,11 +48,11 @@ class SetPoint:
     """
 
     __slots__ = (
+        "_link",
         "_per_nm",
         "_per_rad",
         "_per_rad_s",
         "_places",
-        "_send",
         "_torque",
         "_torque_raw_max",
         "_velocity_raw_max",
@@ -66,7 +69,7 @@ class SetPoint:
     ) -> None:
         self.clipped = 0
         """Set-points beyond their limit."""
-        self._send: Callable[[int, bytes], Instant] = network.link.send
+        self._link: BusLink = network.link
         self._per_nm = 1.0 / scaling.torque_nm
         self._per_rad_s = 1.0 / scaling.velocity_rad_s
         self._per_rad = 1.0 / scaling.position_rad
@@ -91,7 +94,7 @@ class SetPoint:
         """Send every RPDO that carries an object; nothing if none does."""
         for place in self._places.get(index, ()):
             carrier = place.carrier
-            self._send(carrier.cob_id, carrier.pack(*carrier.values))
+            self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
 
     def send_controlword(self, controlword: int) -> None:
         """Put a controlword in force and send every RPDO that carries it."""
@@ -102,7 +105,7 @@ class SetPoint:
 
     def hold_torque(self, torque_nm: float) -> None:
         """Set the torque that the next frame carries, N m. Raises ValueError for what is no number."""
-        raw = round(torque_nm * self._per_nm)
+        raw = _round(torque_nm * self._per_nm)
         limit = self._torque_raw_max
         if not -limit <= raw <= limit:
             raw = limit if raw > 0 else -limit
@@ -138,7 +141,7 @@ class SetPoint:
         if not places:
             raise RuntimeError(f"no RPDO of the plan carries {index:04X}h")
         carrier = places[0].carrier
-        return self._send(carrier.cob_id, carrier.pack(*carrier.values))
+        return self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
 
 
 def _raw_limit(limit: float | None, per_unit: float, raw_max: int) -> int:

@@ -23,6 +23,7 @@ _new: Final = tuple.__new__
 _COMMAND: Final = Command
 _RECORD: Final = CycleRecord
 _SAMPLE: Final = Sample
+_reversed: Final = reversed
 """``_new(_SAMPLE, values)`` takes a third of the time of ``Sample(*values)``, for the path of every cycle."""
 
 
@@ -218,7 +219,7 @@ class Axis:
         sampled_at, error_ns = self.parts.clock_map.place(reading.device_time_ns)
         # A SYNC may be a quarter of a period late by the map's error or early by queueing.
         latest_sent_at = sampled_at + self._period // 4
-        for sequence, sent_at in reversed(self._syncs):
+        for sequence, sent_at in _reversed(self._syncs):
             if sent_at <= latest_sent_at:
                 if sampled_at - sent_at > self._period:
                     return None

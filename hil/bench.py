@@ -25,6 +25,7 @@ from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.simulated_drives import simulated_drives
 from hil.terminal.progress import Progress
 from hil.world import World, WorldPlan, check_time, open_world
+from virtual_bus.fault_injection.fault_log import FaultLog
 
 ENABLE_TIMEOUT_S = 2.0
 RUNS_FOLDER = Path("runs")
@@ -60,12 +61,15 @@ def run_bench(
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     paced = check_time(spec, time)
     seed = config.bench.seed if seed is None else seed
-    world_plan = WorldPlan(spec, config.bus.bitrate_bit_s, paced, config.fault_plan, seed)
+    log = FaultLog() if config.fault_plan is not None else None
+    world_plan = WorldPlan(spec, config.bus.bitrate_bit_s, paced, config.fault_plan, seed, fault_log=log)
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
         folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
         plan = _recording_plan(config, world, folder, seed, str(spec), view)
         recorder = start_recording(plan)
+        if log is not None:
+            log.send_to(recorder.fault_block)
         run = _Run(config, world, recorder, stop, progress)
         summary = run.to_the_end()
     return BenchResult(summary.as_json(), summary.verdict.passed, bool(stop), folder)
@@ -90,6 +94,7 @@ def _recording_plan(
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,
+        faults=config.faults is not None,
         view=view,
         notes={
             "motor": first.motor.motor.name,
@@ -127,6 +132,8 @@ class _Run:
             self._recorder.event(self._world.clock.now(), "CRITICAL", str(error))
             raise
         finally:
+            if self._world.faults is not None:
+                self._world.faults.finish()
             summary = self._recorder.close(outcome)
         return summary
 
@@ -144,7 +151,7 @@ class _Run:
             assembly.axis(config, number, drive, self._load_machine(drive), timing, self._recorder)
             for number, drive in enumerate(self._drives)
         ]
-        loop = Loop(self._network, world.clock, axes, timing)
+        loop = Loop(self._network.frame_pump, world.clock, axes, timing)
         self._enter("enabling")
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
@@ -226,8 +233,6 @@ class _Run:
                 self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
-        if self._world.faults is not None:
-            self._world.faults.stop()
         if ended.ticks_missed:
             self._say(f"{ended.ticks_missed} ticks missed", "WARN")
         if ended.interrupted:
@@ -243,6 +248,8 @@ class _Run:
     def _release(self) -> None:
         """Every way out of a run leads through here."""
         self._enter("stopping")
+        if self._world.faults is not None:
+            self._world.faults.stop()
         for drive in self._drives:
             release = drive.release()
             self._note_state(drive)

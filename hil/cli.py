@@ -75,6 +75,14 @@ def run(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
+    replay_faults: Annotated[
+        Path | None,
+        typer.Option(
+            "--replay-faults",
+            metavar="FILE",
+            help="faults.jsonl of a run; instead of the bench's own faults.",
+        ),
+    ] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
     ] = False,
@@ -85,9 +93,13 @@ def run(
     Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault.
     """
     with reported_errors():
-        from hil.configuration.bench_file import load_bench
+        from hil.configuration.bench_file import load_bench, load_faults
+        from hil.configuration.config_files import NamedBy
 
         config = load_bench(bench)
+        if replay_faults is not None:
+            named_by = NamedBy("--replay-faults", "", str(replay_faults))
+            config = config.with_faults(load_faults(replay_faults, named_by))
 
         from hil.bench import run_bench
         from hil.terminal.progress import TerminalProgress
@@ -121,7 +133,11 @@ def simulate(
     ],
     node: Annotated[
         list[str],
-        typer.Option("--node", metavar="N...", help="Node ids: 1, or 1,2, or 1-3; may be repeated."),
+        typer.Option(
+            "--node",
+            metavar="N...",
+            help="Node ids: 1, or 1,2, or 1-3, or unconfigured (LSS gives one); may be repeated.",
+        ),
     ],
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
     motor: Annotated[
@@ -129,6 +145,14 @@ def simulate(
     ] = None,
     faults: Annotated[
         Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
+    ] = None,
+    eds: Annotated[
+        Path | None,
+        typer.Option("--eds", metavar="FILE", help="EDS or DCF of the device to rehearse: its dictionary."),
+    ] = None,
+    store: Annotated[
+        Path | None,
+        typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
     ] = None,
     bitrate: Annotated[
         int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
@@ -144,8 +168,9 @@ def simulate(
 
         nodes = node_ids([*node, *(more_nodes or [])])
         motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
-        plan = load_faults(faults, NamedBy("--faults", "", str(faults))) if faults else None
+        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
 
+        from hil.device_files import DeviceFiles
         from hil.simulated_drives import simulate as simulate_drives
 
         simulate_drives(
@@ -156,6 +181,7 @@ def simulate(
             bitrate_bit_s=bitrate,
             seed=seed or 0,
             announce=lambda text: print(text, file=sys.stderr, flush=True),
+            files=DeviceFiles(eds, store),
         )
 
 

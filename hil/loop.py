@@ -33,10 +33,8 @@ class Actuation(Enum):
 class Master(Protocol):
     """What the loop needs of the CANopen master."""
 
-    @property
-    def sync_count(self) -> int:
-        """SYNCs sent."""
-        ...
+    sync_count: int
+    """SYNCs sent."""
 
     def send_sync(self) -> Instant:
         """Send a SYNC; when it was handed to the bus."""

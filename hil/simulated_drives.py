@@ -6,10 +6,13 @@ from design.motor import PmsmParameters
 from drivers.adapters import BusSpec, parse_bus_spec
 from drivers.errors import BadInput
 from hil.configuration.config import BenchConfig
+from hil.device_files import DeviceFiles
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from hil.world import WorldPlan, open_world
-from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
+from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.frame import Device
 from virtual_bus.hosting import serve
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.servo_drive.servo_parameters import DriveParameters
@@ -35,10 +38,11 @@ def simulate(
     bus_spec: str,
     nodes: Sequence[int],
     motor: PmsmParameters,
-    faults: FaultPlan | None,
+    faults: Faults | None,
     bitrate_bit_s: int,
     seed: int,
     announce: Callable[[str], None],
+    files: DeviceFiles,
 ) -> None:
     """Simulated drives on a real-time bus until a stop signal comes.
 
@@ -54,18 +58,21 @@ def simulate(
             "a bus that other processes can join",
             "use hub:NAME, or run the bench itself with --bus simulated",
         )
-    devices = [SimulatedServo(node, motor, seed=seed) for node in nodes]
+    vendor, store = files.vendor(announce), files.memory(nodes)
+    devices = [SimulatedServo(node, motor, seed=seed, store=store, vendor=vendor) for node in nodes]
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
+        hosted: list[Device] = list(devices)
         if world.faults is not None:
+            hosted = [world.faults.wrap(device) for device in devices]
             world.faults.start(world.clock.now())
         with realtime_process() as refused:
             for request in refused:
                 announce(f"not granted by the kernel: {request}")
             announce(_announcement(spec, nodes, motor))
-            serve(devices, world.link.bus, world.clock, stop)
+            serve(hosted, world.link.bus, world.clock, stop)
 
 
 def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) -> str:
-    listed = ", ".join(map(str, nodes))
+    listed = ", ".join("unconfigured" if node == UNCONFIGURED else str(node) for node in nodes)
     return f"simulated drive on {spec}: node {listed}, motor {motor.name}; Ctrl-C ends it"

@@ -10,10 +10,11 @@ from drivers.link import BusLink, StampSource
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.can_bus.bus_load import BusLoad
-from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.fault_injection.faulty_bus import FaultyBus, Side
-from virtual_bus.faults import FaultInjector
-from virtual_bus.frame import Device, Frame
+from virtual_bus.fault_injection.faulty_device import FaultyDevice, SimulatedNode
+from virtual_bus.fault_injection.injection import Faults, Injection, node_kinds
+from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.pacing import PacedTimeline
 from virtual_bus.segment import Segment
@@ -29,11 +30,36 @@ class World:
     clock: Clock
     real_time: bool
     """Whether time passes by itself: a full recording ring then loses rows instead of waiting."""
-    faults: FaultyBus | None
+    faults: "WorldFaults | None"
     load_percent: Callable[[Instant, Instant], float]
     """Bus load between two instants, percent: exact on a simulated segment, else from the frames seen."""
     wall_offset: Duration
     """Wall clock minus the world's clock; 0 in simulated time."""
+
+
+class WorldFaults:
+    """The faults of a world as a whole, and the bus that wears those of frames."""
+
+    def __init__(self, injection: Injection, bus: FaultyBus | None) -> None:
+        self._injection = injection
+        self._bus = bus
+        self.wrap = injection.wrap
+
+    def start(self, now: Instant) -> None:
+        """Time zero of the plan is ``now``."""
+        if self._bus is not None:
+            self._bus.start(now)
+        self._injection.start(now)
+
+    def stop(self) -> None:
+        """Nothing new happens from here on."""
+        if self._bus is not None:
+            self._bus.stop()
+        self._injection.stop()
+
+    def finish(self) -> None:
+        """Let the log have what it has not got yet."""
+        self._injection.finish()
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +70,11 @@ class WorldPlan:
     bitrate_bit_s: int
     paced: bool
     """Simulated time at the pace of the wall clock."""
-    faults: FaultPlan | None
+    faults: Faults | None
     seed: int
     side: Side = "host"
+    fault_log: FaultLog | None = None
+    """Takes what is injected, for a recording."""
 
 
 def check_time(spec: BusSpec, time: str | None) -> bool:
@@ -64,38 +92,55 @@ def check_time(spec: BusSpec, time: str | None) -> bool:
 
 
 @contextmanager
-def open_world(plan: WorldPlan, devices: Sequence[Device]) -> Iterator[World]:
+def open_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> Iterator[World]:
     """Make the world and close it again; ``devices`` live on a simulated segment and nowhere else."""
-    injector = FaultInjector(plan.faults, plan.seed) if plan.faults is not None else None
-    if plan.spec.simulated:
-        timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
-        segment = Segment(timeline, plan.bitrate_bit_s)
-        bus = SimulatedBus(segment=segment)
-        clock: Clock = SimulatedClock(timeline)
-        faults = FaultyBus(bus, injector, clock, plan.side, Duration(0)) if injector else None
-        link = BusLink(faults or bus, clock, StampSource.MONOTONIC, str(plan.spec))
-        for device in devices:
-            attach_to_segment(device, segment, timeline)
-        world = World(link, clock, plan.paced, faults, segment.load_percent, Duration(0))
-    else:
-        world = _real_world(plan, injector)
+    world = _simulated_world(plan, devices) if plan.spec.simulated else _real_world(plan)
     try:
         yield world
     finally:
         world.link.bus.shutdown()
 
 
-def _real_world(plan: WorldPlan, injector: FaultInjector | None) -> World:
+def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World:
+    timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
+    segment = Segment(timeline, plan.bitrate_bit_s)
+    bus = SimulatedBus(segment=segment)
+    clock = SimulatedClock(timeline)
+    injection = Injection(plan.faults, plan.seed, plan.fault_log) if plan.faults is not None else None
+    faulty = None
+    if injection is not None and injection.fates is not None:
+        faulty = FaultyBus(bus, injection.fates, clock, plan.side, Duration(0))
+    for device in devices:
+        node = device if injection is None else injection.wrap(device)
+        attached = attach_to_segment(node, segment, timeline)
+        if injection is not None and isinstance(node, FaultyDevice):
+            injection.on_start(attached.wake_now)
+    link = BusLink(faulty or bus, clock, StampSource.MONOTONIC, str(plan.spec))
+    faults = None if injection is None else WorldFaults(injection, faulty)
+    return World(link, clock, plan.paced, faults, segment.load_percent, Duration(0))
+
+
+def _real_world(plan: WorldPlan) -> World:
+    if plan.faults is not None and plan.side == "host" and (kinds := node_kinds(plan.faults)):
+        raise BadInput(
+            "fault plan",
+            kinds[0],
+            f"the bus {plan.spec}",
+            "the bus 'simulated', where the bench makes the drives itself",
+            "give these faults to the drives: hil simulate --faults FILE",
+        )
     clock = MonotonicClock()
     opened = open_bus(plan.spec, plan.bitrate_bit_s)
     wall_offset = wall_clock_offset()
     offsets = {StampSource.MONOTONIC: Duration(0), StampSource.WALL_CLOCK: wall_offset}
-    faults = None
-    if injector is not None:
-        faults = FaultyBus(opened.bus, injector, clock, plan.side, offsets.get(opened.stamps))
-    link = BusLink(faults or opened.bus, clock, opened.stamps, str(plan.spec))
+    injection = Injection(plan.faults, plan.seed, plan.fault_log) if plan.faults is not None else None
+    faulty = None
+    if injection is not None and injection.fates is not None:
+        faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, offsets.get(opened.stamps))
+    link = BusLink(faulty or opened.bus, clock, opened.stamps, str(plan.spec))
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)
+    faults = None if injection is None else WorldFaults(injection, faulty)
     return World(link, clock, True, faults, meter.load_percent, wall_offset)
 
 

@@ -9,7 +9,7 @@ its parameters from the dictionary and hooks its checks into it. An object that 
 got switches its feature off.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from drivers.timebase import Instant
@@ -50,18 +50,22 @@ class CanopenDevice:
         application: Application,
         options: DeviceOptions | None = None,
         store: ParameterStore | None = None,
+        vendor: Callable[[ObjectDictionary], None] | None = None,
     ) -> None:
         """``node_id``: 1..127, or 255 for a device that waits for LSS. The application's objects are
-        added here. ``store``: keeps what 1010h and LSS store."""
+        added here. ``store``: keeps what 1010h and LSS store. ``vendor``: makes the finished dictionary
+        another device's, before the parts of the device hook into it."""
         assert 1 <= node_id <= NODE_ID_MAX or node_id == UNCONFIGURED, f"node-ID {node_id}"
         options = options or DeviceOptions()
         self._station = station = Station(node_id, ObjectDictionary(), application)
         self._application = application
         self.clock = DeviceClock(options.clock_offset_ns, options.clock_drift_ppb)
         add_communication_objects(station.dictionary, options)
+        application.attach(self)
+        if vendor is not None:
+            vendor(station.dictionary)
         self._emergency = EmergencyProducer(station)
         self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
-        application.attach(self)
         self._pdos = PdoEngine(station, self._emergency)
         self._sync = SyncConsumer(station, self._emergency, self._pdos)
         self._time = TimeConsumer(station)

@@ -6,7 +6,7 @@ moves on by every frame that the fault selects, in its window or not, lost by an
 not. So a change of one fault never shifts the draws of another.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from drivers.timebase import Duration, Instant
@@ -14,16 +14,31 @@ from virtual_bus.fault_injection.fault_plan import (
     STANDARD_ID_MAX,
     Blackout,
     BurstLoss,
+    Corruption,
+    Delay,
     Direction,
+    Duplication,
+    Effect,
     FaultPlan,
     IndependentLoss,
     Loss,
+    MeasuredDelay,
     PeriodicLoss,
+    Reordering,
     Selection,
     UniformDelay,
     node_of,
 )
 from virtual_bus.fault_injection.fault_streams import uniform_stream
+from virtual_bus.fault_injection.special_faults import (
+    Instead,
+    Special,
+    SpecialFault,
+    instead_of,
+    measured_hold,
+    replaced,
+)
+from virtual_bus.frame import Frame
 
 FOREVER: Final = Instant(2**63 - 1)
 
@@ -32,6 +47,7 @@ class Fate(NamedTuple):
     """What becomes of a frame."""
 
     dropped: bool
+    """It does not go on as it is; ``replacements`` says what does, if anything."""
     delay_ns: Duration
     """From the instant given to ``fate`` until it goes on; 0 if dropped."""
 
@@ -56,6 +72,11 @@ class FateSource(Protocol):
 
     def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> Fate:
         """What becomes of a frame that is there at ``now``; ``now`` may not run backwards in a direction."""
+        ...
+
+    def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
+        """What goes on in place of ``frame``, which the last fate dropped: copies or damaged ones, each with
+        its delay; empty if it is lost."""
         ...
 
     def counts(self) -> dict[str, dict[str, int]]:
@@ -165,15 +186,27 @@ class _Way:
     def __init__(self, plan: FaultPlan) -> None:
         self.frames = 0
         self.delayed = 0
-        self.lost = {fault.kind: 0 for fault in plan.faults if not isinstance(fault, UniformDelay)}
+        self.lost = {fault.kind: 0 for fault in plan.faults if not isinstance(fault, Delay)}
         self.routes: dict[int, _Route] = {}
         self.queues: dict[int, _Queue] = {}
 
 
 class FaultInjector:
-    """Applies ``plan`` with the random streams of ``seed``; ``link`` tells several buses of a bench apart."""
+    """Applies ``plan`` with the random streams of ``seed``; ``link`` tells several buses of a bench apart.
 
-    def __init__(self, plan: FaultPlan, seed: int, link: str = "bus") -> None:
+    ``error_frames``: the bus itself can disturb a frame on the wire, so the corruptions with that effect are
+    left to it (:mod:`virtual_bus.fault_injection.disturber`); without, such a frame is lost.
+    """
+
+    def __init__(self, plan: FaultPlan, seed: int, link: str = "bus", error_frames: bool = False) -> None:
+        self.struck_by = ""
+        """The kind of fault that struck the last frame that was dropped or held out of order."""
+        self.parameter = 0
+        """What that fault drew, see :meth:`Special.parameter`."""
+        self.waited = 0
+        """How long the last frame that had to wait for one in front of it did so, ns."""
+        self._instead: Instead = ()
+        self._error_frames = error_frames
         self._plan = plan
         self._seed = seed
         self._link = link
@@ -213,11 +246,11 @@ class FaultInjector:
         for holds in delays:
             held += holds(elapsed)
         if lost_to is not None:
-            way.lost[lost_to] += 1
-            return DROPPED
+            return self._strike(way, queue, lost_to, now, held)
         if queue is not None:
             release = now + held
             if release < queue.released_at:
+                self.waited = queue.released_at - release
                 release = queue.released_at
                 held = release - now
             queue.released_at = release
@@ -226,14 +259,49 @@ class FaultInjector:
         way.delayed += 1
         return _new_fate(_FATE, (False, held))
 
+    def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
+        """See :class:`FateSource`."""
+        return replaced(frame, self._instead) if self._instead else ()
+
+    def keeps_order(self, direction: Direction, can_id: int, extended: bool) -> bool:
+        """Whether a held frame of that kind waits for the one in front of it."""
+        key = self._extended_key(can_id) if extended else can_id
+        route = self._ways[direction].routes.get(key)
+        return route is not None and route.queue is not None
+
     def counts(self) -> dict[str, dict[str, int]]:
-        """By direction: ``frames`` seen, those lost by kind of fault (the first that struck), ``delayed``."""
+        """By direction: ``frames`` seen, those struck, by kind of the first fault to strike, ``delayed``."""
         return {
             direction.label: {"frames": way.frames, **way.lost, "delayed": way.delayed}
             for direction, way in zip(Direction, self._ways, strict=True)
         }
 
+    def _strike(self, way: _Way, queue: _Queue | None, label: str, now: Instant, held: int) -> Fate:
+        """A fault other than a delay has struck: few frames come here."""
+        self._instead = ()
+        special = self._specials.get(label)
+        if special is None:
+            way.lost[label] += 1
+            self.struck_by = label
+            return DROPPED
+        way.lost[special.kind] += 1
+        self.struck_by = special.kind
+        if not special.keeps:
+            return DROPPED
+        self.parameter = parameter = special.parameter()
+        release = now + held
+        if queue is not None and release < queue.released_at:
+            self.waited = queue.released_at - release
+            release = queue.released_at
+        if isinstance(special.fault, Reordering):
+            return Fate(False, Duration(release - now + parameter))
+        if queue is not None:
+            queue.released_at = release
+        self._instead = instead_of(special.kind, parameter, Duration(release - now))
+        return DROPPED
+
     def _forget(self) -> None:
+        self._specials: dict[str, Special] = {}
         self._ways = tuple(_Way(self._plan) for _ in Direction)
         self._chances: dict[tuple[int, Direction, int], Strikes] = {}
         self._holds: dict[tuple[int, Direction, int], Holds] = {}
@@ -250,14 +318,39 @@ class FaultInjector:
         for index, fault in enumerate(self._plan.faults):
             if not fault.selection.selects(direction, can_id, extended):
                 continue
-            if isinstance(fault, UniformDelay):
+            if isinstance(fault, Delay):
                 delays.append(self._delay(index, fault, direction, node))
                 in_order = in_order and not fault.reorder
-            else:
+            elif not isinstance(fault, SpecialFault):
                 losses.append((fault.kind, self._loss(index, fault, direction, node)))
+        losses += self._special_strikes(direction, can_id, extended)
         queues = self._ways[direction].queues
         queue = queues.setdefault(node, _Queue()) if delays and in_order else None
         return _Route(tuple(losses), tuple(delays), queue)
+
+    def _special_strikes(
+        self, direction: Direction, can_id: int, extended: bool
+    ) -> list[tuple[str, Strikes]]:
+        """After the losses: a frame that is lost is lost, whatever else struck it."""
+        node = node_of(can_id, extended)
+        found: list[tuple[str, Strikes]] = []
+        for kind in (Corruption, Duplication, Reordering):
+            for index, fault in enumerate(self._plan.faults):
+                if not isinstance(fault, kind) or not fault.selection.selects(direction, can_id, extended):
+                    continue
+                if (
+                    isinstance(fault, Corruption)
+                    and self._error_frames
+                    and fault.effect is Effect.ERROR_FRAME
+                ):
+                    continue
+                label = f"{direction.label}/{node}/{index}"
+                special = self._specials.get(label)
+                if special is None:
+                    draw = self._stream(index, direction, node)
+                    special = self._specials[label] = Special(fault, *_window(fault.selection), draw)
+                found.append((label, special.strikes))
+        return found
 
     def _loss(self, index: int, fault: Loss, direction: Direction, node: int) -> Strikes:
         """Chance is the link's; counting is each COB-ID's, so that all PDOs of a cycle fare alike."""
@@ -274,10 +367,14 @@ class FaultInjector:
                 self._chances[key] = _burst_loss(fault, draw)
         return self._chances[key]
 
-    def _delay(self, index: int, fault: UniformDelay, direction: Direction, node: int) -> Holds:
+    def _delay(self, index: int, fault: Delay, direction: Direction, node: int) -> Holds:
         key = (index, direction, node)
         if key not in self._holds:
-            self._holds[key] = _uniform_delay(fault, self._stream(*key))
+            draw = self._stream(*key)
+            if isinstance(fault, MeasuredDelay):
+                self._holds[key] = measured_hold(fault, *_window(fault.selection), draw)
+            else:
+                self._holds[key] = _uniform_delay(fault, draw)
         return self._holds[key]
 
     def _stream(self, index: int, direction: Direction, node: int) -> Draw:

@@ -26,7 +26,6 @@ from virtual_bus.timeline import Timeline
 
 _push: Final = heappush
 _pop: Final = heappop
-_wire_bits: Final = wire_bits
 
 OnFrame = Callable[[Frame, Instant], None]
 
@@ -178,7 +177,7 @@ class Segment:
             start = timeline.now
         _, data, _, remote, remote_length = port._queue[0][1]
         dlc = remote_length if remote else len(data)
-        bits = _wire_bits(key << 4 | dlc, int.from_bytes(data))
+        bits = wire_bits(key << 4 | dlc, data)
         self._sender = port
         self._key = key
         self._start_at = start

@@ -6,6 +6,7 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
 """
 
 import math
+from collections.abc import Callable
 from typing import Final, cast
 
 from design.motor import PmsmParameters
@@ -26,6 +27,8 @@ from virtual_bus.canopen_device.application import (
     ErrorRegister,
     NmtState,
 )
+from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
+from virtual_bus.canopen_device.parameter_store import ParameterStore
 from virtual_bus.device import CanopenDevice
 from virtual_bus.servo_drive.firmware import Firmware, InnerControl
 from virtual_bus.servo_drive.motor_kernel import (
@@ -75,6 +78,9 @@ _COUNT: Final = int(S_COUNT)
 _SPEED: Final = int(S_SPEED_MEASURED)
 _TORQUE: Final = int(S_TORQUE_MEASURED)
 _LIMITED: Final = int(S_LIMITED)
+_INT32_MAX: Final = 2147483647.0
+_round: Final = round
+"""As constants of this module: found without a look-up where it is compiled."""
 
 _BASE_STATUS: dict[State, int] = {
     state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
@@ -162,10 +168,11 @@ class ServoApplication(Application):
         state = self._state
         position, velocity, torque, statusword = self._cyclic
         position.value = (int(state[_COUNT]) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        velocity.value = round(state[_SPEED] * _VELOCITY_RAW_PER_RAD_S)
+        speed = state[_SPEED] * _VELOCITY_RAW_PER_RAD_S
+        velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else _int32(speed)
         torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
         status = self._base_status
-        if state[_LIMITED]:
+        if state[_LIMITED] != 0.0:
             status |= INTERNAL_LIMIT_ACTIVE
         if status != statusword.value:
             statusword.value = status
@@ -246,6 +253,10 @@ class ServoApplication(Application):
         self._services.raise_error(code, register)
         self._signal_fault(code)
 
+    def hold_encoder(self, held: bool) -> None:
+        """``held``: the encoder's count stands still from the next inner tick on; nothing notices it here."""
+        self.firmware.hold_encoder(held)
+
     def _signal_fault(self, code: int) -> None:
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return
@@ -286,11 +297,14 @@ class SimulatedServo(CanopenDevice):
         motor: PmsmParameters,
         drive: DriveParameters | None = None,
         seed: int = 0,
+        store: ParameterStore | None = None,
+        vendor: Callable[[ObjectDictionary], None] | None = None,
     ) -> None:
-        """``seed``: of everything random in the drive, a stream for each use and node."""
+        """``seed``: of everything random in the drive, a stream for each use and node. ``store``,
+        ``vendor``: as in :class:`virtual_bus.device.CanopenDevice`."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
-        super().__init__(node_id, self.drive, device_options(node_id, drive, seed))
+        super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
         self._stamp_the_samples()
 
     def _stamp_the_samples(self) -> None:
@@ -305,6 +319,11 @@ class SimulatedServo(CanopenDevice):
         return self.drive.power.state
 
 
+def _int32(value: float) -> int:
+    """``value`` rounded into INTEGER32."""
+    return round(min(max(value, -_INT32_MAX), _INT32_MAX))
+
+
 def _int16(value: float) -> int:
     """``value`` rounded into INTEGER16."""
-    return min(max(round(value), -0x8000), 0x7FFF)
+    return min(max(_round(value), -0x8000), 0x7FFF)

@@ -12,10 +12,11 @@ from hil.configuration.config import BenchConfig, Faults
 from hil.configuration.config_axis import Controller, ControllerFile
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
-from hil.configuration.config_files import NamedBy, read_toml
+from hil.configuration.config_files import NamedBy, read_toml, require_file
 from hil.configuration.motor_file import load_motor
-from virtual_bus.fault_injection.fault_plan import FaultPlan
-from virtual_bus.fault_injection.fault_plan_toml import read_fault_plan
+from virtual_bus.fault_injection.fault_log import FAULTS_FILE
+from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, read_fault_plan
+from virtual_bus.fault_injection.replay import read_recorded
 
 
 def load_bench(path: Path) -> BenchConfig:
@@ -23,9 +24,15 @@ def load_bench(path: Path) -> BenchConfig:
     return bench_from(read_toml(path, "bench file"), str(path), path.parent)
 
 
-def load_faults(path: Path, named_by: NamedBy | None = None) -> FaultPlan:
-    """The fault plan at ``path``; ``named_by``: who names it. Raises BadInput or BadInputs."""
-    return faults_from(read_toml(path, "fault plan", named_by), str(path)).plan
+def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
+    """The fault plan at ``path``, or what a run has recorded there (``.jsonl``); ``named_by``: who names it.
+
+    Raises BadInput or BadInputs.
+    """
+    if path.suffix == ".jsonl":
+        require_file(path, "file of recorded faults", named_by)
+        return Faults(tables={"plan": FAULTS_FILE}, plan=read_recorded(path))
+    return faults_from(read_toml(path, "fault plan", named_by), str(path))
 
 
 def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Faults:
@@ -33,7 +40,7 @@ def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Fau
     plan, errors = read_fault_plan(tables, source, prefix)
     if errors:
         raise_all(errors)
-    return Faults(tables=dict(tables), plan=plan)
+    return Faults(tables=fault_plan_mapping(plan), plan=plan)
 
 
 def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig:
@@ -110,8 +117,7 @@ class _Expansion:
             expected = "either plan or the plan's own tables"
             raise BadInput(self._source, "faults", f"plan and {', '.join(others)}", expected)
         path = self._folder / name
-        named_by = NamedBy(self._source, "faults.plan", name)
-        return faults_from(read_toml(path, "fault plan", named_by), str(path))
+        return load_faults(path, NamedBy(self._source, "faults.plan", name))
 
     def _attempt(self, key: str, load: Callable[[], Any]) -> Any:
         try:

@@ -13,7 +13,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.configuration.config_axis import Drive, LoadStep, Reference
 from hil.configuration.config_files import Section
 from hil.configuration.toml_text import toml_text
-from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.fault_injection.injection import Faults as InjectedFaults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
@@ -114,8 +114,8 @@ class Faults(Section):
     """``[faults]``: what the bench does to the frames of its own bus connection."""
 
     tables: dict[str, Any]
-    """The plan as its file has it."""
-    plan: FaultPlan
+    """The plan written out, or where the recorded faults are found beside the resolved bench file."""
+    plan: InjectedFaults
 
 
 class BenchConfig(Section):
@@ -150,9 +150,13 @@ class BenchConfig(Section):
         return tuple(sorted(self.drive))
 
     @property
-    def fault_plan(self) -> FaultPlan | None:
-        """The faults of the bench's own bus connection; None: none."""
+    def fault_plan(self) -> InjectedFaults | None:
+        """The faults of the bench's own bus; None: none."""
         return self.faults.plan if self.faults else None
+
+    def with_faults(self, faults: Faults) -> "BenchConfig":
+        """This bench with other faults."""
+        return self.model_copy(update={"faults": faults})
 
     def resolved_text(self, *, bus_spec: str | None = None, seed: int | None = None) -> str:
         """This bench as one TOML file: every default written out, motor and fault plan inline.

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
+from drivers.key_advice import nearest
 from drivers.pdo_plans import torque_plan
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive, StampCompensator, peak_speed_rpm
-from hil.configuration.key_advice import nearest
 from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47

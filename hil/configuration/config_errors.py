@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from drivers.errors import MISSING, BadInput, BenchError
-from hil.configuration.key_advice import converted, nearest, same_quantity
+from drivers.key_advice import UnknownKey, unknown_key
 from hil.configuration.toml_text import key_text
 
 Location = tuple[int | str, ...]
@@ -67,29 +67,6 @@ def _meant_key(item: BadInput) -> str | None:
     return f"{parent}.{item.meant}" if parent else item.meant
 
 
-class UnknownKey(BadInput):
-    """A key that the file must not hold."""
-
-    meant: str | None = None
-    """The known key that it was probably meant to be."""
-
-
-def unknown_key(source: str, key: str, value: Any, known: Sequence[str]) -> UnknownKey:
-    """``key`` (dotted) is not one of ``known`` (plain names of the same table)."""
-    name = key.rpartition(".")[2]
-    if other := same_quantity(name, known):
-        number = converted(value, name, other)
-        expected, remedy = f"{other} (the unit is part of the key)", f"write {other}"
-        remedy += f" = {number}" if number is not None else " and give the value in that unit"
-    elif other := nearest(name, known):
-        expected, remedy = f"{other}, the nearest known key", f"known here: {_listed(known)}"
-    else:
-        expected, remedy = "no such key", f"known here: {_listed(known)}"
-    error = UnknownKey(source, key, shown(value), expected, remedy)
-    error.meant = other
-    return error
-
-
 def shown(value: Any) -> Any:
     """``value`` itself, or a short word for a table or list that is too long for a line."""
     if isinstance(value, Mapping):
@@ -111,7 +88,7 @@ def _translate_one(
         return BadInput(source, key, MISSING, _described(path, raw, model) or "a value: the key is required")
     if kind == "extra_forbidden":
         known = sorted(fields_at(path[:-1], raw, model))
-        return unknown_key(source, key, detail["input"], known)
+        return unknown_key(source, key, shown(detail["input"]), known)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
         kinds = [repr(name) for item in models_at(path, raw, model) for name in _kinds(item)]
         found = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING

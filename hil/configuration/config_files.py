@@ -53,8 +53,16 @@ def read_toml(path: Path, what: str, named_by: NamedBy | None = None) -> dict[st
         raise _no_toml(path, text, str(error)) from None
 
 
+def require_file(path: Path, what: str, named_by: NamedBy | None = None) -> None:
+    """Raises BadInput if there is no file ``path``, as :func:`read_toml` would."""
+    if not path.is_file():
+        raise _no_such_file(path, what, named_by or NamedBy(str(path), "", ""))
+
+
 def _no_such_file(path: Path, what: str, named_by: NamedBy) -> BadInput:
-    siblings = [item.name for item in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+    siblings = (
+        [item.name for item in path.parent.glob(f"*{path.suffix or '.toml'}")] if path.parent.is_dir() else []
+    )
     near = difflib.get_close_matches(path.name, siblings, n=1, cutoff=0.5)
     remedy = f"no file {path}"
     if near:

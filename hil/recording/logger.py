@@ -1,6 +1,6 @@
-"""Drains a run's rings into its folder: ``python -m hil.recording.logger ROWS FRAMES EVENTS``.
+"""Drains a run's rings into its folder: ``python -m hil.recording.logger ROWS FRAMES EVENTS FAULTS``.
 
-The arguments are the descriptors of the three rings. On standard input come two lines of
+The arguments are the descriptors of the four rings. On standard input come two lines of
 JSON: the recording plan at once, the outcome when the run ends. If the input ends without an
 outcome, the writer died; the rings still hold what it had stored, and the recording is
 finished with a verdict that says so. Printed are the line "ready" when the logger drains, and at
@@ -19,6 +19,7 @@ import rerun as rr
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, Summary, summarise
+from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
 from hil.recording.log_files import Keeper, open_keepers
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
@@ -64,8 +65,10 @@ class Input:
 class Logger:
     """Owns the readers' ends of the rings, the review, and everything that keeps something."""
 
-    def __init__(self, plan: RecordingPlan, rows: int, frames: int, events: int) -> None:
-        """``rows``, ``frames``, ``events``: descriptors of the rings."""
+    def __init__(
+        self, plan: RecordingPlan, rows: int, frames: int, events: int, faults: int | None = None
+    ) -> None:
+        """``rows``, ``frames``, ``events``, ``faults``: descriptors of the rings."""
         self._plan = plan
         self._rows = RingReader(rows, ROW_DTYPE)
         self._frames = RingReader(frames, FRAME_DTYPE)
@@ -73,6 +76,11 @@ class Logger:
         self._review = Review(plan.review)
         self._faults: list[str] = []
         self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
+        self._fault_blocks: RingReader | None = None
+        if faults is not None:
+            self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
+            if plan.faults:
+                self._keepers.append(FaultsKeeper(plan.folder, self._fault_blocks))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
@@ -113,6 +121,8 @@ class Logger:
         self._note_refused("cycle record", self._rows.refused)
         self._note_refused("frame", self._frames.refused)
         self._note_refused("event", self._events.refused)
+        if self._fault_blocks is not None:
+            self._note_refused("block of injected faults", self._fault_blocks.refused)
         if self._rows.refused and outcome.completed:
             # the figures would rest on less than the run
             outcome = replace(outcome, completed=False, reason="cycle records were lost")
@@ -158,7 +168,7 @@ def main() -> int:
     # Started by a real-time loop, it must not compete with it
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     rr.set_strict_mode(True)
-    descriptors = [int(argument) for argument in sys.argv[1:4]]
+    descriptors = [int(argument) for argument in sys.argv[1:5]]
     source = Input(sys.stdin.fileno())
     line = None
     while line is None and not source.ended:

@@ -19,7 +19,7 @@ from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, Summary, summarise
 from hil.recording.recording_plan import RecordingPlan, ReviewPlan
-from hil.recording.records import ROW, ROW_DTYPE, row_fields
+from hil.recording.records import ROW, ROW_DTYPE, store_record
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
 from hil.recording.side_rows import (
@@ -31,12 +31,15 @@ from hil.recording.side_rows import (
     event_fields,
 )
 from hil.samples import CycleRecord
+from virtual_bus.fault_injection.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16
 FRAMES_CAPACITY = 1 << 19
 EVENTS_CAPACITY = 1 << 11
+FAULTS_CAPACITY = 1 << 12
 """Rows: a minute of cycles of one axis at 1 kHz, and more of frames. The logger may be that far behind, and
-is while it starts: a loop in simulated time has done half a minute by then."""
+is while it starts: a loop in simulated time has done half a minute by then. A row of faults is a block
+of 90."""
 
 _FINISH_MAX_S = 120.0
 _POLL_NS = NS_PER_MS // 4
@@ -96,7 +99,7 @@ class MemoryRecorder:
         """Nothing depends on it here."""
 
     def record(self, record: CycleRecord) -> None:
-        ROW.pack_into(self._rows, self._filled, *row_fields(record))
+        store_record(self._rows, self._filled, record)
         self._filled += ROW.size
         if self._filled == len(self._rows):
             self._review_filled()
@@ -122,7 +125,7 @@ class MemoryRecorder:
 
 
 class FolderRecorder:
-    """Three rings and the process that drains them into the run's folder."""
+    """Four rings and the process that drains them into the run's folder."""
 
     def __init__(self, plan: RecordingPlan) -> None:
         """See :func:`start_recording`."""
@@ -131,6 +134,7 @@ class FolderRecorder:
         self._rows = RingWriter(ROW, ROWS_CAPACITY, on_full)
         self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
         self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
+        self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
         writer = RowWriter(self._rows, self._frames, plan.frames)
         self.record: Callable[[CycleRecord], None] = writer.record
         """See :meth:`Recorder.record`."""
@@ -147,6 +151,10 @@ class FolderRecorder:
     def state(self, at: Instant, track: str, label: str) -> None:
         self._events.push(*event_fields(StateEvent(at, track, label)))
 
+    def fault_block(self, length: int, block: bytes) -> None:
+        """A block of entries, of which ``length`` bytes are filled; fits ``FaultLog.send_to``."""
+        self._faults.push(length, block)
+
     @property
     def logger_process_id(self) -> int:
         """Of the process that drains the rings."""
@@ -161,7 +169,7 @@ class FolderRecorder:
 
     def close(self, outcome: RunOutcome) -> Summary:
         answer = self._finish(json.dumps(_outcome_json(outcome)))
-        for ring in (self._rows, self._frames, self._events):
+        for ring in self._rings:
             ring.close()
         return Summary.from_json(json.loads(answer.splitlines()[-1]))
 
@@ -186,6 +194,10 @@ class FolderRecorder:
             remedy=f"{self._folder} holds what was written; rerun rrd optimize mends run.rrd",
         )
 
+    @property
+    def _rings(self) -> tuple[RingWriter, ...]:
+        return self._rows, self._frames, self._events, self._faults
+
     def _wait_for_logger(self) -> bool:
         """Policy of a full ring in simulated time: wait as long as there is somebody to wait for."""
         if self._logger.poll() is not None:
@@ -195,7 +207,7 @@ class FolderRecorder:
         return True
 
     def _start_logger(self, plan: RecordingPlan) -> subprocess.Popen[str]:
-        descriptors = [ring.descriptor for ring in (self._rows, self._frames, self._events)]
+        descriptors = [ring.descriptor for ring in self._rings]
         with open(plan.folder / _LOGGER_LOG, "w") as log:
             logger = subprocess.Popen(
                 [sys.executable, "-m", "hil.recording.logger", *map(str, descriptors)],

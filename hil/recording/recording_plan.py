@@ -54,6 +54,8 @@ class RecordingPlan:
     """Wall clock minus bench clock, for frames.log; 0 in simulated time."""
     frames: bool = True
     """Whether frames.log is kept."""
+    faults: bool = False
+    """Whether faults.jsonl is kept: what was injected."""
     view: bool = False
     """Whether a Rerun viewer shows the run while it goes on."""
     notes: Mapping[str, str] = field(default_factory=dict)

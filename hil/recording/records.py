@@ -6,7 +6,7 @@ hashes them, the summary is computed from them, and ``records.arrow`` holds them
 
 import math
 import struct
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,7 @@ LAYOUT: tuple[tuple[str, str], ...] = (
 """Name and struct code of each field, in the order in which the named tuples nest."""
 
 ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
+_pack_into: Final = ROW.pack_into
 _NUMPY: Final = {"q": "<i8", "d": "<f8"}
 ROW_DTYPE: Final = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
 """The same row for numpy. Fields of a reading that never came are NaN, -1 and statusword 0."""
@@ -93,6 +94,29 @@ def row_fields(record: CycleRecord) -> tuple[object, ...]:
     # fmt: off
     return (
         sequence, axis, due_at, woke_at, sync_at, fate, place, observed_at, error,
+        answered, position, velocity, torque, status, device_time, received_at,
+        delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, aim, load,
+        asked, torque_nm, effective_at, expires_at, sent_at,
+    )
+    # fmt: on
+
+
+def store_record(memory: Any, place: int, record: CycleRecord) -> None:
+    """Pack ``record`` into ``memory`` from byte ``place`` on: :func:`row_fields` without the tuple."""
+    sequence, axis, due_at, woke_at, sync_at, observed, delay, estimate, aim, load, command, sent_at = record
+    if not isinstance(observed, Sample):
+        ROW.pack_into(memory, place, *row_fields(record))
+        return
+    matched, reading, sampled_at, error = observed
+    answered, position, velocity, torque, status, device_time, received_at = reading
+    if device_time is None:
+        device_time = NO_TIME
+    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
+    asked, torque_nm, effective_at, expires_at = command
+    # fmt: off
+    _pack_into(
+        memory, place,
+        sequence, axis, due_at, woke_at, sync_at, FATE_SAMPLE, matched, sampled_at, error,
         answered, position, velocity, torque, status, device_time, received_at,
         delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, aim, load,
         asked, torque_nm, effective_at, expires_at, sent_at,

@@ -3,12 +3,11 @@
 from typing import Final
 
 from drivers.timebase import Instant
-from hil.recording.records import ROW, row_fields
+from hil.recording.records import store_record
 from hil.recording.ring import RingWriter
 from hil.recording.side_rows import EXTENDED_FLAG, FRAME, REMOTE_FLAG
 from hil.samples import CycleRecord
 
-_pack_row: Final = ROW.pack_into
 _pack_frame: Final = FRAME.pack_into
 
 
@@ -26,7 +25,7 @@ class RowWriter:
         rows = self._rows
         place = rows.reserve()
         if place >= 0:
-            _pack_row(rows.memory, place, *row_fields(record))
+            store_record(rows.memory, place, record)
             rows.commit()
 
     def frame(

@@ -1,10 +1,12 @@
-"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``."""
+"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``, ``unconfigured``."""
 
 from collections.abc import Sequence
 
 from drivers.errors import MISSING, BadInput
 
 NODE_MAX = 127
+UNCONFIGURED = 255
+"""A device without a node-ID, which waits for LSS (CiA 305)."""
 
 
 def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
@@ -22,6 +24,8 @@ def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
 
 
 def _range(text: str, option: str) -> range:
+    if text in ("unconfigured", str(UNCONFIGURED)):
+        return range(UNCONFIGURED, UNCONFIGURED + 1)
     first, dash, last = text.partition("-")
     if not first.isdecimal() or (dash and not last.isdecimal()):
         raise BadInput(option, "", text, f"a node id 1..{NODE_MAX}, a list 1,2 or a range 1-3")

@@ -11,13 +11,23 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.configuration.motor_file import LING2012
 from hil.machine.compiled import MANIFEST, compiled_modules
+from hil.recording.records import ROW, ROW_DTYPE, record_of
+from hil.recording.ring import RingReader, RingWriter
+from hil.recording.row_writer import RowWriter
+from hil.recording.side_rows import FRAME, FRAME_DTYPE
 from virtual_bus.can_bus.host_port import HostPort
+from virtual_bus.fault_injection.fault_plan import Direction
+from virtual_bus.fault_injection.fault_plan_toml import load_fault_plan
+from virtual_bus.faults import FaultInjector
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.segment import Segment
@@ -104,7 +114,9 @@ def _print_stages() -> None:
         ("plain Python: 100 additions (baseline)", _plain_python),
         ("segment: one frame sent and received", _frame_cycle()),
         ("drive alone: SYNC, 2 TPDOs, RPDO", _drive_cycle()),
-        ("segment and drive", _bus_cycle()),
+        ("segment and drive", _bus_cycle(None)),
+        ("segment, drive and faults of demo.toml", _bus_cycle(_demo_faults())),
+        ("recording: a cycle and its 4 frames", _recording_cycle()),
     ]
     for title, stage in stages:
         cost = _cost_us(stage)
@@ -161,10 +173,20 @@ def _drive_cycle() -> Callable[[int], None]:
     return run
 
 
-def _bus_cycle() -> Callable[[int], None]:
+def _demo_faults() -> FaultInjector:
+    path = ROOT / "examples" / "faults" / "demo.toml"
+    injector = FaultInjector(load_fault_plan(tomllib.loads(path.read_text()), str(path)), seed=1)
+    injector.start(Instant(0))
+    return injector
+
+
+def _bus_cycle(faults: FaultInjector | None) -> Callable[[int], None]:
+    """Two readings are fetched as far as they come within the cycle; then the answer goes out."""
     timeline = Timeline()
     segment = Segment(timeline)
     bus = HostPort(segment, "host")
+    if faults is not None:
+        bus.put_before(faults, Direction.HOST_TO_DRIVE)
     attach_to_segment(SimulatedServo(1, LING2012.parameters), segment, timeline)
     bus.send_frame(Frame(0, b"\x01\x00"))
 
@@ -176,6 +198,24 @@ def _bus_cycle() -> Callable[[int], None]:
             bus.recv_frame(due)
             bus.send_frame(RPDO)
             timeline.run_until(due)
+
+    return run
+
+
+def _recording_cycle() -> Callable[[int], None]:
+    """Into rings whose reader keeps up."""
+    rows, frames = RingWriter(ROW, 1 << 13), RingWriter(FRAME, 1 << 15)
+    readers = RingReader(rows.descriptor, ROW_DTYPE), RingReader(frames.descriptor, FRAME_DTYPE)
+    writer = RowWriter(rows, frames, keep_frames=True)
+    record = record_of(np.zeros(1, ROW_DTYPE)[0])
+
+    def run(cycles: int) -> None:
+        for _ in range(cycles):
+            writer.record(record)
+            for _ in range(4):
+                writer.frame("rx", 0x181, b"12345678", False, False, Instant(1))
+        for reader in readers:
+            reader.drain()
 
     return run
 

@@ -229,10 +229,13 @@ def test_in_real_time_with_the_masters_own_thread() -> None:
     network.connect(interface="virtual", channel="canopen-master")
     node = canopen.RemoteNode(NODE, data_sheet(device))
     network.add_node(node)
+    booted = threading.Event()
+    node.nmt.add_heartbeat_callback(lambda state: booted.set() if state == 0 else None)
     served = threading.Thread(target=serve, args=([device], bus, MonotonicClock(), stop.is_set))
     served.start()
     try:
-        node.nmt.wait_for_bootup(10)
+        # canopen's own wait_for_bootup misses a boot-up that came before it began to wait
+        assert booted.wait(10)
         node.sdo.RESPONSE_TIMEOUT = 10.0
         node.sdo[NOTE].raw = bytes(100)
         assert node.sdo[NOTE].raw == bytes(100)

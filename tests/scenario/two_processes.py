@@ -21,9 +21,9 @@ STOP_TIMEOUT_S = 20
 
 
 @contextmanager
-def simulated_drive(bus_spec: str) -> Iterator[subprocess.Popen[str]]:
+def simulated_drive(bus_spec: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``hil simulate`` with node 1, on the bus when the block is entered, gone after it."""
-    command = [HIL, "simulate", "--bus", bus_spec, "--node", "1", "--motor", str(MOTOR)]
+    command = [HIL, "simulate", "--bus", bus_spec, "--node", "1", "--motor", str(MOTOR), *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment()) as process:
         try:
             assert process.stderr is not None

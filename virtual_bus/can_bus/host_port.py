@@ -13,7 +13,7 @@ from typing import Final
 
 from can.typechecking import CanFilters
 
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
 from virtual_bus.can_bus.filters import accepts
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.faults import FateSource
@@ -82,16 +82,24 @@ class HostPort:
             self.port.send(frame)
             return
         now = self.timeline.now
-        dropped, delay = judge.fate(self._out, frame.can_id, now, frame.extended)
+        dropped, delay = judge.fate(self._out, frame[0], now, frame[2])
         if dropped:
-            return
+            for other, later in judge.replacements(frame):
+                self._pass_out(other, later)
+        elif delay == 0:
+            self.port.send(frame)
+        else:
+            self._pass_out(frame, delay)
+
+    def _pass_out(self, frame: Frame, delay: Duration) -> None:
+        """Send ``frame`` after ``delay``."""
         if delay == 0:
             self.port.send(frame)
         elif len(self._outgoing) >= HELD_MAX:
             self.overflow_out += 1
         else:
             self._order += 1
-            due = Instant(now + delay)
+            due = Instant(self.timeline.now + delay)
             _push(self._outgoing, (due, self._order, frame))
             self.timeline.post(due, self._release_out)
 
@@ -119,7 +127,7 @@ class HostPort:
         """Send at once what is held and has room, as a last command may be among it; leave the segment."""
         room = TRANSMIT_QUEUE_MAX - self.port.pending
         while self._outgoing and room > 0:
-            self.port.send(heappop(self._outgoing)[2])
+            self.port.send(_pop(self._outgoing)[2])
             room -= 1
         self._outgoing.clear()
         self._incoming.clear()
@@ -130,9 +138,17 @@ class HostPort:
         if judge is None or (self.filters is not None and not accepts(self.filters, frame)):
             self._keep(frame, at)
             return
-        dropped, delay = judge.fate(self._in, frame.can_id, at, frame.extended)
+        dropped, delay = judge.fate(self._in, frame[0], at, frame[2])
         if dropped:
-            return
+            for other, later in judge.replacements(frame):
+                self._pass_in(other, at, later)
+        elif delay == 0:
+            self._keep(frame, at)
+        else:
+            self._pass_in(frame, at, delay)
+
+    def _pass_in(self, frame: Frame, at: Instant, delay: Duration) -> None:
+        """Keep what came at ``at`` after ``delay``."""
         if delay == 0:
             self._keep(frame, at)
         elif len(self._incoming) >= HELD_MAX:

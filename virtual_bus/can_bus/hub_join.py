@@ -20,8 +20,9 @@ from virtual_bus.can_bus.hub_protocol import (
 DEFAULT_BITRATE_BIT_S = 1_000_000
 _ANSWER_PATIENCE_S = 10.0
 _START_PATIENCE_S = 60.0
-_SEND_BUFFER_BYTES = 32_768
-"""Some forty frames under way to the broker; beyond them and its own queue ``send`` reports a full queue."""
+_SEND_BUFFER_BYTES = 131_072
+"""Over 127 frames under way to the broker, a sub-block of an SDO block transfer sent at once (CiA 301,
+7.2.4.3.10); beyond them and its own queue ``send`` reports a full queue."""
 
 
 def join(place: HubPlace, hello: Hello, clock: Clock) -> tuple[socket.socket, int]:

@@ -33,3 +33,13 @@ class DeviceClock:
     def set_us(self, stamp_us: int, now: Instant) -> None:
         """1013h is written: the clock shows ``stamp_us`` at ``now``."""
         self._offset_ns += stamp_us * NS_PER_US - self.local_ns(now)
+
+    def step(self, step_ns: int) -> None:
+        """The clock jumps ahead by ``step_ns``, or back."""
+        self._offset_ns += step_ns
+
+    def drift_more(self, drift_ppb: int, now: Instant) -> None:
+        """From ``now`` on the clock runs faster by ``drift_ppb`` than it did; it does not jump."""
+        self._offset_ns = self.local_ns(now)
+        self._started_at = now
+        self._drift_ppb += drift_ppb

@@ -11,6 +11,7 @@ both always 8 bytes.
 from collections.abc import Callable
 from enum import IntEnum
 
+from drivers.errors import BenchError
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.nmt_state import NODE_ID_MAX, UNCONFIGURED
 from virtual_bus.canopen_device.parameter_store import ParameterStore
@@ -180,12 +181,12 @@ class LssSlave:
     def _save(self, _request: bytes, _now: Instant) -> None:
         if not self.configuring:
             return
-        kept = self._store.load()
-        kept[NODE_ID_KEY] = bytes([self.pending_node_id])
-        kept[BIT_RATE_KEY] = bytes([self._pending_bit_rate])
         try:
+            kept = self._store.load()
+            kept[NODE_ID_KEY] = bytes([self.pending_node_id])
+            kept[BIT_RATE_KEY] = bytes([self._pending_bit_rate])
             self._store.save(kept)
-        except OSError:
+        except (OSError, BenchError):
             self._answer(Lss.STORE, b"\x02")
         else:
             self._answer(Lss.STORE, b"\x00")

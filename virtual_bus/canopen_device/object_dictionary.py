@@ -212,6 +212,7 @@ class ObjectDictionary:
 
     def __init__(self) -> None:
         self._objects: dict[int, DictionaryObject] = {}
+        self._concealed: dict[int, DictionaryObject] = {}
 
     def add(
         self, index: int, name: str, data_type: DataType, access: Access = Access.READ_WRITE, **options: Any
@@ -250,8 +251,16 @@ class ObjectDictionary:
         return None if entry is None else entry.members.get(subindex)
 
     def variable(self, index: int, subindex: int = 0) -> Variable:
-        """The variable. Error: KeyError."""
-        return self._objects[index].members[subindex]
+        """The variable, for the device itself: a concealed one too. Error: KeyError."""
+        return (self._concealed.get(index) or self._objects[index]).members[subindex]
+
+    def conceal(self, index: int) -> None:
+        """Take an object off the bus; the application goes on to work with it."""
+        self._concealed[index] = self._objects.pop(index)
+
+    def put(self, entry: DictionaryObject) -> None:
+        """Add an object that was made elsewhere, in the place of one with its index."""
+        self._objects[entry.index] = entry
 
     def find(self, index: int, subindex: int) -> Variable:
         """The variable that the bus asks for. Error: SdoAbort 06020000h, 06090011h."""
@@ -291,7 +300,7 @@ class ObjectDictionary:
 
     def restore(self, first: int, last: int, node_id: int) -> None:
         """The indices ``first``..``last`` back to their power-on values; no hook is called."""
-        for index, entry in self._objects.items():
-            if first <= index <= last:
+        for entry in (*self._concealed.values(), *self._objects.values()):
+            if first <= entry.index <= last:
                 for variable in entry.members.values():
                     variable.restore(node_id)

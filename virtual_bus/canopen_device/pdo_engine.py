@@ -5,7 +5,7 @@ from typing import Final
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.emergency import EmergencyProducer
 from virtual_bus.canopen_device.nmt_state import NmtState
-from virtual_bus.canopen_device.object_dictionary import Variable
+from virtual_bus.canopen_device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.canopen_device.rpdo import ReceivePdo
 from virtual_bus.canopen_device.station import Station
 from virtual_bus.canopen_device.tpdo import TransmitPdo
@@ -21,8 +21,10 @@ class PdoEngine:
         dictionary = station.dictionary
         numbers = range(1, PDOS_MAX + 1)
         self._station = station
-        self.receive = [ReceivePdo(station, emergency, n) for n in numbers if 0x1400 + n - 1 in dictionary]
-        self.transmit = [TransmitPdo(station, n) for n in numbers if 0x1800 + n - 1 in dictionary]
+        self.receive = [
+            ReceivePdo(station, emergency, n) for n in numbers if _complete(dictionary, 0x1400 + n - 1)
+        ]
+        self.transmit = [TransmitPdo(station, n) for n in numbers if _complete(dictionary, 0x1800 + n - 1)]
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
@@ -64,3 +66,9 @@ class PdoEngine:
         for tpdo in self.transmit:
             if variable in tpdo.variables:
                 tpdo.notify()
+
+
+def _complete(dictionary: ObjectDictionary, communication: int) -> bool:
+    """COB-ID, transmission type and mapping are there; a vendor's file may lack some."""
+    wanted = ((communication, 1), (communication, 2), (communication + 0x200, 0))
+    return all(dictionary.get(index, subindex) is not None for index, subindex in wanted)

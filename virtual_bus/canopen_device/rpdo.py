@@ -78,7 +78,7 @@ class ReceivePdo(PdoParameters):
     def _on_frame(self, frame: Frame, now: Instant) -> None:
         if self.station.state is not _OPERATIONAL:
             return
-        data = frame.data
+        data = frame[1]
         if len(data) != self._length or self._wrong_length:
             self._judge_length(len(data))
             if len(data) < self._length:
@@ -101,10 +101,11 @@ class ReceivePdo(PdoParameters):
                 variable.value = value
             else:
                 refused = (*refused, variable)
-        self.refused += len(refused)
+        if refused:
+            self.refused += len(refused)
         for place, variable in enumerate(variables):
             hook = variable.on_write
-            if hook is not None and variable not in refused:
+            if hook is not None and (not refused or variable not in refused):
                 hook(values[place])
 
     def _judge_length(self, length: int) -> None:

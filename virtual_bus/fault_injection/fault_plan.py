@@ -1,26 +1,35 @@
 """What a bad day on the bus looks like: faults as values, each with the frames that it may strike.
 
 A plan says nothing about chance: the seed belongs to :class:`virtual_bus.faults.FaultInjector`.
-A further kind of fault is one more class here, one more row in ``fault_plan_toml.py`` and, if it
-strikes frames, one more behaviour in ``faults.py``.
+A further kind of fault is one more class here, one more row in ``fault_plan_toml.py`` and one more
+behaviour in ``faults.py``. What befalls a node rather than its frames: :mod:`.node_fault_plan`.
 """
 
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any, ClassVar
+from itertools import pairwise
+from typing import ClassVar
 
-from drivers.errors import MISSING, BadInput
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from drivers.errors import MISSING
+from drivers.timebase import NS_PER_US, Duration
+from virtual_bus.fault_injection.node_fault_plan import ClockDrift, NodeFault, Occasion, SlowDrive
+from virtual_bus.fault_injection.plan_checks import (
+    DELAY_MAX,
+    NODE_MAX,
+    require,
+    require_nodes,
+    require_probability,
+    require_window,
+)
 
 BROADCAST = 0
 """Stands for the node of a frame that belongs to no single one."""
 
 STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
-NODE_MAX = 127
-DELAY_MAX = Duration(10 * NS_PER_S)
-"""No field bus holds a frame longer; what is held takes memory."""
 _AT_ONCE = Duration(0)
+COUNT_MAX = 1 << 53
+"""Of a bar of a histogram: as far as a float counts."""
 
 
 class Direction(IntEnum):
@@ -71,12 +80,6 @@ def node_of(can_id: int, extended: bool = False) -> int:
     return can_id & NODE_MAX
 
 
-def require(holds: bool, key: str, value: Any, expected: str) -> None:
-    """Raise :class:`BadInput` about ``key`` unless ``holds``."""
-    if not holds:
-        raise BadInput("fault plan", key, value, expected)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
     """The frames that a fault may strike, and when."""
@@ -97,12 +100,8 @@ class Selection:
         for item in self.frames:
             known = isinstance(item, FrameClass) or 0 <= item <= EXTENDED_ID_MAX
             require(known, "frames", item, f"a COB-ID from 0 to {EXTENDED_ID_MAX:#x}")
-        for node in self.nodes:
-            require(1 <= node <= NODE_MAX, "nodes", node, f"a node id from 1 to {NODE_MAX}")
-        require(self.from_ns >= 0, "from_s", self.from_ns / NS_PER_S, "a time >= 0")
-        if self.until_ns is not None:
-            expected = f"a time after from_s = {self.from_ns / NS_PER_S:g}"
-            require(self.until_ns > self.from_ns, "until_s", self.until_ns / NS_PER_S, expected)
+        require_nodes(self.nodes)
+        require_window(self.from_ns, self.until_ns)
 
     def selects(self, direction: Direction, can_id: int, extended: bool = False) -> bool:
         """Whether a frame is among those meant, at any time."""
@@ -118,10 +117,6 @@ class Selection:
         return item is FrameClass.ALL or (not extended and can_id in COB_IDS[item])
 
 
-def _require_probability(key: str, value: float) -> None:
-    require(0.0 <= value <= 1.0, key, value, "a probability from 0 to 1")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IndependentLoss:
     """Each frame is lost with the same probability, whatever happened to the others."""
@@ -131,7 +126,7 @@ class IndependentLoss:
     probability: float
 
     def __post_init__(self) -> None:
-        _require_probability("probability", self.probability)
+        require_probability("probability", self.probability)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +148,7 @@ class BurstLoss:
 
     def __post_init__(self) -> None:
         for key in ("p_good_to_bad", "p_bad_to_good", "loss_bad", "loss_good"):
-            _require_probability(key, getattr(self, key))
+            require_probability(key, getattr(self, key))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,19 +202,123 @@ class UniformDelay:
         require(self.min_ns <= self.max_ns <= DELAY_MAX, "delay_max_us", self.max_ns / NS_PER_US, least)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredDelay:
+    """A frame is held for a time drawn from a histogram: a bar by its count, evenly within the bar.
+
+    ``edges_ns``: n + 1 rising times; ``counts``: n. Otherwise as :class:`UniformDelay`.
+    """
+
+    kind: ClassVar[str] = "measured_delay"
+    selection: Selection = field(default_factory=Selection)
+    edges_ns: tuple[Duration, ...]
+    counts: tuple[int, ...]
+    reorder: bool = False
+
+    def __post_init__(self) -> None:
+        edges, counts = self.edges_ns, self.counts
+        rising = all(low < high for low, high in pairwise(edges))
+        in_us = [edge / NS_PER_US for edge in edges]
+        require(len(edges) >= 2 and rising, "edges_us", in_us, "at least two times, each above the last")
+        longest = f"times from 0 to {DELAY_MAX // NS_PER_US} us"
+        require(edges[0] >= 0 and edges[-1] <= DELAY_MAX, "edges_us", in_us, longest)
+        expected = f"{len(edges) - 1} counts, one less than edges_us"
+        require(len(counts) == len(edges) - 1, "counts", list(counts), expected)
+        usable = all(0 <= count <= COUNT_MAX for count in counts) and sum(counts) > 0
+        require(usable, "counts", list(counts), "whole numbers >= 0, not all of them 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reordering:
+    """A frame is held back outside of its link's order, so that those behind it overtake it."""
+
+    kind: ClassVar[str] = "reorder"
+    selection: Selection = field(default_factory=Selection)
+    probability: float
+    min_ns: Duration
+    max_ns: Duration
+
+    def __post_init__(self) -> None:
+        require_probability("probability", self.probability)
+        key = "held_us" if self.min_ns == self.max_ns else "held_min_us"
+        most = DELAY_MAX // NS_PER_US
+        require(0 < self.min_ns <= DELAY_MAX, key, self.min_ns / NS_PER_US, f"a time > 0, at most {most} us")
+        least = f"a time from held_min_us = {self.min_ns / NS_PER_US:g} to {most} us"
+        require(self.min_ns <= self.max_ns <= DELAY_MAX, "held_max_us", self.max_ns / NS_PER_US, least)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Duplication:
+    """A frame comes twice: the second one ``later_ns`` after the first, outside of the link's order."""
+
+    kind: ClassVar[str] = "duplicate"
+    selection: Selection = field(default_factory=Selection)
+    probability: float
+    later_ns: Duration = _AT_ONCE
+
+    def __post_init__(self) -> None:
+        require_probability("probability", self.probability)
+        longest = f"a time from 0 to {DELAY_MAX // NS_PER_US} us"
+        require(0 <= self.later_ns <= DELAY_MAX, "later_us", self.later_ns / NS_PER_US, longest)
+
+
+class Effect(Enum):
+    """What a corruption comes to."""
+
+    ERROR_FRAME = "error_frame"
+    """A bit is disturbed on the wire: every node sees it, the sender repeats the frame (ISO 11898-1).
+    Only a simulated segment can do this; through any other bus the frame is lost."""
+    LOST = "lost"
+    """The receiver throws the frame away: its check sequence does not fit, and nobody repeats it."""
+    DATA = "data"
+    """One bit of the data is inverted and nobody notices; a frame without data passes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corruption:
+    """A frame is damaged under way. By ``ERROR_FRAME`` each attempt to send it is struck anew."""
+
+    kind: ClassVar[str] = "corruption"
+    selection: Selection = field(default_factory=Selection)
+    probability: float
+    effect: Effect = Effect.ERROR_FRAME
+
+    def __post_init__(self) -> None:
+        require_probability("probability", self.probability)
+
+
 Loss = IndependentLoss | BurstLoss | PeriodicLoss | Blackout
-Fault = Loss | UniformDelay
+Strike = Loss | Corruption | Duplication | Reordering
+"""What strikes a frame or does not."""
+Delay = UniformDelay | MeasuredDelay
+Fault = Strike | Delay
 
 
 @dataclass(frozen=True, slots=True)
 class FaultPlan:
-    """All faults of one bus. A frame is lost if any of them loses it."""
+    """All faults of one bus, and of the nodes on it.
+
+    A frame is lost if any fault loses it. Of corruption, duplication and reordering only the first of them,
+    in this order, strikes a frame; delays act on whatever passes.
+    """
 
     faults: tuple[Fault, ...] = ()
+    node_faults: tuple[NodeFault, ...] = ()
 
     @property
     def span(self) -> Duration:
         """When the last window opens or closes, ns after time zero: a run should be longer."""
         edges = [fault.selection.from_ns for fault in self.faults]
         edges += [end for fault in self.faults if (end := fault.selection.until_ns) is not None]
+        edges += [edge for fault in self.node_faults for edge in _edges(fault)]
         return max(edges, default=_AT_ONCE)
+
+
+def _edges(fault: NodeFault) -> list[Duration]:
+    if isinstance(fault, SlowDrive):
+        return []
+    when = fault if isinstance(fault, ClockDrift) else fault.occasion
+    edges = [when.from_ns, when.until_ns]
+    if isinstance(when, Occasion):
+        edges.append(when.at_ns)
+    return [edge for edge in edges if edge is not None]

@@ -1,41 +1,70 @@
 """Fault plans as TOML: arrays of tables, one array for each kind of fault.
 
-    [[loss]]           probability
-    [[burst]]          p_good_to_bad, p_bad_to_good, loss_bad = 1, loss_good = 0
-    [[periodic_loss]]  lost
-    [[blackout]]       duration_s or until_s, or count
-    [[delay]]          delay_us, or delay_min_us and delay_max_us; reorder = false
+    [[loss]]            probability
+    [[burst]]           p_good_to_bad, p_bad_to_good, loss_bad = 1, loss_good = 0
+    [[periodic_loss]]   lost
+    [[blackout]]        duration_s or until_s, or count
+    [[delay]]           delay_us, or delay_min_us and delay_max_us; reorder = false
+    [[measured_delay]]  edges_us and counts, or file; reorder = false
+    [[reorder]]         probability; held_us, or held_min_us and held_max_us
+    [[duplicate]]       probability, later_us = 0
+    [[corruption]]      probability, effect = "error_frame", "lost" or "data"
 
 Every table may also hold direction ("host_to_drive", "drive_to_host"; "both" if left out), frames
 (["pdo"] if left out), nodes, from_s and until_s. What they mean:
-:mod:`virtual_bus.fault_injection.fault_plan`.
+:mod:`virtual_bus.fault_injection.fault_plan`. What befalls nodes:
+:mod:`virtual_bus.fault_injection.node_fault_toml`.
 """
 
 import difflib
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from drivers.errors import MISSING, BadInput
+from drivers.key_advice import unknown_key
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from virtual_bus.fault_injection.delay_histogram import read_histogram
 from virtual_bus.fault_injection.fault_plan import (
     Blackout,
     BurstLoss,
+    Corruption,
     Direction,
+    Duplication,
+    Effect,
     Fault,
     FaultPlan,
     FrameClass,
     IndependentLoss,
+    MeasuredDelay,
     PeriodicLoss,
+    Reordering,
     Selection,
     UniformDelay,
-    require,
 )
-from virtual_bus.fault_injection.key_slips import unknown_key
+from virtual_bus.fault_injection.node_fault_plan import NodeFault
+from virtual_bus.fault_injection.node_fault_toml import NODE_KINDS, node_fault_mapping
+from virtual_bus.fault_injection.plan_checks import require
+from virtual_bus.fault_injection.toml_values import (
+    Table,
+    fixed_or_range,
+    integer,
+    is_integer,
+    nanoseconds,
+    nodes,
+    number,
+    one_of,
+    range_keys,
+    short,
+    time_ns,
+    time_s,
+    truth,
+)
 
 _COMMON = ("direction", "frames", "nodes", "from_s", "until_s")
 _DIRECTIONS = {"both": tuple(Direction), **{way.label: (way,) for way in Direction}}
-_TIME_MAX_S = 1e8
+_EFFECTS = {effect.value: effect for effect in Effect}
 
 
 def load_fault_plan(mapping: Mapping[str, Any], source: str, prefix: str = "") -> FaultPlan:
@@ -54,18 +83,19 @@ def read_fault_plan(
 ) -> tuple[FaultPlan, list[BadInput]]:
     """As :func:`load_fault_plan`, but with all errors; the plan then holds the faults that could be read."""
     faults: list[Fault] = []
+    node_faults: list[NodeFault] = []
     errors: list[BadInput] = []
     for kind, tables in mapping.items():
         path = f"{prefix}.{kind}" if prefix else kind
-        if kind not in _KINDS:
-            errors.append(unknown_key(source, path, kind, _short(tables), _KINDS))
+        if kind not in _KINDS and kind not in NODE_KINDS:
+            errors.append(unknown_key(source, path, short(tables), [*_KINDS, *NODE_KINDS]))
         elif not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
             expected = f"an array of tables, each headed [[{path}]]"
-            errors.append(BadInput(source, path, _short(tables), expected))
+            errors.append(BadInput(source, path, short(tables), expected))
         else:
             for index, table in enumerate(tables):
-                _read_fault(kind, table, source, f"{path}[{index}]", faults, errors)
-    return FaultPlan(tuple(faults)), errors
+                _read_fault(kind, table, source, f"{path}[{index}]", faults, node_faults, errors)
+    return FaultPlan(tuple(faults), tuple(node_faults)), errors
 
 
 def fault_plan_mapping(plan: FaultPlan) -> dict[str, list[dict[str, Any]]]:
@@ -74,98 +104,136 @@ def fault_plan_mapping(plan: FaultPlan) -> dict[str, list[dict[str, Any]]]:
     for fault in plan.faults:
         table = {**_selection_mapping(fault.selection), **_own_mapping(fault)}
         mapping.setdefault(fault.kind, []).append(table)
+    for node_fault in plan.node_faults:
+        mapping.setdefault(node_fault.kind, []).append(node_fault_mapping(node_fault))
     return mapping
 
 
 def _read_fault(
     kind: str,
-    table: Mapping[str, Any],
+    table: Table,
     source: str,
     path: str,
     faults: list[Fault],
+    node_faults: list[NodeFault],
     errors: list[BadInput],
 ) -> None:
-    keys, build = _KINDS[kind]
-    known = (*keys, *_COMMON)
+    keys = (*_KINDS[kind][0], *_COMMON) if kind in _KINDS else (*NODE_KINDS[kind][0], "nodes")
     unknown = [
-        unknown_key(source, f"{path}.{key}", key, _short(value), known)
+        unknown_key(source, f"{path}.{key}", short(value), keys)
         for key, value in table.items()
-        if key not in known
+        if key not in keys
     ]
     if unknown:
         errors.extend(unknown)
         return
     try:
-        faults.append(build(table))
+        if kind in _KINDS:
+            faults.append(_KINDS[kind][1](_with_histogram(table, source) if "file" in table else table))
+        else:
+            node_faults.append(NODE_KINDS[kind][1](table))
     except BadInput as error:
         key = f"{path}.{error.key}" if error.key else path
-        errors.append(BadInput(source, key, _short(error.value), error.expected, error.remedy))
+        errors.append(BadInput(source, key, short(error.value), error.expected, error.remedy))
 
 
-def _loss(table: Mapping[str, Any]) -> Fault:
-    return IndependentLoss(selection=_selection(table), probability=_number(table, "probability"))
+def _with_histogram(table: Table, source: str) -> Table:
+    """``file`` is named from the plan's folder."""
+    for key in ("edges_us", "counts"):
+        require(key not in table, key, table.get(key), "nothing beside file")
+    name = table["file"]
+    require(isinstance(name, str), "file", name, "the path of a histogram in quotes")
+    edges, counts = read_histogram(Path(source).parent / name)
+    return {**table, "edges_us": edges, "counts": counts}
 
 
-def _burst(table: Mapping[str, Any]) -> Fault:
+def _loss(table: Table) -> Fault:
+    return IndependentLoss(selection=_selection(table), probability=number(table, "probability"))
+
+
+def _burst(table: Table) -> Fault:
     return BurstLoss(
         selection=_selection(table),
-        p_good_to_bad=_number(table, "p_good_to_bad"),
-        p_bad_to_good=_number(table, "p_bad_to_good"),
-        loss_bad=_number(table, "loss_bad", 1.0),
-        loss_good=_number(table, "loss_good", 0.0),
+        p_good_to_bad=number(table, "p_good_to_bad"),
+        p_bad_to_good=number(table, "p_bad_to_good"),
+        loss_bad=number(table, "loss_bad", 1.0),
+        loss_good=number(table, "loss_good", 0.0),
     )
 
 
-def _periodic_loss(table: Mapping[str, Any]) -> Fault:
-    return PeriodicLoss(selection=_selection(table), lost=_integer(table, "lost"))
+def _periodic_loss(table: Table) -> Fault:
+    return PeriodicLoss(selection=_selection(table), lost=integer(table, "lost"))
 
 
-def _blackout(table: Mapping[str, Any]) -> Fault:
+def _blackout(table: Table) -> Fault:
     clash = "duration_s" in table and "until_s" in table
     require(not clash, "until_s", table.get("until_s"), "nothing beside duration_s")
     if "duration_s" in table:
-        length = _time_s(table, "duration_s")
+        length = time_s(table, "duration_s")
         require(length > 0, "duration_s", table["duration_s"], "a time > 0")
-        table = {**table, "until_s": _time_s(table, "from_s", 0.0) + length}
-    return Blackout(selection=_selection(table), count=_integer(table, "count") if "count" in table else None)
+        table = {**table, "until_s": time_s(table, "from_s", 0.0) + length}
+    return Blackout(selection=_selection(table), count=integer(table, "count") if "count" in table else None)
 
 
-def _delay(table: Mapping[str, Any]) -> Fault:
-    given = [key for key in ("delay_us", "delay_min_us", "delay_max_us") if key in table]
-    require(bool(given), "delay_us", MISSING, "a delay, or delay_min_us and delay_max_us")
-    if "delay_us" in given:
-        require(len(given) == 1, given[-1], table[given[-1]], "nothing beside delay_us")
-        least = most = _delay_ns(table, "delay_us")
-    else:
-        least, most = _delay_ns(table, "delay_min_us"), _delay_ns(table, "delay_max_us")
-    reorder = table.get("reorder", False)
-    require(isinstance(reorder, bool), "reorder", reorder, "true or false")
+def _delay(table: Table) -> Fault:
+    least, most = fixed_or_range(table, "delay", "us", "delay")
+    reorder = truth(table, "reorder")
     return UniformDelay(selection=_selection(table), min_ns=least, max_ns=most, reorder=reorder)
 
 
-_KINDS: dict[str, tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Fault]]] = {
+def _measured_delay(table: Table) -> Fault:
+    edges, counts = table.get("edges_us", MISSING), table.get("counts", MISSING)
+    lists = "a list of times, or file instead"
+    require(isinstance(edges, list), "edges_us", edges, lists)
+    require(isinstance(counts, list) and all(map(is_integer, counts)), "counts", counts, "whole numbers")
+    for edge in edges:
+        usable = isinstance(edge, int | float) and not isinstance(edge, bool) and math.isfinite(edge)
+        require(usable, "edges_us", edge, "numbers")
+    return MeasuredDelay(
+        selection=_selection(table),
+        edges_ns=tuple(Duration(round(edge * NS_PER_US)) for edge in edges),
+        counts=tuple(counts),
+        reorder=truth(table, "reorder"),
+    )
+
+
+def _reorder(table: Table) -> Fault:
+    least, most = fixed_or_range(table, "held", "us", "time")
+    probability = number(table, "probability")
+    return Reordering(selection=_selection(table), probability=probability, min_ns=least, max_ns=most)
+
+
+def _duplicate(table: Table) -> Fault:
+    later = time_ns(table, "later_us", 0.0)
+    return Duplication(selection=_selection(table), probability=number(table, "probability"), later_ns=later)
+
+
+def _corruption(table: Table) -> Fault:
+    effect = one_of(table, "effect", _EFFECTS, Effect.ERROR_FRAME.value)
+    return Corruption(selection=_selection(table), probability=number(table, "probability"), effect=effect)
+
+
+_KINDS: dict[str, tuple[tuple[str, ...], Callable[[Table], Fault]]] = {
     "loss": (("probability",), _loss),
     "burst": (("p_good_to_bad", "p_bad_to_good", "loss_bad", "loss_good"), _burst),
     "periodic_loss": (("lost",), _periodic_loss),
     "blackout": (("duration_s", "count"), _blackout),
-    "delay": (("delay_us", "delay_min_us", "delay_max_us", "reorder"), _delay),
+    "delay": ((*range_keys("delay", "us"), "reorder"), _delay),
+    "measured_delay": (("edges_us", "counts", "file", "reorder"), _measured_delay),
+    "reorder": (("probability", *range_keys("held", "us")), _reorder),
+    "duplicate": (("probability", "later_us"), _duplicate),
+    "corruption": (("probability", "effect"), _corruption),
 }
 """Table -> the keys that are its own, and what makes a fault of it."""
 
 
-def _selection(table: Mapping[str, Any]) -> Selection:
-    direction = table.get("direction", "both")
-    known = isinstance(direction, str) and direction in _DIRECTIONS
-    require(known, "direction", direction, f"one of {', '.join(_DIRECTIONS)}")
-    nodes = table.get("nodes", [])
-    whole = isinstance(nodes, list) and all(_is_integer(node) for node in nodes)
-    require(whole, "nodes", nodes, "a list of node ids, such as [1, 2]")
+def _selection(table: Table) -> Selection:
     return Selection(
-        directions=_DIRECTIONS[direction],
+        directions=one_of(table, "direction", _DIRECTIONS, "both"),
         frames=_frames(table.get("frames", [FrameClass.PDO.value])),
-        nodes=tuple(nodes),
-        from_ns=_nanoseconds(_time_s(table, "from_s", 0.0)),
-        until_ns=_nanoseconds(_time_s(table, "until_s")) if "until_s" in table else None,
+        nodes=nodes(table),
+        from_ns=nanoseconds(time_s(table, "from_s", 0.0)),
+        until_ns=nanoseconds(time_s(table, "until_s")) if "until_s" in table else None,
     )
 
 
@@ -180,47 +248,9 @@ def _frames(given: Any) -> tuple[FrameClass | int, ...]:
             raise BadInput(
                 "", "frames", item, expected, f"classes: {', '.join(classes)}; or a COB-ID as a number"
             )
-        require(isinstance(item, str) or _is_integer(item), "frames", item, "a class of frames or a COB-ID")
+        require(isinstance(item, str) or is_integer(item), "frames", item, "a class of frames or a COB-ID")
         found.append(classes[item] if isinstance(item, str) else item)
     return tuple(found)
-
-
-def _number(table: Mapping[str, Any], key: str, default: float | None = None) -> float:
-    value = table.get(key, MISSING if default is None else default)
-    usable = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(usable, key, value, "a number")
-    return float(value)
-
-
-def _integer(table: Mapping[str, Any], key: str) -> int:
-    value = table.get(key, MISSING)
-    require(_is_integer(value), key, value, "a whole number")
-    return int(value)
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _time_s(table: Mapping[str, Any], key: str, default: float | None = None) -> float:
-    value = _number(table, key, default)
-    require(0.0 <= value <= _TIME_MAX_S, key, value, "a time in seconds, >= 0")
-    return value
-
-
-def _nanoseconds(seconds: float) -> Duration:
-    return Duration(round(seconds * NS_PER_S))
-
-
-def _delay_ns(table: Mapping[str, Any], key: str) -> Duration:
-    return Duration(round(_number(table, key) * NS_PER_US))
-
-
-def _short(value: Any) -> Any:
-    """``value``, or a word for what would not fit into a line."""
-    if isinstance(value, Mapping):
-        return "a table"
-    return "a list" if isinstance(value, list) and len(repr(value)) > 60 else value
 
 
 def _selection_mapping(selection: Selection) -> dict[str, Any]:
@@ -241,6 +271,16 @@ def _own_mapping(fault: Fault) -> dict[str, Any]:
     if isinstance(fault, UniformDelay):
         least, most = fault.min_ns / NS_PER_US, fault.max_ns / NS_PER_US
         return {"delay_min_us": least, "delay_max_us": most, "reorder": fault.reorder}
+    if isinstance(fault, MeasuredDelay):
+        edges = [edge / NS_PER_US for edge in fault.edges_ns]
+        return {"edges_us": edges, "counts": list(fault.counts), "reorder": fault.reorder}
     if isinstance(fault, Blackout):
         return {} if fault.count is None else {"count": fault.count}
+    if isinstance(fault, Reordering):
+        least, most = fault.min_ns / NS_PER_US, fault.max_ns / NS_PER_US
+        return {"probability": fault.probability, "held_min_us": least, "held_max_us": most}
+    if isinstance(fault, Duplication):
+        return {"probability": fault.probability, "later_us": fault.later_ns / NS_PER_US}
+    if isinstance(fault, Corruption):
+        return {"probability": fault.probability, "effect": fault.effect.value}
     return {key: getattr(fault, key) for key in _KINDS[fault.kind][0]}

@@ -12,7 +12,7 @@ Only one side of a bus should wear the same plan, or every frame meets each faul
 
 import contextlib
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
@@ -117,6 +117,9 @@ class FaultyBus(can.BusABC):
         self._send_due(now)
         dropped, delay = self.injector.fate(self._out, msg.arbitration_id, now, msg.is_extended_id)
         if dropped:
+            for item, later in self._instead(self._item(msg)):
+                self._hold_outgoing(item, now, later)
+            self._send_due(now)
             return
         if delay > 0:
             self._hold_outgoing(self._item(msg), now, delay)
@@ -206,13 +209,29 @@ class FaultyBus(can.BusABC):
         self._judge(message, came, fate)
         return True
 
+    def _instead(self, item: Any) -> Sequence[tuple[Any, Duration]]:
+        """What goes on in place of an item that the last fate dropped; a CAN FD frame has nothing."""
+        if item.is_fd:
+            return ()
+        found = []
+        for frame, delay in self.injector.replacements(frame_of(item)):
+            message = copy.deepcopy(item)
+            message.data[:] = frame.data
+            found.append((message, delay))
+        return found
+
     def _judge(self, item: Any, came: int, fate: Fate) -> None:
         """Lose or hold what came at ``came``; nothing older is waiting in the inner bus."""
         if came > self._seen_until:
             self._seen_until = came
         dropped, delay = fate
         if dropped:
+            for other, later in self._instead(item):
+                self._hold_incoming(other, came, later)
             return
+        self._hold_incoming(item, came, delay)
+
+    def _hold_incoming(self, item: Any, came: int, delay: Duration) -> None:
         if len(self._incoming) >= HELD_MAX:
             self._overflow[self._in] += 1
             return
@@ -263,8 +282,10 @@ class LeanFaultyBus(FaultyBus):
             self._send_due(now)
         dropped, delay = self.injector.fate(self._out, frame.can_id, now, frame.extended)
         if dropped:
-            return
-        if delay > 0:
+            for item, later in self._instead(frame):
+                self._hold_outgoing(item, now, later)
+            self._send_due(now)
+        elif delay > 0:
             self._hold_outgoing(frame, now, delay)
         else:
             self.inner.send_frame(frame)
@@ -291,6 +312,9 @@ class LeanFaultyBus(FaultyBus):
 
     def _item(self, msg: can.Message) -> Frame:
         return frame_of(msg)
+
+    def _instead(self, item: Frame) -> Sequence[tuple[Frame, Duration]]:
+        return self.injector.replacements(item)
 
     def _message(self, held: _Held) -> can.Message:
         return message_of(held[2], held[0])

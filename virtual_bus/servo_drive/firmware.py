@@ -159,6 +159,10 @@ class Firmware:
         self.demand[kernel.D_ACCELERATION] = acceleration_rad_s2
         self.control(InnerControl.SPEED)
 
+    def hold_encoder(self, held: bool) -> None:
+        """``held``: the encoder's line is broken, and from the next tick on its count stands still."""
+        self._p[kernel.P_ENCODER_HELD] = float(held)
+
     @property
     def speed_rad_s(self) -> float:
         """True speed of the shaft, which no encoder has seen."""

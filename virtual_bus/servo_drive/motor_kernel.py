@@ -55,8 +55,8 @@ P_REST_SPEED, P_BRAKE = 20, 21
 # Reciprocals: a division costs as much as ten products.
 P_PER_INDUCTANCE_D, P_PER_INDUCTANCE_Q, P_PER_INERTIA, P_STEP = 22, 23, 24, 25
 P_RATE, P_TORQUE_CONSTANT, P_PER_TORQUE_CONSTANT, P_PER_GAIN_D, P_PER_GAIN_Q = 26, 27, 28, 29, 30
-P_COUNTS_PER_RAD, P_RAD_PER_COUNT = 31, 32
-PARAMETERS_SIZE = 33
+P_COUNTS_PER_RAD, P_RAD_PER_COUNT, P_ENCODER_HELD = 31, 32, 33
+PARAMETERS_SIZE = 34
 
 D_CONTROL, D_TORQUE, D_TORQUE_MAX, D_CURRENT_MAX, D_SPEED, D_ACCELERATION, D_SPEED_MAX, D_LOAD = range(8)
 DEMAND_SIZE = 8
@@ -239,6 +239,9 @@ def _sample(state: FloatArray, p: FloatArray) -> float:
     counts = p[P_COUNTS]
     within_turn = math.floor(state[S_ANGLE] * p[P_COUNTS_PER_RAD])
     count = state[S_TURNS] * counts + within_turn
+    if p[P_ENCODER_HELD] != 0.0:
+        count = state[S_COUNT]
+        within_turn = count - counts * math.floor(count / counts)
     raw_speed = (count - state[S_COUNT]) * p[P_RAD_PER_COUNT] * p[P_RATE]
     state[S_COUNT] = count
     state[S_SPEED_MEASURED] += p[P_SPEED_FILTER] * (raw_speed - state[S_SPEED_MEASURED])

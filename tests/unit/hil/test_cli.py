@@ -162,6 +162,8 @@ def test_bad_input_lists_all_errors_without_a_traceback(tmp_path: Path) -> None:
         ["simulate", "--bus", "hub:a", "--node", "128"],
         ["simulate", "--bus", "hub:a", "--node", "1", "--motor", "missing.toml"],
         ["simulate", "--bus", "hub:a", "--node", "1", "--faults", "missing.toml"],
+        ["simulate", "--bus", "hub:a", "--node", "1", "--eds", "missing.eds"],
+        ["simulate", "--bus", "hub:a", "--node", "1-2", "--store", "memory.json"],
     ],
 )
 def test_bad_arguments_leave_with_two(arguments: list[str]) -> None:

@@ -2,8 +2,10 @@
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
+
+from drivers.errors import BadInput
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("time", 1.0),
@@ -76,3 +78,30 @@ def converted(value: Any, found_key: str, expected_key: str) -> str | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return f"{value * found[1] / expected[1]:.9g}"
+
+
+class UnknownKey(BadInput):
+    """A key that the file must not hold."""
+
+    meant: str | None = None
+    """The known key that it was probably meant to be."""
+
+
+def unknown_key(source: str, path: str, value: Any, known: Collection[str]) -> UnknownKey:
+    """The error about the key at the dotted ``path``; ``known``: plain names that may stand there."""
+    name = path.rpartition(".")[2]
+    if other := same_quantity(name, known):
+        number = converted(value, name, other)
+        expected, remedy = f"{other} (the unit is part of the key)", f"write {other}"
+        remedy += f" = {number}" if number is not None else " and give the value in that unit"
+    elif "percent" in name and "probability" in known:
+        other, number = "probability", converted(value, "percent", "ratio")
+        expected, remedy = "probability, from 0 to 1", "write probability"
+        remedy += f" = {number}" if number is not None else ""
+    elif other := nearest(name, known):
+        expected, remedy = f"{other}, the nearest known key", f"known here: {', '.join(known)}"
+    else:
+        expected, remedy = "no such key", f"known here: {', '.join(known)}"
+    error = UnknownKey(source, path, value, expected, remedy)
+    error.meant = other
+    return error

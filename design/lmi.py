@@ -1,0 +1,188 @@
+"""Linear matrix inequalities: built here as data, solved in one place, checked in numpy.
+
+A problem is: minimise c'y over y, subject to F_j(y) = F_j0 + sum_k y_k F_jk >= margin I for each j,
+where y holds the free entries of the unknown matrices. Building knows nothing of the solver.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from design.errors import NoSolution
+
+Array = NDArray[np.float64]
+
+SOLVER = "Clarabel"
+
+
+class Unknowns:
+    """The unknown matrices of a problem and where their entries stand in y."""
+
+    def __init__(self) -> None:
+        self._bases: dict[str, Array] = {}
+        self._starts: dict[str, int] = {}
+        self.count = 0
+
+    def symmetric(self, name: str, n: int) -> None:
+        """A symmetric n x n unknown."""
+        rows, columns = np.triu_indices(n)
+        basis = np.zeros((len(rows), n, n))
+        index = np.arange(len(rows))
+        basis[index, rows, columns] = 1.0
+        basis[index, columns, rows] = 1.0
+        self._add(name, basis)
+
+    def full(self, name: str, rows: int, columns: int) -> None:
+        """An unstructured unknown."""
+        self._add(name, np.eye(rows * columns).reshape(rows * columns, rows, columns))
+
+    def slice_of(self, name: str) -> slice:
+        """Where the entries of ``name`` stand in y."""
+        start = self._starts[name]
+        return slice(start, start + len(self._bases[name]))
+
+    def basis(self, name: str) -> Array:
+        """(entries, rows, columns): the matrix of each entry."""
+        return self._bases[name]
+
+    def value(self, name: str, y: Array) -> Array:
+        """The matrix ``name`` at ``y``."""
+        return np.asarray(np.tensordot(y[self.slice_of(name)], self._bases[name], axes=1))
+
+    def values(self, y: Array) -> dict[str, Array]:
+        """Every matrix at ``y``."""
+        return {name: self.value(name, y) for name in self._bases}
+
+    def _add(self, name: str, basis: Array) -> None:
+        self._bases[name] = basis
+        self._starts[name] = self.count
+        self.count += len(basis)
+
+
+@dataclass(slots=True, eq=False)
+class MatrixInequality:
+    """F(y) = constant + sum_k y_k coefficients[k], an (m, m) symmetric matrix affine in the unknowns."""
+
+    constant: Array
+    coefficients: Array
+
+    @classmethod
+    def zero(cls, unknowns: Unknowns, m: int) -> "MatrixInequality":
+        """F = 0, to be added to."""
+        return cls(np.zeros((m, m)), np.zeros((unknowns.count, m, m)))
+
+    def add(self, unknowns: Unknowns, name: str, left: Array, right: Array | None = None) -> None:
+        """Add left V right + its transpose, or left V left' without ``right``; left is (m, rows of V)."""
+        part = unknowns.slice_of(name)
+        if right is None:
+            self.coefficients[part] += left @ unknowns.basis(name) @ left.T
+        else:
+            product = left @ unknowns.basis(name) @ right
+            self.coefficients[part] += product + np.swapaxes(product, 1, 2)
+
+    def at(self, y: Array) -> Array:
+        """F(y)."""
+        return np.asarray(self.constant + np.tensordot(y, self.coefficients, axes=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LmiProblem:
+    """Minimise objective'y subject to every inequality >= margin I."""
+
+    what: str
+    unknowns: Unknowns
+    inequalities: list[MatrixInequality]
+    objective: Array
+    margin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LmiSolution:
+    """An optimum: y, its objective, and the multiplier of each inequality (positive semidefinite)."""
+
+    y: Array
+    objective: float
+    duals: list[Array] = field(repr=False)
+    status: str = "Solved"
+
+
+def solve(problem: LmiProblem, tolerance: float = 1e-9) -> LmiSolution:
+    """The optimum. Raises NoSolution with the solver's status for anything but an optimum."""
+    answer = _ask(problem, tolerance)
+    status = str(answer.status)
+    if status != "Solved":
+        raise NoSolution(
+            problem.what,
+            f"{SOLVER} says {status}",
+            f"{answer.iterations} iterations, residuals {answer.r_prim:.1e} and {answer.r_dual:.1e}",
+        )
+    y = np.asarray(answer.x)
+    duals, start, z = [], 0, np.asarray(answer.z)
+    for inequality in problem.inequalities:
+        m = len(inequality.constant)
+        length = m * (m + 1) // 2
+        duals.append(_matrix(z[start : start + length], m))
+        start += length
+    return LmiSolution(y, float(problem.objective @ y), duals, status)
+
+
+def smallest_eigenvalues(problem: LmiProblem, y: Array) -> list[float]:
+    """Smallest eigenvalue of each inequality at ``y``, in numpy, without the solver's word."""
+    return [float(np.linalg.eigvalsh(inequality.at(y))[0]) for inequality in problem.inequalities]
+
+
+def rounding_of(problem: LmiProblem, y: Array) -> float:
+    """Bound on the rounding error of those eigenvalues: m eps times the sum of the moduli of all terms."""
+    worst = 0.0
+    for inequality in problem.inequalities:
+        size = np.abs(inequality.constant) + np.tensordot(np.abs(y), np.abs(inequality.coefficients), axes=1)
+        worst = max(worst, float(np.linalg.norm(size)) * len(size) * np.finfo(float).eps)
+    return worst
+
+
+def _ask(problem: LmiProblem, tolerance: float) -> clarabel.DefaultSolution:
+    columns, bounds, cones = [], [], []
+    for inequality in problem.inequalities:
+        m = len(inequality.constant)
+        columns.append(-_triangle(inequality.coefficients).T)
+        bounds.append(_triangle(inequality.constant - problem.margin * np.eye(m)))
+        cones.append(clarabel.PSDTriangleConeT(m))
+    n = problem.unknowns.count
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix((n, n)),
+        problem.objective,
+        sparse.csc_matrix(np.vstack(columns)),
+        np.concatenate(bounds),
+        cones,
+        settings,
+    )
+    return solver.solve()
+
+
+_ROOT2 = float(np.sqrt(2.0))
+
+
+def _triangle(matrices: Array) -> Array:
+    """Upper triangle by columns, off-diagonal entries times sqrt 2: the solver's vector of a matrix."""
+    columns, rows = np.tril_indices(matrices.shape[-1])
+    return np.asarray(matrices[..., rows, columns] * np.where(rows == columns, 1.0, _ROOT2))
+
+
+def _matrix(vector: Array, m: int) -> Array:
+    columns, rows = np.tril_indices(m)
+    matrix = np.zeros((m, m))
+    matrix[rows, columns] = vector / np.where(rows == columns, 1.0, _ROOT2)
+    return np.asarray(matrix + np.triu(matrix, 1).T)
+
+
+def named(values: Mapping[str, Array]) -> dict[str, list[list[float]]]:
+    """Matrices as nested lists, for a file."""
+    return {name: np.asarray(value).tolist() for name, value in values.items()}

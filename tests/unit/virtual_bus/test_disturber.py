@@ -1,0 +1,81 @@
+"""Which attempts to send are disturbed on the wire."""
+
+import pytest
+from scipy import stats
+
+from drivers.timebase import Duration, Instant
+from virtual_bus.can_bus.bit_length import frame_bits
+from virtual_bus.fault_injection.disturber import Disturber, disturber
+from virtual_bus.fault_injection.fault_log import FaultLog
+from virtual_bus.fault_injection.fault_plan import (
+    Corruption,
+    Direction,
+    Effect,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Selection,
+)
+from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.frame import Frame
+
+TPDO = Frame(0x181, bytes(8))
+
+
+def made(*faults: Corruption | IndependentLoss, log: FaultLog | None = None, seed: int = 2) -> Disturber:
+    found = disturber(FaultPlan(faults), seed, log, lambda name: name == "host")
+    assert found is not None
+    found.start(Instant(0))
+    return found
+
+
+def test_attempts_are_disturbed_with_their_probability_at_any_bit() -> None:
+    source = made(Corruption(probability=0.05))
+    count = 20_000
+    bits = [bit for k in range(count) if (bit := source.bit("drive", TPDO, Instant(k))) is not None]
+    low, high = stats.binomtest(len(bits), count, 0.05).proportion_ci(0.99)
+    assert low < 0.05 < high
+    length = frame_bits(TPDO)
+    assert min(bits) >= 0
+    assert max(bits) < length
+    assert stats.kstest([(bit + 0.5) / length for bit in bits], "uniform").pvalue > 0.01
+
+
+def test_a_selection_and_a_window_hold_on_the_wire_too() -> None:
+    chosen = Selection(
+        directions=(Direction.HOST_TO_DRIVE,), frames=(FrameClass.SYNC,), until_ns=Duration(100)
+    )
+    source = made(Corruption(probability=1.0, selection=chosen))
+    sync = Frame(0x80)
+    assert source.bit("host", sync, Instant(0)) is not None
+    assert source.bit("drive", sync, Instant(0)) is None
+    assert source.bit("host", TPDO, Instant(0)) is None
+    assert source.bit("host", sync, Instant(100)) is None
+    assert source.disturbed == {"host_to_drive": 1, "drive_to_host": 0}
+
+
+def test_nothing_is_disturbed_before_the_start_and_after_the_end() -> None:
+    source = made(Corruption(probability=1.0))
+    source.stop()
+    assert source.bit("drive", TPDO, Instant(0)) is None
+    source.start(Instant(5))
+    assert source.bit("drive", TPDO, Instant(5)) is not None
+
+
+@pytest.mark.parametrize("effect", [Effect.LOST, Effect.DATA])
+def test_only_error_frames_are_made_on_the_wire(effect: Effect) -> None:
+    plan = FaultPlan((Corruption(probability=1.0, effect=effect), IndependentLoss(probability=1.0)))
+    assert disturber(plan, 1, None, bool) is None
+    assert disturber(RecordedFaults(), 1, None, bool) is None
+
+
+def test_a_replay_disturbs_the_same_attempts() -> None:
+    log = FaultLog()
+    source = made(Corruption(probability=0.2), log=log)
+    frames = [Frame(0x181 + k % 3, bytes(k % 9)) for k in range(300)]
+    first = [source.bit("drive", frame, Instant(k)) for k, frame in enumerate(frames)]
+    again = disturber(RecordedFaults(tuple(log.entries())), 9, None, lambda name: name == "host")
+    assert again is not None
+    again.start(Instant(1000))
+    assert [again.bit("drive", frame, Instant(1000 + 7 * k)) for k, frame in enumerate(frames)] == first
+    assert any(bit is not None for bit in first)

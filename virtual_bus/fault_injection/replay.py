@@ -1,0 +1,159 @@
+"""Faults of a recorded run, injected again: each frame and each node meets what it met then."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.errors import BadInput
+from drivers.timebase import Duration, Instant
+from virtual_bus.fault_injection.fault_log import (
+    EXTENDED_FLAG,
+    FRAME_KINDS,
+    NODE_KINDS,
+    NONE,
+    Entry,
+    read_line,
+)
+from virtual_bus.fault_injection.fault_plan import Direction, node_of
+from virtual_bus.fault_injection.special_faults import Instead, instead_of, replaced
+from virtual_bus.faults import DROPPED, PASSED, Fate
+from virtual_bus.frame import Frame
+
+_BY_DELAY = frozenset({"delay", "reorder"})
+_GOES_ON = frozenset({"corruption", "duplicate"})
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFaults:
+    """The entries of a run, in order."""
+
+    entries: tuple[Entry, ...] = ()
+
+    @property
+    def span(self) -> Duration:
+        """When the last one struck, ns after time zero."""
+        return Duration(max((entry.at_ns for entry in self.entries), default=0))
+
+    @property
+    def node_kinds(self) -> tuple[str, ...]:
+        """Which kinds befall nodes themselves."""
+        found = {entry.kind for entry in self.entries}
+        return tuple(kind for kind in NODE_KINDS if kind in found)
+
+
+def read_recorded(path: Path) -> RecordedFaults:
+    """The faults that a run has recorded in the file ``path``. Raises BadInput."""
+    try:
+        with path.open(encoding="utf-8") as lines:
+            entries = [read_line(text, str(path), n) for n, text in enumerate(lines, start=1) if text.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        found = getattr(error, "strerror", None) or str(error)
+        raise BadInput(str(path), "", found, "a readable file of recorded faults") from None
+    return RecordedFaults(tuple(entries))
+
+
+class ReplayedFates:
+    """A :class:`virtual_bus.faults.FateSource` out of recorded entries.
+
+    A frame is known by its place among those of its identifier and direction. In a run that differs
+    from the recorded one, frames that were held in order keep their order all the same.
+    """
+
+    def __init__(self, recorded: RecordedFaults) -> None:
+        self.struck_by = ""
+        self.parameter = 0
+        self.waited = 0
+        self._entries: tuple[dict[tuple[int, int], Entry], ...] = ({}, {})
+        self._ordered: set[tuple[int, int]] = set()
+        self._kinds: list[str] = []
+        for entry in recorded.entries:
+            kind = entry.kind
+            if kind not in FRAME_KINDS or kind == "error_frame":
+                continue
+            self._entries[entry.link][entry.can_id, entry.n] = entry
+            if kind == "delay" and entry.b:
+                self._ordered.add((entry.link, entry.can_id))
+            if kind != "delay" and kind not in self._kinds:
+                self._kinds.append(kind)
+        self._zero: Instant | None = None
+        self._instead: Instead = ()
+        self._forget()
+
+    def start(self, now: Instant) -> None:
+        """Time zero of the recorded run is ``now``."""
+        self._forget()
+        self._zero = now
+
+    def stop(self) -> None:
+        """From here on every frame passes."""
+        self._zero = None
+
+    def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> Fate:
+        """See :class:`virtual_bus.faults.FateSource`."""
+        if self._zero is None:
+            return PASSED
+        key = can_id | EXTENDED_FLAG if extended else can_id
+        counts = self._frames[direction]
+        n = counts.get(key, 0)
+        counts[key] = n + 1
+        self._seen[direction] += 1
+        self._instead = ()
+        entry = self._entries[direction].get((key, n))
+        link = (int(direction), node_of(can_id, extended)) if (direction, key) in self._ordered else None
+        if entry is None:
+            return self._hold(direction, link, now, 0)
+        kind = entry.kind
+        if kind == "delay":
+            return self._hold(direction, link, now, entry.a)
+        self._struck[direction][kind] += 1
+        self.struck_by, self.parameter = kind, entry.a
+        if kind == "reorder":
+            release = now + entry.b
+            if link is not None:
+                release = self._behind(link, release)
+            return Fate(False, Duration(release - now + entry.a))
+        if kind in _GOES_ON and entry.a != NONE:
+            self._instead = instead_of(kind, entry.a, Duration(self._release(link, now, entry.b) - now))
+        return DROPPED
+
+    def _hold(self, direction: Direction, link: tuple[int, int] | None, now: Instant, held: int) -> Fate:
+        held = self._release(link, now, held) - now
+        if held == 0:
+            return PASSED
+        self._delayed[direction] += 1
+        return Fate(False, Duration(held))
+
+    def _release(self, link: tuple[int, int] | None, now: Instant, held: int) -> int:
+        release = now + held
+        if link is not None:
+            release = self._released_at[link] = self._behind(link, release)
+        return release
+
+    def _behind(self, link: tuple[int, int], release: int) -> int:
+        """``release``, or later if the one in front is held for longer."""
+        front = self._released_at.get(link, 0)
+        self.waited = max(0, front - release)
+        return max(release, front)
+
+    def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
+        """See :class:`virtual_bus.faults.FateSource`."""
+        return replaced(frame, self._instead) if self._instead else ()
+
+    def keeps_order(self, direction: Direction, can_id: int, extended: bool) -> bool:
+        """Whether a held frame of that kind waits for the one in front of it."""
+        return (int(direction), can_id | EXTENDED_FLAG if extended else can_id) in self._ordered
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """As :meth:`virtual_bus.faults.FaultInjector.counts`."""
+        return {
+            way.label: {"frames": self._seen[way], **self._struck[way], "delayed": self._delayed[way]}
+            for way in Direction
+        }
+
+    def _forget(self) -> None:
+        self._frames: tuple[dict[int, int], ...] = ({}, {})
+        self._seen = [0, 0]
+        self._delayed = [0, 0]
+        self._struck = [dict.fromkeys(self._kinds, 0) for _ in Direction]
+        self._released_at: dict[tuple[int, int], int] = {}
+        self._instead = ()

@@ -1,0 +1,102 @@
+"""Frame faults that neither lose nor just hold a frame: damaged data, duplicates, frames held out of order.
+
+And the delay that is drawn from a histogram.
+"""
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from itertools import accumulate
+
+from drivers.timebase import Duration
+from virtual_bus.fault_injection.fault_plan import (
+    Corruption,
+    Duplication,
+    Effect,
+    MeasuredDelay,
+    Reordering,
+)
+from virtual_bus.frame import Frame
+
+BIT_DRAWS = 8 * 840
+"""A multiple of the data bits of every length, 8, 16 .. 64: each bit is drawn as often as the others."""
+UNDAMAGED = -1
+
+SpecialFault = Corruption | Duplication | Reordering
+Instead = tuple[tuple[int, Duration], ...]
+"""What goes on in a frame's place: for each copy which bit is inverted (UNDAMAGED: none), and its delay."""
+
+
+class Special:
+    """One such fault on one link. Two draws for every frame, so that none depends on a probability."""
+
+    __slots__ = ("_begin", "_draw", "_end", "_probability", "fault", "kind", "value")
+
+    def __init__(self, fault: SpecialFault, begin: int, end: int, draw: Callable[[], float]) -> None:
+        self.fault = fault
+        self.kind: str = fault.kind
+        self.value = 0.0
+        """The second draw for the last frame."""
+        self._probability = fault.probability
+        self._begin = begin
+        self._end = end
+        self._draw = draw
+
+    def strikes(self, elapsed: int) -> bool:
+        """Whether it strikes the frame that is there so many ns after time zero."""
+        struck = self._draw() < self._probability
+        self.value = self._draw()
+        return struck and self._begin <= elapsed < self._end
+
+    @property
+    def keeps(self) -> bool:
+        """Whether something of the frame goes on."""
+        return not isinstance(self.fault, Corruption) or self.fault.effect is Effect.DATA
+
+    def parameter(self) -> int:
+        """What was drawn for the last frame: bit, distance of the copy (ns), or time held back (ns)."""
+        fault = self.fault
+        if isinstance(fault, Corruption):
+            return int(self.value * BIT_DRAWS)
+        if isinstance(fault, Duplication):
+            return fault.later_ns
+        return fault.min_ns + int(self.value * (fault.max_ns - fault.min_ns + 1))
+
+
+def instead_of(kind: str, parameter: int, held: Duration) -> Instead:
+    """What goes on in place of a frame that was struck by ``kind`` and is held for ``held``."""
+    if kind == Duplication.kind:
+        return (UNDAMAGED, held), (UNDAMAGED, Duration(held + parameter))
+    return ((parameter, held),)
+
+
+def damaged(frame: Frame, bit: int) -> Frame:
+    """``frame`` with one bit of its data inverted; as it is if it has no data or ``bit`` is UNDAMAGED."""
+    data = frame.data
+    if bit == UNDAMAGED or not data:
+        return frame
+    place = bit % (8 * len(data))
+    changed = bytearray(data)
+    changed[place // 8] ^= 1 << place % 8
+    return frame._replace(data=bytes(changed))
+
+
+def replaced(frame: Frame, instead: Instead) -> Sequence[tuple[Frame, Duration]]:
+    """The copies of ``frame`` that go on, each with its delay."""
+    return [(damaged(frame, bit), delay) for bit, delay in instead]
+
+
+def measured_hold(
+    fault: MeasuredDelay, begin: int, end: int, draw: Callable[[], float]
+) -> Callable[[int], int]:
+    """Draws a bar by its count, then a time within it: two draws for every frame."""
+    edges = fault.edges_ns
+    sums = list(accumulate(fault.counts))
+    total = sums[-1]
+
+    def holds(elapsed: int) -> int:
+        bar = bisect_right(sums, int(draw() * total))
+        low = edges[bar]
+        held = low + int(draw() * (edges[bar + 1] - low))
+        return held if begin <= elapsed < end else 0
+
+    return holds
