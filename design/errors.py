@@ -46,3 +46,17 @@ class UnsuitableNetwork(DesignError):
 
     def __str__(self) -> str:
         return f"{self.found}: expected {self.expected}"
+
+
+@dataclass(eq=False)
+class SingularPlant(DesignError):
+    """A plant that breaks an assumption of the synthesis; ``assumption``: its name, A1 to A4."""
+
+    assumption: str
+    found: str
+    """What is wrong, with its figures."""
+    remedy: str
+    """What would make the plant regular."""
+
+    def __str__(self) -> str:
+        return f"{self.assumption}: {self.found}; {self.remedy}"

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_INFINITE = 1e10
-"""A generalised eigenvalue beyond this multiple of the largest pole counts as a zero at infinity."""
+_DIRECT = 1e-14
+"""A direct gain below this part of the gain through the states is a rounding error of zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,9 +89,7 @@ class StateSpace:
 
     def part(self, outputs: slice, inputs: slice) -> "StateSpace":
         """The same states seen through some ``outputs`` and ``inputs`` only."""
-        return StateSpace(
-            self.A, self.B[:, inputs], self.C[outputs], self.D[outputs, inputs], self.period_s
-        )
+        return StateSpace(self.A, self.B[:, inputs], self.C[outputs], self.D[outputs, inputs], self.period_s)
 
     def scaled(self, left: ArrayLike, right: ArrayLike = 1.0) -> "StateSpace":
         """``left`` times the system times ``right``; numbers or constant matrices."""
@@ -101,7 +99,7 @@ class StateSpace:
 
 
 def _matrix(factor: ArrayLike, size: int) -> Array:
-    value = np.asarray(factor, dtype=float)
+    value: Array = np.asarray(factor, dtype=float)
     return value * np.eye(size) if value.ndim == 0 else np.atleast_2d(value)
 
 
@@ -122,7 +120,7 @@ def first_order(high: float, zero: float, pole: float) -> StateSpace:
 
 
 def from_zpk(zeros: ArrayLike, poles: ArrayLike, gain: float, period_s: float | None = None) -> StateSpace:
-    """SISO system gain * prod(s - zeros)/prod(s - poles), real, as a cascade of sections of order two at most.
+    """SISO system gain * prod(s - zeros)/prod(s - poles), real: a cascade of sections of order 2 at most.
 
     Error: ValueError for more zeros than poles or a complex number without its conjugate.
     """
@@ -131,7 +129,7 @@ def from_zpk(zeros: ArrayLike, poles: ArrayLike, gain: float, period_s: float | 
         raise ValueError("more zeros than poles: the system would differentiate")
     sections = []
     for denominator in pole_sections:
-        numerator = np.ones(1)
+        numerator: NDArray[Any] = np.ones(1)
         for candidate in list(zero_sections):
             if len(numerator) + len(candidate) - 1 <= len(denominator):
                 numerator = np.polymul(numerator, candidate)
@@ -228,12 +226,6 @@ def lower_lft(plant: StateSpace, controller: StateSpace) -> StateSpace:
     return connect(joined, feedback, enter, np.eye(p + m2)[:p1])
 
 
-def similar(system: StateSpace, T: Array) -> StateSpace:
-    """The system in the states T^-1 x."""
-    A = np.linalg.solve(T, system.A @ T)
-    return StateSpace(A, np.linalg.solve(T, system.B), system.C @ T, system.D, system.period_s)
-
-
 def state_scales(system: StateSpace) -> Array:
     """(n,) powers of two that balance rows and columns of A, B and C; inputs and outputs stay as they are."""
     n = system.order
@@ -251,39 +243,36 @@ def balanced(system: StateSpace) -> StateSpace:
     """The same system with its states scaled by :func:`state_scales`."""
     scale = state_scales(system)
     return StateSpace(
-        system.A * scale / scale[:, None], system.B / scale[:, None], system.C * scale, system.D, system.period_s
+        system.A * scale / scale[:, None],
+        system.B / scale[:, None],
+        system.C * scale,
+        system.D,
+        system.period_s,
     )
 
 
 def zeros(system: StateSpace) -> ComplexArray:
-    """Finite invariant zeros of a square system, by magnitude; from the pencil [A - s I, B; C, D]."""
-    n = system.order
-    if not n:
-        return np.zeros(0, dtype=complex)
+    """Finite zeros of a SISO system, by magnitude; none of a system that is zero itself.
+
+    An output without direct gain is held at zero by the states in the null space of C, whose derivative
+    C (A x + B u) takes the output's place: one state fewer a turn, until the input acts directly.
+    """
     even = balanced(system)
-    rate = np.abs(system.poles()).max(initial=0.0) or 1.0
-    gain = math.sqrt(max(np.abs(even.B).max(initial=0.0), 1e-300) / max(np.abs(even.C).max(initial=0.0), 1e-300))
-    B, C = even.B / (gain * rate), even.C * gain / 1.0
-    D = even.D
-    scale_out = max(np.abs(C).max(initial=0.0), np.abs(D).max(initial=0.0), 1e-300)
-    left = np.block([[even.A / rate, B * 1.0], [C / scale_out, D / (scale_out * rate) * rate / 1.0]])
-    left[n:, n:] = D / (scale_out * gain * 1.0) * gain / gain
-    # The input's scale is free: column n.. may be multiplied by anything without moving a zero.
-    left[:n, n:] = even.B / rate
-    left[n:, :n] = even.C
-    left[n:, n:] = even.D
-    size = np.abs(left[:n, n:]).max(initial=0.0)
-    left[:, n:] /= size or 1.0
-    height = np.abs(left[n:]).max(initial=0.0)
-    left[n:] /= height or 1.0
-    right = np.zeros_like(left)
-    right[:n, :n] = np.eye(n)
-    pairs: Any = scipy.linalg.eig(left, right, right=False, homogeneous_eigvals=True)
-    alpha, beta = np.asarray(pairs)
-    finite = np.abs(beta) * _INFINITE > np.abs(alpha)
-    values = alpha[finite] / beta[finite] * rate
-    values = np.where(np.abs(values.imag) < 1e-9 * np.abs(values), values.real + 0j, values)
-    return np.asarray(values[np.argsort(np.abs(values), kind="stable")], dtype=complex)
+    A, B, C, D = even.A, even.B, even.C, even.D
+    while len(A):
+        through_states = np.linalg.norm(B) * np.linalg.norm(C) / (np.linalg.norm(A) or math.inf)
+        if abs(D[0, 0]) > _DIRECT * through_states:
+            values = np.linalg.eigvals(_rebalanced(A - B @ C / D[0, 0]))
+            return np.asarray(values[np.argsort(np.abs(values), kind="stable")], dtype=complex)
+        if not np.any(C):
+            break
+        N = scipy.linalg.null_space(C)
+        A, B, C, D = N.T @ A @ N, N.T @ B, C @ A @ N, C @ B
+    return np.zeros(0, dtype=complex)
+
+
+def _rebalanced(A: Array) -> Array:
+    return np.asarray(scipy.linalg.matrix_balance(A, permute=False)[0], dtype=float)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

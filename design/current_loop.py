@@ -1,0 +1,141 @@
+"""A current controller in a drive: sampled at the inner rate, its voltage out a computation delay later.
+
+Two ways to a sampled controller: the continuous one by Tustin's rule, prewarped at the crossover, or a
+design for the sampled plant itself, with its hold and delay, in the bilinear plane (s = 2/T (z-1)/(z+1)).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from design.errors import InfeasibleDesign
+from design.hinf import synthesise
+from design.hinf_plant import GeneralisedPlant
+from design.margins import Margins, margins
+from design.mixed_sensitivity import mixed_sensitivity
+from design.statespace import StateSpace, balanced, connect, series, state_space
+from design.weights import Weights
+
+RATE_MAX_HZ = 1_000_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class SampledFigures:
+    """A sampled loop: its margins and the largest magnitude of a closed-loop pole."""
+
+    margins: Margins
+    spectral_radius: float
+
+
+def tustin(system: StateSpace, rate_hz: float, exact_at_rad_s: float = 0.0) -> StateSpace:
+    """The bilinear image of ``system``; its response is kept exactly at ``exact_at_rad_s`` (prewarping).
+
+    Error: ValueError for a prewarping frequency at or above half of the sampling rate.
+    """
+    period_s = 1.0 / rate_hz
+    if not 0.0 <= exact_at_rad_s * period_s < math.pi:
+        raise ValueError(
+            f"a rate of {rate_hz:g} Hz is too low for a loop that crosses at {exact_at_rad_s:g} rad/s: "
+            f"more than {exact_at_rad_s / math.pi:.3g} Hz expected"
+        )
+    half = 0.5 * period_s
+    if exact_at_rad_s > 0.0:
+        half = math.tan(exact_at_rad_s * half) / exact_at_rad_s
+    even = balanced(system)
+    inverse = np.linalg.inv(np.eye(even.order) - half * even.A)
+    A = inverse @ (np.eye(even.order) + half * even.A)
+    root = math.sqrt(2.0 * half)
+    return StateSpace(
+        A,
+        root * inverse @ even.B,
+        root * even.C @ inverse,
+        even.D + half * even.C @ inverse @ even.B,
+        period_s,
+    )
+
+
+def from_bilinear(system: StateSpace, period_s: float) -> StateSpace:
+    """The sampled system of a ``system`` in the bilinear plane: Tustin's rule without prewarping."""
+    return tustin(system, 1.0 / period_s)
+
+
+def to_bilinear(system: StateSpace) -> StateSpace:
+    """The inverse of :func:`from_bilinear`. Error: ValueError for a pole at z = -1."""
+    period_s = system.period_s
+    if period_s is None:
+        raise ValueError("a sampled system is expected")
+    half, n = 0.5 * period_s, system.order
+    inverse = np.linalg.inv(system.A + np.eye(n))
+    root = math.sqrt(2.0 / half)
+    return StateSpace(
+        (system.A - np.eye(n)) @ inverse / half,
+        root * inverse @ system.B,
+        root * system.C @ inverse,
+        system.D - system.C @ inverse @ system.B,
+    )
+
+
+def held(plant: StateSpace, rate_hz: float, delay_samples: int) -> StateSpace:
+    """``plant`` behind a zero-order hold and ``delay_samples`` whole periods of computation."""
+    period_s = 1.0 / rate_hz
+    n, m = plant.order, plant.B.shape[1]
+    joint = np.zeros((n + m, n + m))
+    joint[:n, :n], joint[:n, n:] = plant.A, plant.B
+    grown = scipy.linalg.expm(joint * period_s)
+    sampled = StateSpace(grown[:n, :n], grown[:n, n:], plant.C, plant.D, period_s)
+    for _ in range(delay_samples):
+        sampled = series(sampled, state_space([[0.0]], [[1.0]], [[1.0]], [[0.0]], period_s))
+    return sampled
+
+
+def sampled_figures(G: StateSpace, K: StateSpace, delay_samples: int) -> SampledFigures:
+    """Margins and spectral radius of the sampled controller ``K`` on the continuous plant ``G``."""
+    assert K.period_s is not None
+    loop = series(held(G, 1.0 / K.period_s, delay_samples), K)
+    closed = connect(loop, [[-1.0]], [[1.0]], [[1.0]])
+    return SampledFigures(margins(loop), float(np.abs(closed.poles()).max()))
+
+
+def direct_design(
+    G: StateSpace, weights: Weights, gamma: float, rate_hz: float, delay_samples: int
+) -> tuple[StateSpace, GeneralisedPlant]:
+    """The controller for the sampled plant itself, and the plant in the bilinear plane that it was made for.
+
+    Raises InfeasibleDesign where the delay leaves no controller for ``gamma``.
+    """
+    plant = mixed_sensitivity(to_bilinear(balanced(held(G, rate_hz, delay_samples))), weights)
+    return from_bilinear(synthesise(plant, gamma).controller, 1.0 / rate_hz), plant
+
+
+def lowest_rate_hz(
+    G: StateSpace, K: StateSpace, crossover_rad_s: float, modulus_margin: float, delay_samples: int
+) -> float:
+    """The lowest sampling rate, to 0.1 %, at and above which Tustin's ``K`` holds ``modulus_margin``.
+
+    Raises InfeasibleDesign if the continuous loop itself has no such margin.
+    """
+
+    def holds(rate_hz: float) -> bool:
+        if rate_hz <= 1.05 * crossover_rad_s / math.pi:
+            return False
+        found = sampled_figures(G, tustin(K, rate_hz, crossover_rad_s), delay_samples)
+        return found.spectral_radius < 1.0 and found.margins.modulus_margin >= modulus_margin
+
+    high = RATE_MAX_HZ
+    if not holds(high):
+        best = margins(series(G, K)).modulus_margin
+        raise InfeasibleDesign(
+            f"a modulus margin of {modulus_margin:g}",
+            f"the continuous loop has {best:.4f}",
+            "ask for less, or lower the crossing of w1",
+        )
+    low = high
+    while low > 10.0 and holds(low / 1.25):  # downwards, so that it holds at every rate above
+        low /= 1.25
+    high, low = low, low / 1.25
+    while high / low > 1.001:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high

@@ -1,0 +1,140 @@
+"""Controllers of a given small structure against the same weights as the full-order one.
+
+The objective max over w of the largest singular value of [w1 S; w2 K S; w3 T] is neither smooth nor
+convex in the controller's coefficients. It is solved as a smooth problem with many constraints (minimise t
+with the value at each frequency below t, by sequential quadratic programming), frequencies being added
+where the true peak shows, from several starts; the last word is the H-infinity norm itself.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+
+from design.errors import InfeasibleDesign
+from design.hinf import closed_loop
+from design.mixed_sensitivity import mixed_sensitivity
+from design.statespace import Array, ComplexArray, StateSpace, from_zpk
+from design.system_norm import hinf_norm
+from design.weights import Weights
+
+_BAD = 1e3
+_ROUNDS = 4
+
+
+class Structure(Enum):
+    """What the controller may be."""
+
+    PI = "pi"
+    """k (s + a)/s"""
+    PI_POLE = "pi+pole"
+    """k (s + a)/(s (s/p + 1))"""
+    THIRD = "third"
+    """k (s + a)(s + b)/(s (s^2 + 2 d w s + w^2)), the form of [Azaiz2007] (71)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedDesign:
+    """The best controller found of its structure, and the norm of its closed loop."""
+
+    structure: Structure
+    controller: StateSpace
+    gamma: float
+
+
+def _pi(theta: Array) -> tuple[list[complex], list[complex], float]:
+    k, a = np.exp(theta)
+    return [-a], [0.0], float(k)
+
+
+def _pi_pole(theta: Array) -> tuple[list[complex], list[complex], float]:
+    k, a, p = np.exp(theta)
+    return [-a], [0.0, -p], float(k * p)
+
+
+def _third(theta: Array) -> tuple[list[complex], list[complex], float]:
+    k, a, b, w, d = np.exp(theta)
+    root = np.emath.sqrt(d * d - 1.0) * w
+    pair = [complex(-d * w + root), complex(-d * w - root)]
+    return [-a, -b], [0.0, *pair], float(k)
+
+
+_FORMS: dict[Structure, Callable[[Array], tuple[list[complex], list[complex], float]]] = {
+    Structure.PI: _pi,
+    Structure.PI_POLE: _pi_pole,
+    Structure.THIRD: _third,
+}
+
+
+def tune(G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: float) -> FixedDesign:
+    """The best controller of ``structure`` for the first-order plant ``G``, started about ``crossing_rad_s``.
+
+    Raises InfeasibleDesign if no start led to a stable loop.
+    """
+    plant = mixed_sensitivity(G, weights)
+    corner, gain = -float(G.A[0, 0]), float((G.C @ G.B)[0, 0])
+    best: FixedDesign | None = None
+    for factor in (0.25, 0.5, 1.0, 2.0):
+        k = factor * crossing_rad_s / gain
+        fast = max(20.0 * crossing_rad_s, corner)
+        starts = {
+            Structure.PI: [k, corner],
+            Structure.PI_POLE: [k, corner, fast],
+            Structure.THIRD: [k * fast**2 / 5e4, corner, 5e4, fast, 1.0],
+        }
+        theta = _minimax(G, weights, structure, np.log(starts[structure]))
+        K = from_zpk(*_FORMS[structure](theta))
+        norm = hinf_norm(closed_loop(plant, K)).gain
+        if math.isfinite(norm) and (best is None or norm < best.gamma):
+            best = FixedDesign(structure, K, norm)
+    if best is None:
+        raise InfeasibleDesign(
+            f"a stable loop with the structure {structure.value}",
+            "no start led to one",
+            "take the full order, or lower the crossing of w1",
+        )
+    return best
+
+
+def _minimax(G: StateSpace, weights: Weights, structure: Structure, start: Array) -> Array:
+    omega = np.logspace(-3, 6, 91)
+    fine = np.logspace(-3, 7, 2001)
+    systems = (G, *(weight.system for weight in (weights.error, weights.control, weights.output)))
+    theta = start
+
+    def values(theta: Array, grid: Array, responses: list[ComplexArray]) -> Array:
+        g, w1, w2, w3 = responses
+        zeros, poles, k = _FORMS[structure](np.clip(theta, -30.0, 30.0))
+        s = 1j * grid
+        K = k * np.prod([s - z for z in zeros], axis=0) / np.prod([s - p for p in poles], axis=0)
+        S = 1.0 / (1.0 + g * K)
+        return np.asarray(
+            np.sqrt(np.abs(w1 * S) ** 2 + np.abs(w2 * K * S) ** 2 + np.abs(w3 * g * K * S) ** 2)
+        )
+
+    on_fine = [system.response(fine)[:, 0, 0] for system in systems]
+    for _ in range(_ROUNDS):
+        responses = [system.response(omega)[:, 0, 0] for system in systems]
+        level = float(values(theta, omega, responses).max())
+        problem: dict[str, Any] = {
+            "type": "ineq",
+            "fun": lambda x, r=responses, w=omega: x[-1] - np.log(values(x[:-1], w, r)),
+        }
+        found = scipy.optimize.minimize(
+            lambda x: x[-1],
+            np.append(theta, math.log(max(level, 1e-9))),
+            jac=lambda x: np.eye(len(x))[-1],
+            constraints=[problem],
+            method="SLSQP",
+            options={"maxiter": 100, "ftol": 1e-10},
+        )
+        if np.all(np.isfinite(found.x)) and values(found.x[:-1], fine, on_fine).max() < _BAD:
+            theta = found.x[:-1]
+        seen = values(theta, fine, on_fine)
+        peak = float(fine[int(np.argmax(seen))])
+        omega = np.unique(np.concatenate([omega, peak * np.array([0.97, 1.0, 1.03])]))
+    return theta

@@ -1,0 +1,134 @@
+"""The H-infinity norm of a state-space system, independent of any synthesis.
+
+The norm is the peak of the largest singular value over frequency. A level g is exceeded somewhere exactly
+if a Hamiltonian matrix of the system and g has eigenvalues on the imaginary axis, and these are the
+frequencies where a singular value crosses g (Boyd and Balakrishnan 1990; Bruinsma and Steinbuch 1990).
+The search climbs from crossing to crossing; the peak itself is then found by golden section. The first
+grid holds 0, infinity and the poles' frequencies, because a peak may sit at rest.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+
+from design.statespace import Array, StateSpace, balanced
+
+_NEAR_AXIS = 1e-5
+"""|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
+_STEPS_MAX = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The largest singular value over frequency, and where it is: rad/s, 0 and infinity included."""
+
+    gain: float
+    frequency_rad_s: float
+
+
+def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
+    """(k,) largest singular value at the k frequencies, rad/s."""
+    return np.asarray(np.linalg.norm(system.response(frequency_rad_s), 2, axis=(1, 2)), dtype=float)
+
+
+def hinf_norm(system: StateSpace, relative: float = 1e-11) -> Peak:
+    """The norm, to ``relative``; infinite for an unstable system."""
+    if not system.is_stable():
+        return Peak(math.inf, math.nan)
+    even = balanced(system)
+    frequencies = _first_frequencies(even)
+    peak = _best(even, frequencies)
+    for _ in range(_STEPS_MAX):
+        refined = _refined(even, peak)
+        crossings = _crossings(even, refined.gain * (1.0 + relative))
+        middle = np.sqrt(crossings[:-1] * crossings[1:]) if len(crossings) > 1 else crossings
+        higher = _best(even, np.concatenate([crossings, middle, [refined.frequency_rad_s]]))
+        if higher.gain <= refined.gain * (1.0 + relative):
+            return refined
+        peak = higher
+    return peak
+
+
+def _best(system: StateSpace, frequencies: Array) -> Peak:
+    gains = largest_gain(system, frequencies)
+    top = int(np.argmax(gains))
+    return Peak(float(gains[top]), float(frequencies[top]))
+
+
+def _rates(system: StateSpace) -> Array:
+    poles = system.poles()
+    if system.period_s is None:
+        rates = np.concatenate([np.abs(poles), np.abs(poles.imag)])
+    else:
+        logs = np.log(np.where(poles == 0.0, 1e-300, poles)) / system.period_s
+        rates = np.minimum(np.concatenate([np.abs(logs), np.abs(logs.imag)]), math.pi / system.period_s)
+    return np.asarray(rates[rates > 0.0], dtype=float)
+
+
+def _first_frequencies(system: StateSpace) -> Array:
+    last = math.inf if system.period_s is None else math.pi / system.period_s
+    rates = _rates(system)
+    if not len(rates):
+        return np.array([0.0, last])
+    low, high = math.log10(rates.min()) - 1.0, math.log10(rates.max()) + 1.0
+    if system.period_s is not None:
+        high = min(high, math.log10(last))
+    grid = np.logspace(low, high, 12 * max(4, math.ceil(high - low)))
+    return np.unique(np.concatenate([[0.0], rates, grid[grid <= last], [last]]))
+
+
+def _refined(system: StateSpace, peak: Peak) -> Peak:
+    """The top of the hill on which ``peak`` stands."""
+    omega = peak.frequency_rad_s
+    if omega == 0.0 or math.isinf(omega):
+        return peak
+    last = math.inf if system.period_s is None else math.log(math.pi / system.period_s)
+    width = 0.4
+
+    def depth(log_omega: float) -> float:
+        return -float(largest_gain(system, np.array([math.exp(log_omega)]))[0])
+
+    bounds = (math.log(omega) - width, min(math.log(omega) + width, last))
+    found = scipy.optimize.minimize_scalar(depth, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    return Peak(-found.fun, math.exp(found.x)) if -found.fun > peak.gain else peak
+
+
+def _crossings(system: StateSpace, level: float) -> Array:
+    """Frequencies, rad/s, where a singular value may cross ``level``, in order."""
+    if system.period_s is not None:
+        return _sampled_crossings(system, level)
+    A, B, C, D = system.A, system.B, system.C, system.D
+    R = level**2 * np.eye(D.shape[1]) - D.T @ D
+    if np.linalg.cond(R) > 1e14:
+        return np.zeros(0)
+    BR = np.linalg.solve(R, B.T).T
+    E = A + BR @ D.T @ C
+    S = np.eye(len(D)) + D @ np.linalg.solve(R, D.T)
+    H = np.block([[E, BR @ B.T], [-C.T @ S @ C, -E.T]])
+    values = np.linalg.eigvals(scipy.linalg.matrix_balance(H, permute=False)[0])
+    near = np.abs(values.real) <= _NEAR_AXIS * np.abs(values)
+    return np.unique(np.abs(values[near].imag))
+
+
+def _sampled_crossings(system: StateSpace, level: float) -> Array:
+    """The same on the unit circle, through the bilinear map s = (z - 1)/(z + 1)."""
+    continuous = bilinear_image(system)
+    values = _crossings(continuous, level)
+    assert system.period_s is not None
+    return np.asarray(2.0 * np.arctan(values) / system.period_s)
+
+
+def bilinear_image(system: StateSpace) -> StateSpace:
+    """The continuous system with the same gains, whose s is (z - 1)/(z + 1) of the sampled ``system``."""
+    n = system.order
+    inverse = np.linalg.inv(system.A + np.eye(n))
+    root = math.sqrt(2.0)
+    return StateSpace(
+        (system.A - np.eye(n)) @ inverse,
+        root * inverse @ system.B,
+        root * system.C @ inverse,
+        system.D - system.C @ inverse @ system.B,
+    )

@@ -1,0 +1,88 @@
+"""Weights of the mixed-sensitivity problem of [Azaiz2007] 3.2, from rules and as printed.
+
+A bound 1/|w| on a closed-loop gain is drawn by its ends and its crossing: a first-order w is fixed by the
+gain at low frequency, the gain at high frequency, and the frequency at which |w| = 1.
+
+    w(s) = high (s + zero)/(s + pole)      w(0) = low      |w(j crossing)| = 1
+    pole^2 (low^2 - 1) = crossing^2 (1 - high^2)      zero = pole low/high
+"""
+
+import math
+from dataclasses import dataclass
+
+from design.statespace import StateSpace, first_order
+
+
+@dataclass(frozen=True, slots=True)
+class Weight:
+    """high (s + zero)/(s + pole); rates in rad/s. A constant has zero = pole."""
+
+    high: float
+    zero_rad_s: float
+    pole_rad_s: float
+
+    def __post_init__(self) -> None:
+        """Error: ValueError for a weight that is not stable and of minimum phase."""
+        if not (self.high > 0.0 and self.zero_rad_s > 0.0 and self.pole_rad_s > 0.0):
+            raise ValueError(
+                f"weight {self.high:g} (s + {self.zero_rad_s:g})/(s + {self.pole_rad_s:g}): all above 0 "
+                "expected; an integrator in a weight cannot be stabilised from the loop (A1)"
+            )
+
+    @property
+    def low(self) -> float:
+        """Gain at rest."""
+        return self.high * self.zero_rad_s / self.pole_rad_s
+
+    @property
+    def system(self) -> StateSpace:
+        """The weight as a system with one state."""
+        return first_order(self.high, self.zero_rad_s, self.pole_rad_s)
+
+    def gain(self, omega: float) -> float:
+        """|w(j omega)|."""
+        return self.high * math.hypot(omega, self.zero_rad_s) / math.hypot(omega, self.pole_rad_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """w1 on the error, w2 on the voltage (1/V per A), w3 on the current: Fig. 6."""
+
+    error: Weight
+    control: Weight
+    output: Weight
+
+
+def crossing_weight(low: float, high: float, crossing_rad_s: float) -> Weight:
+    """The weight with these gains at the ends and |w| = 1 at ``crossing_rad_s``.
+
+    Error: ValueError unless 1 lies between ``low`` and ``high`` and the crossing is above 0.
+    """
+    if not (min(low, high) < 1.0 < max(low, high) and min(low, high) > 0.0 and crossing_rad_s > 0.0):
+        raise ValueError(
+            f"gains {low:g} and {high:g} with a crossing at {crossing_rad_s:g} rad/s: "
+            "one gain below 1, the other above, and a crossing above 0 expected"
+        )
+    pole = crossing_rad_s * math.sqrt((1.0 - high**2) / (low**2 - 1.0))
+    return Weight(high, pole * low / high, pole)
+
+
+def slope_weight(low: float, high: float, slope_end_rad_s: float) -> Weight:
+    """The weight with these gains whose slope ends at ``slope_end_rad_s``.
+
+    That is the zero of a weight falling from ``low`` to ``high``; of a rising one the slope's start is the
+    zero too. Error: ValueError for a gain or rate not above 0.
+    """
+    if not (low > 0.0 and high > 0.0 and slope_end_rad_s > 0.0):
+        raise ValueError(f"gains {low:g} and {high:g}, slope end {slope_end_rad_s:g}: all above 0 expected")
+    return Weight(high, slope_end_rad_s, slope_end_rad_s * high / low)
+
+
+def error_weight(crossing_rad_s: float, peak: float, static_error: float) -> Weight:
+    """w1: 1/|w1| crosses 1 at ``crossing_rad_s``, ends at ``peak`` and starts at ``static_error``."""
+    return crossing_weight(1.0 / static_error, 1.0 / peak, crossing_rad_s)
+
+
+def output_weight(crossing_rad_s: float, low_peak: float, roll_off: float) -> Weight:
+    """w3: 1/|w3| starts at ``low_peak``, crosses 1 at ``crossing_rad_s`` and falls to ``roll_off``."""
+    return crossing_weight(1.0 / low_peak, 1.0 / roll_off, crossing_rad_s)

@@ -1,0 +1,302 @@
+"""Margins, step figures, reduction, sampling, the coupled axes, fixed structures and robustness."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.signal
+
+from design.current_design import design_axis, reduced_design, rule_weights
+from design.current_loop import (
+    direct_design,
+    from_bilinear,
+    held,
+    lowest_rate_hz,
+    sampled_figures,
+    to_bilinear,
+    tustin,
+)
+from design.dq_loop import Decoupling, closed_loop_matrix, nominal_decoupling, rotation, spectral_radius
+from design.errors import InfeasibleDesign
+from design.fixed_structure import Structure, tune
+from design.margins import margins
+from design.mixed_sensitivity import axis_plant
+from design.papers.azaiz2007 import MOTOR, paper_design
+from design.reduction import Method, hankel_singular_values, reduce
+from design.robustness import axis_robustness, coupled_real_mu, real_mu_upper_bound
+from design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
+from design.step_response import step_figures
+from design.system_norm import hinf_norm
+from design.weights import crossing_weight, error_weight, slope_weight
+
+Q, Q_REDUCED = paper_design("q")
+D, D_REDUCED = paper_design("d")
+RATE_HZ = 16_000.0
+
+
+@pytest.mark.parametrize(
+    ("design", "gain", "phase", "modulus", "rise", "settling"),
+    [(Q, (31.2, 2600), (83.7, 145), 0.92, 0.013, 0.025), (D, (32.3, 1290), (84.7, 61), 0.93, 0.032, 0.059)],
+)
+def test_published_figures(design, gain, phase, modulus, rise, settling) -> None:  # type: ignore[no-untyped-def]
+    """Sections 3.3 and 3.4 to their printed digits; K_d's printed modulus margin 0.95 does not follow."""
+    found = design.margins
+    assert found.gain_margin_db == pytest.approx(gain[0], abs=0.05)
+    assert found.gain_margin_rad_s == pytest.approx(gain[1], rel=2e-3)
+    assert found.phase_margin_deg == pytest.approx(phase[0], abs=0.05)
+    assert found.phase_margin_rad_s == pytest.approx(phase[1], rel=1e-2)
+    assert found.modulus_margin == pytest.approx(modulus, abs=0.005)
+    assert design.step.rise_time_s == pytest.approx(rise, abs=5e-4)
+    assert design.step.settling_time_s == pytest.approx(settling, abs=5e-4)
+
+
+def test_margins_of_a_loop_in_closed_form() -> None:
+    """L = 8/(s + 1)^3: phase -180 degrees at sqrt 3 where |L| = 1."""
+    loop = from_zpk([], [-1.0, -1.0, -1.0], 4.0)
+    found = margins(loop)
+    assert found.gain_margin_db == pytest.approx(20.0 * math.log10(2.0), abs=1e-9)
+    assert found.gain_margin_rad_s == pytest.approx(math.sqrt(3.0), rel=1e-9)
+    crossover = math.sqrt(4.0 ** (2.0 / 3.0) - 1.0)
+    assert found.phase_margin_deg == pytest.approx(180.0 - 3.0 * math.degrees(math.atan(crossover)), abs=1e-9)
+    sensitivity = connect(loop, [[-1.0]], [[1.0]], [[-1.0]])
+    whole = StateSpace(sensitivity.A, sensitivity.B, sensitivity.C, sensitivity.D + 1.0)
+    assert found.modulus_margin == pytest.approx(1.0 / hinf_norm(whole).gain, rel=1e-8)
+
+
+def test_step_figures_of_a_lag_and_of_an_oscillator() -> None:
+    lag = step_figures(state_space([[-5.0]], [[1.0]], [[5.0]], [[0.0]]))
+    assert lag.rise_time_s == pytest.approx(math.log(9.0) / 5.0, rel=1e-9)
+    assert lag.settling_time_s == pytest.approx(math.log(50.0) / 5.0, rel=1e-9)
+    assert lag.overshoot_percent == 0.0
+    damping = 0.3
+    oscillator = step_figures(from_zpk([], np.roots([1.0, 2.0 * damping, 1.0]), 1.0))
+    peak = 100.0 * math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    assert oscillator.overshoot_percent == pytest.approx(peak, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_zero_pole_form_and_back(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    poles = [-(10.0 ** draw.uniform(-2, 6)) for _ in range(3)] + [complex(-20, 30), complex(-20, -30)]
+    zero_count = int(draw.integers(0, 5))
+    wanted = [-(10.0 ** draw.uniform(-2, 6)) for _ in range(zero_count)]
+    form = zpk(from_zpk(wanted, poles, 7.0))
+    assert form.gain == pytest.approx(7.0, rel=1e-4)
+    assert np.sort(np.abs(form.zeros)) == pytest.approx(np.sort(np.abs(wanted)), rel=1e-4)
+    assert np.sort(np.abs(form.poles)) == pytest.approx(np.sort(np.abs(poles)), rel=1e-4)
+
+
+def test_zeros_of_a_pure_integrator_with_gain() -> None:
+    assert zeros(from_zpk([-3.0], [0.0], 2.0)) == pytest.approx([-3.0])
+
+
+def test_norm_at_rest_at_a_peak_and_of_an_unstable_system() -> None:
+    assert hinf_norm(state_space([[-2.0]], [[1.0]], [[6.0]], [[0.0]])).gain == pytest.approx(3.0, rel=1e-12)
+    damping = 0.01
+    resonant = from_zpk([], np.roots([1.0, 2.0 * damping * 1e4, 1e8]), 1e8)
+    peak = 1.0 / (2.0 * damping * math.sqrt(1.0 - damping**2))
+    assert hinf_norm(resonant).gain == pytest.approx(peak, rel=1e-9)
+    assert hinf_norm(state_space([[1.0]], [[1.0]], [[1.0]], [[0.0]])).gain == math.inf
+
+
+def test_weights_meet_their_rules_and_give_the_printed_numbers() -> None:
+    w1 = error_weight(156.75, 1.51, 1e-4)
+    assert (w1.zero_rad_s, w1.pole_rad_s) == pytest.approx((177.3493, 0.011745), rel=1e-5)
+    assert w1.gain(156.75) == pytest.approx(1.0, rel=1e-12)
+    assert w1.low == pytest.approx(1e4)
+    w3 = slope_weight(0.5, 1e4, 235.0 / math.sqrt(3.0))
+    assert (w3.zero_rad_s, w3.pole_rad_s) == pytest.approx((135.68, 271.35e4), rel=3e-5)
+    assert crossing_weight(0.5, 1e4, 235.0).zero_rad_s == pytest.approx(w3.zero_rad_s, rel=1e-6)
+    with pytest.raises(ValueError, match="one gain below 1"):
+        crossing_weight(2.0, 3.0, 100.0)
+
+
+def test_hankel_singular_values_against_the_gramians() -> None:
+    draw = np.random.default_rng(3)
+    A = draw.normal(size=(5, 5)) - 4.0 * np.eye(5)
+    system = StateSpace(A, draw.normal(size=(5, 2)), draw.normal(size=(3, 5)), np.zeros((3, 2)))
+    P = scipy.linalg.solve_continuous_lyapunov(A, -system.B @ system.B.T)
+    W = scipy.linalg.solve_continuous_lyapunov(A.T, -system.C.T @ system.C)
+    wanted = np.sort(np.sqrt(np.linalg.eigvals(P @ W).real))[::-1]
+    assert hankel_singular_values(system) == pytest.approx(wanted, rel=1e-8)
+    for method in (Method.TRUNCATE, Method.RESIDUALISE):
+        small = reduce(system, 3, method)
+        error = series_difference(system, small)
+        assert hinf_norm(error).gain <= 2.0 * wanted[3:].sum() * (1.0 + 1e-9)
+    assert reduce(system, 3, Method.RESIDUALISE).steady_gain() == pytest.approx(
+        system.steady_gain(), rel=1e-9
+    )
+
+
+def series_difference(left: StateSpace, right: StateSpace) -> StateSpace:
+    """left - right."""
+    zero = np.zeros((left.order, right.order))
+    A = np.block([[left.A, zero], [zero.T, right.A]])
+    return StateSpace(A, np.vstack([left.B, right.B]), np.hstack([left.C, -right.C]), left.D - right.D)
+
+
+@pytest.mark.parametrize("design", [Q, D])
+@pytest.mark.parametrize("method", list(Method))
+def test_a_state_fewer_costs_nothing(design, method) -> None:  # type: ignore[no-untyped-def]
+    small = reduced_design(design, 3, method)
+    assert small.closed_loop_norm == pytest.approx(design.closed_loop_norm, rel=2e-3)
+
+
+def test_tustin_against_scipy_and_its_prewarping() -> None:
+    K = Q_REDUCED.controller
+    ours = tustin(K, RATE_HZ)
+    theirs = scipy.signal.cont2discrete((K.A, K.B, K.C, K.D), 1.0 / RATE_HZ, method="bilinear")
+    omega = np.logspace(0, 4, 20)
+    reference = state_space(theirs[0], theirs[1], theirs[2], theirs[3], 1.0 / RATE_HZ)
+    assert ours.response(omega) == pytest.approx(reference.response(omega), rel=1e-8)
+    exact = tustin(K, RATE_HZ, 4000.0)
+    assert exact.response(4000.0) == pytest.approx(K.response(4000.0), rel=1e-10)
+    with pytest.raises(ValueError, match="too low"):
+        tustin(K, 40.0, 145.0)
+
+
+def test_bilinear_there_and_back() -> None:
+    sampled = held(axis_plant(0.6, 2.8e-3), RATE_HZ, 2)
+    back = from_bilinear(to_bilinear(sampled), 1.0 / RATE_HZ)
+    omega = np.logspace(0, 4.6, 20)
+    assert back.response(omega) == pytest.approx(sampled.response(omega), rel=1e-9)
+
+
+def test_direct_design_keeps_the_margin_that_tustin_loses() -> None:
+    G = Q.plant
+    rate_hz = 2000.0
+    direct, _ = direct_design(G, Q.weights, 1.02, rate_hz, 1)
+    by_tustin = sampled_figures(G, tustin(Q_REDUCED.controller, rate_hz, 145.0), 1)
+    found = sampled_figures(G, direct, 1)
+    assert found.spectral_radius < 1.0
+    assert found.margins.modulus_margin > by_tustin.margins.modulus_margin
+
+
+def test_the_lowest_rate_holds_the_margin_and_a_lower_one_does_not() -> None:
+    K = Q_REDUCED.controller
+    rate_hz = lowest_rate_hz(Q.plant, K, 145.0, 0.85, 1)
+    assert sampled_figures(Q.plant, tustin(K, rate_hz, 145.0), 1).margins.modulus_margin >= 0.85
+    assert sampled_figures(Q.plant, tustin(K, 0.99 * rate_hz, 145.0), 1).margins.modulus_margin < 0.85
+    with pytest.raises(InfeasibleDesign, match="the continuous loop has"):
+        lowest_rate_hz(Q.plant, K, 145.0, 0.99, 1)
+
+
+def _sampled(rate_hz: float = RATE_HZ) -> tuple[StateSpace, StateSpace]:
+    return tustin(D_REDUCED.controller, rate_hz, 61.0), tustin(Q_REDUCED.controller, rate_hz, 145.0)
+
+
+def test_coupled_axes_fall_apart_at_standstill() -> None:
+    K_d, K_q = _sampled()
+    apart = max(sampled_figures(design.plant, K, 1).spectral_radius for design, K in ((D, K_d), (Q, K_q)))
+    coupled = spectral_radius(MOTOR, K_d, K_q, np.zeros(1), nominal_decoupling(MOTOR, 1))
+    assert coupled[0] == pytest.approx(apart, rel=1e-9)
+
+
+@pytest.mark.parametrize("delay_samples", [0, 1, 2])
+def test_coupled_transition_against_a_simulation_in_the_stator_s_frame(delay_samples: int) -> None:
+    """One period after another of the motor's equations, the voltage held still in the stator's frame."""
+    K_d, K_q = _sampled(4000.0)
+    speed, T = 150.0, 1.0 / 4000.0
+    electrical = MOTOR.pole_pairs * speed
+    wrong = Decoupling(2e-3, 3e-3, 0.7)
+    M = closed_loop_matrix(MOTOR, K_d, K_q, speed, wrong, delay_samples)
+    draw = np.random.default_rng(1)
+    x = draw.normal(size=len(M))
+    i, waiting = x[:2], list(x[2 : 2 + 2 * delay_samples].reshape(-1, 2))
+    n_d = K_d.order
+    x_d, x_q = x[2 + 2 * delay_samples :][:n_d], x[2 + 2 * delay_samples :][n_d:]
+    e = -i
+    v = np.array([(K_d.C @ x_d + K_d.D[:, 0] * e[0])[0], (K_q.C @ x_q + K_q.D[:, 0] * e[1])[0]])
+    v += electrical * np.array([-wrong.inductance_q_h * i[1], wrong.inductance_d_h * i[0]])
+    waiting.append(v)
+    # computed delay_samples periods ago, turned on by 0.7 periods from the angle at that time
+    start = rotation((0.7 - delay_samples) * electrical * T) @ waiting.pop(0)
+    steps = 4000
+    h = T / steps
+    R, Ld, Lq = MOTOR.resistance_ohm, MOTOR.inductance_d_h, MOTOR.inductance_q_h
+
+    def slope(i: np.ndarray, t: float) -> np.ndarray:
+        u = rotation(-electrical * t) @ start
+        return np.array(
+            [(u[0] - R * i[0] + electrical * Lq * i[1]) / Ld, (u[1] - R * i[1] - electrical * Ld * i[0]) / Lq]
+        )
+
+    for k in range(steps):
+        half = i + 0.5 * h * slope(i, k * h)
+        i = i + h * slope(half, (k + 0.5) * h)
+    after = np.concatenate([i, *waiting, K_d.A @ x_d + K_d.B[:, 0] * e[0], K_q.A @ x_q + K_q.B[:, 0] * e[1]])
+    assert M @ x == pytest.approx(after, rel=1e-6, abs=1e-6)
+
+
+def test_decoupling_and_angle_advance_matter_at_speed() -> None:
+    K_d, K_q = _sampled()
+    fast = np.array([2.0 * MOTOR.rated_speed_rad_s])
+    right = spectral_radius(MOTOR, K_d, K_q, fast, nominal_decoupling(MOTOR, 1))
+    stale = spectral_radius(MOTOR, K_d, K_q, fast, Decoupling(1.4e-3, 2.8e-3, 0.0))
+    assert right[0] < 1.0 < stale[0]
+
+
+def test_fixed_structures_against_the_full_order() -> None:
+    """A pole more helps, and no structure beats gamma_min."""
+    found = {form: tune(Q.plant, Q.weights, form, 145.0).gamma for form in Structure}
+    assert Q.gamma_min < found[Structure.THIRD] <= found[Structure.PI_POLE] * (1.0 + 1e-6)
+    assert found[Structure.PI_POLE] < found[Structure.PI]
+    assert found[Structure.PI_POLE] < 1.01 * Q.gamma_min
+
+
+def test_real_mu_of_one_axis_touches_the_edge_of_stability() -> None:
+    """Grown by 1/mu the box holds a motor with a pole on the axis; at +-50 % every motor is stable."""
+    found = axis_robustness(0.6, 2.8e-3, Q.controller, Q.weights)
+    assert found.stable
+    assert found.real_mu_peak < 1.0
+    assert found.worst_weighted_sensitivity <= found.weighted_sensitivity_bound * (1.0 + 1e-9)
+    assert found.weighted_sensitivity_bound < 1.02 * found.worst_weighted_sensitivity
+    edge = 0.5 / found.real_mu_peak
+
+    def radius(spread: float) -> float:
+        poles = [
+            connect(
+                series(
+                    StateSpace(
+                        np.array([[-(0.6 * r) / (2.8e-3 * L)]]),
+                        np.ones((1, 1)),
+                        np.array([[1.0 / (2.8e-3 * L)]]),
+                        np.zeros((1, 1)),
+                    ),
+                    Q.controller,
+                ),
+                [[-1.0]],
+                [[1.0]],
+                [[1.0]],
+            )
+            .poles()
+            .real.max()
+            for r in (1 - spread, 1 + spread)
+            for L in (1 - spread, 1 + spread)
+        ]
+        return float(max(poles))
+
+    assert radius(0.98 * edge) < 0.0 < radius(1.02 * edge)
+
+
+def test_mu_bound_against_exact_cases() -> None:
+    assert real_mu_upper_bound(np.diag([0.5 + 0j, -0.8])) == pytest.approx(0.8, rel=1e-3)
+    rotation_like = np.array([[0.0, 1.0], [-1.0, 0.0]], dtype=complex)
+    # det(I - M diag(x, y)) = 1 + x y: singular first at |x| = |y| = 1
+    assert real_mu_upper_bound(rotation_like) == pytest.approx(1.0, rel=1e-3)
+    assert real_mu_upper_bound(np.array([[1j]])) < 0.3  # a real number never meets an imaginary one
+
+
+def test_coupled_mu_is_at_least_that_of_the_axes() -> None:
+    omega = np.array([2645.0])
+    coupled = coupled_real_mu(MOTOR, D.controller, Q.controller, 0.0, omega)
+    assert 0.5 < coupled[0] < 0.7
+
+
+def test_weights_follow_another_motor() -> None:
+    """Scaled by r/L and 1/r the problem, and so gamma_min, stays the paper's own."""
+    other = replace(MOTOR, resistance_ohm=2.875, inductance_q_h=8.5e-3)
+    found = design_axis(other, "q", rule_weights(other, "q"), 1.0)
+    assert found.gamma_min == pytest.approx(Q.gamma_min, rel=1e-8)

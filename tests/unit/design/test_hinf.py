@@ -1,0 +1,107 @@
+"""H-infinity synthesis: the paper's numbers, properties on random plants, and what each failure says."""
+
+import numpy as np
+import pytest
+
+from design.current_design import printed_weights, rule_weights
+from design.errors import InfeasibleDesign, SingularPlant
+from design.hinf import gamma_min, synthesise, verified_norm
+from design.hinf_plant import GeneralisedPlant
+from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.papers.azaiz2007 import MOTOR
+from design.statespace import StateSpace, state_space, zpk
+from tests.unit.design.hinf_plants import random_plant
+
+PLANTS = {
+    axis: mixed_sensitivity(axis_plant(0.6, L), rule_weights(MOTOR, axis))
+    for axis, L in (("q", 2.8e-3), ("d", 1.4e-3))
+}
+
+
+@pytest.mark.parametrize(
+    ("axis", "gain", "poles"),
+    [
+        ("q", 49.7026, [0.01174, 2470.6, 2470.6, 2.717e6]),
+        ("d", 2.7364, [0.0040, 1258.4, 1258.4, 1.155e7]),
+    ],
+)
+def test_the_paper_s_controllers(axis: str, gain: float, poles: list[float]) -> None:
+    """(68), (70), (71): printed to five figures, the slow pole of K_d to two."""
+    form = zpk(synthesise(PLANTS[axis], 1.0).controller)
+    assert form.gain == pytest.approx(gain, rel=2e-5)
+    assert np.abs(form.poles) == pytest.approx(poles, rel=1.1e-2)
+    assert np.abs(form.zeros[:2]) == pytest.approx([214.2857 if axis == "q" else 428.571, 5e4], rel=1e-5)
+
+
+def test_the_paper_s_riccati_figures() -> None:
+    """Section 3.3: the modes of E_x - W_x X and of E_y - W_y Y, and Y = 0."""
+    found = synthesise(mixed_sensitivity(axis_plant(0.6, 2.8e-3), printed_weights("q")), 1.0)
+    modes = sorted(np.abs(found.state_feedback_modes))
+    assert modes[-2:] == pytest.approx([2807.3204, 2.7173e6], rel=2e-4)
+    assert modes[:2] == pytest.approx([abs(complex(167.4581, 65.6802))] * 2, rel=2e-3)
+    assert sorted(-found.observer_modes.real) == pytest.approx([0.0117, 214.2857, 5e4, 271.35e4], rel=1e-6)
+    assert np.abs(found.Y).max() < 1e-9
+
+
+def test_gamma_min_of_badly_scaled_plants() -> None:
+    """Poles from 1e-2 to 3e6 rad/s; figures of an independent bisection with another library."""
+    assert gamma_min(PLANTS["q"]) == pytest.approx(0.9517608, rel=1e-6)
+    assert gamma_min(PLANTS["d"]) == pytest.approx(0.6463218, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_controller_holds_what_its_gamma_promises(seed: int) -> None:
+    plant = random_plant(seed)
+    least = gamma_min(plant)
+    gamma = 1.05 * least + 1e-6
+    found = synthesise(plant, gamma)
+    assert verified_norm(plant, found.controller) < gamma * (1.0 + 1e-7)
+    if least > 1e-3:
+        with pytest.raises(InfeasibleDesign, match="gamma_min is"):
+            synthesise(plant, 0.999 * least)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_parameter_below_gamma_gives_a_controller(seed: int) -> None:
+    """Theorem 2, with a constant and with a dynamic Phi, and the direct gain D22 undone."""
+    plant = random_plant(seed)
+    gamma = 1.5 * gamma_min(plant) + 0.1
+    found = synthesise(plant, gamma)
+    m2, p2 = plant.controls, plant.measurements
+    constant = state_space([], [], [], 0.6 * gamma * np.eye(m2, p2))
+    lag = StateSpace(np.array([[-3.0]]), np.ones((1, p2)), np.ones((m2, 1)), np.zeros((m2, p2)))
+    for parameter in (constant, lag.scaled(gamma / np.sqrt(m2 * p2))):
+        controller = found.with_parameter(parameter)
+        assert verified_norm(plant, controller) < gamma * (1.0 + 1e-6)
+    with pytest.raises(ValueError, match="below gamma"):
+        found.with_parameter(constant.scaled(2.0))
+
+
+def _plant(
+    A: list[list[float]], B: list[list[float]], C: list[list[float]], D: list[list[float]]
+) -> GeneralisedPlant:
+    return GeneralisedPlant(state_space(A, B, C, D), 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("assumption", "plant"),
+    [
+        # x1 = 1/(s - 1) w, which no control moves
+        ("A1", _plant([[1.0]], [[1.0, 0.0]], [[1.0], [0.0], [1.0]], [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])),
+        # an unstable mode that no measurement shows
+        ("A1", _plant([[1.0]], [[1.0, 1.0]], [[1.0], [0.0], [0.0]], [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])),
+        # no weight on the control at high frequency
+        ("A2", _plant([[-1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]])),
+        # no disturbance in the measurement
+        ("A2", _plant([[-1.0]], [[1.0, 1.0]], [[1.0], [0.0], [1.0]], [[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]])),
+        # an integrator that no error sees
+        ("A3", _plant([[0.0]], [[1.0, 1.0]], [[0.0], [0.0], [1.0]], [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])),
+        # an integrator that no disturbance excites
+        ("A4", _plant([[0.0]], [[0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])),
+    ],
+)
+def test_each_broken_assumption_is_named_with_a_remedy(assumption: str, plant: GeneralisedPlant) -> None:
+    with pytest.raises(SingularPlant) as raised:
+        gamma_min(plant)
+    assert raised.value.assumption == assumption
+    assert raised.value.remedy in str(raised.value)
