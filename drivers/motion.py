@@ -52,7 +52,7 @@ class Homing:
     """While it looks for the edge or the index."""
     acceleration_rad_s2: float | None = None
     offset_rad: float | None = None
-    """Position of the home."""
+    """Where position 0 lies, as seen from the home that is found (0x607C)."""
 
 
 AS_THE_DRIVE_HOLDS = Profile()

@@ -62,7 +62,10 @@ def run_bench(
     paced = check_time(spec, time)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
-    world_plan = WorldPlan(spec, config.bus.bitrate_bit_s, paced, config.fault_plan, seed, fault_log=log)
+    background = tuple(entry.stream for entry in config.bus.background)
+    world_plan = WorldPlan(
+        spec, config.bus.bitrate_bit_s, paced, config.fault_plan, seed, fault_log=log, background=background
+    )
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
         folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
@@ -121,6 +124,7 @@ class _Run:
         self._load_machines: list[ObjectLoadMachine] = []
         if config.recording.frames:
             world.link.tap(recorder.frame)
+            world.tap_errors(recorder.frame)
 
     def to_the_end(self) -> Summary:
         """Run, bring the drives to rest, close the recording; errors pass through afterwards."""
@@ -248,6 +252,8 @@ class _Run:
     def _release(self) -> None:
         """Every way out of a run leads through here."""
         self._enter("stopping")
+        if errors := self._world.error_frames():
+            self._say(f"{errors} error frames on the bus", "WARN")
         if self._world.faults is not None:
             self._world.faults.stop()
         for drive in self._drives:

@@ -14,6 +14,7 @@ import typer
 from drivers.errors import BadInput
 from hil.machine.compiled import require_fresh
 from hil.terminal.exit_status import ExitStatus, complain, reported_errors
+from hil.terminal.groups import design, reproduce
 
 app = typer.Typer(
     name="hil",
@@ -22,6 +23,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
+for group in (reproduce, design):
+    app.add_typer(group)
 
 
 class TimeBase(StrEnum):
@@ -154,6 +157,10 @@ def simulate(
         Path | None,
         typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
     ] = None,
+    background: Annotated[
+        Path | None,
+        typer.Option("--background", metavar="FILE", help="Other nodes' traffic: tables [[background]]."),
+    ] = None,
     bitrate: Annotated[
         int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
     ] = 1_000_000,
@@ -161,6 +168,7 @@ def simulate(
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
     with reported_errors():
+        from hil.configuration.background import load_background
         from hil.configuration.bench_file import load_faults
         from hil.configuration.config_files import NamedBy
         from hil.configuration.motor_file import LING2012, load_motor
@@ -169,6 +177,8 @@ def simulate(
         nodes = node_ids([*node, *(more_nodes or [])])
         motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
         plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
+        named_by = NamedBy("--background", "", str(background))
+        others = load_background(background, named_by) if background else ()
 
         from hil.device_files import DeviceFiles
         from hil.simulated_drives import simulate as simulate_drives
@@ -182,6 +192,7 @@ def simulate(
             seed=seed or 0,
             announce=lambda text: print(text, file=sys.stderr, flush=True),
             files=DeviceFiles(eds, store),
+            background=others,
         )
 
 

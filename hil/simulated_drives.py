@@ -3,13 +3,16 @@
 from collections.abc import Callable, Sequence
 
 from design.motor import PmsmParameters
+from design.statespace import StateSpace
 from drivers.adapters import BusSpec, parse_bus_spec
 from drivers.errors import BadInput
 from hil.configuration.config import BenchConfig
+from hil.configuration.current_controller_file import CurrentController
 from hil.device_files import DeviceFiles
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from hil.world import WorldPlan, open_world
+from virtual_bus.background import Stream, background_nodes
 from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
 from virtual_bus.fault_injection.injection import Faults
 from virtual_bus.frame import Device
@@ -28,9 +31,25 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
             inner_rate_hz=simulation.inner_rate_hz,
             encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
             clock_drift_ppm=simulation.clock_drift_ppm,
+            controller_q=_at_rate(wanted.current_control.controller, simulation.inner_rate_hz),
+            controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
+            resistance_factor=simulation.resistance_factor,
+            inductance_factor=simulation.inductance_factor,
         )
         drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
     return drives
+
+
+def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace | None:
+    """The controller that the firmware runs. Raises BadInput if it cannot be run at its inner rate."""
+    if controller is None:
+        return None
+    try:
+        return controller.at_rate(rate_hz)
+    except ValueError as error:
+        raise BadInput(
+            "current_control", controller.axis, str(error), f"a controller for an inner rate of {rate_hz} Hz"
+        ) from None
 
 
 def simulate(
@@ -43,8 +62,9 @@ def simulate(
     seed: int,
     announce: Callable[[str], None],
     files: DeviceFiles,
+    background: Sequence[Stream] = (),
 ) -> None:
-    """Simulated drives on a real-time bus until a stop signal comes.
+    """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
 
     ``announce`` is told once the drives are on the bus. Raises BadInput for a bus in simulated time, which
     no other process could join, and BusDown if the bus cannot be opened or goes away.
@@ -66,6 +86,7 @@ def simulate(
         if world.faults is not None:
             hosted = [world.faults.wrap(device) for device in devices]
             world.faults.start(world.clock.now())
+        hosted += background_nodes(background, seed)
         with realtime_process() as refused:
             for request in refused:
                 announce(f"not granted by the kernel: {request}")

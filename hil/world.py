@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 from drivers.adapters import BusSpec, open_bus
 from drivers.errors import BadInput
-from drivers.link import BusLink, StampSource
+from drivers.link import BusLink, StampSource, Tap
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
+from virtual_bus.background import Stream, background_nodes
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.can_bus.bus_load import BusLoad
+from virtual_bus.can_bus.disturbance import BusError
+from virtual_bus.can_bus.error_message import error_frame_of
 from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.fault_injection.faulty_bus import FaultyBus, Side
 from virtual_bus.fault_injection.faulty_device import FaultyDevice, SimulatedNode
@@ -35,6 +38,10 @@ class World:
     """Bus load between two instants, percent: exact on a simulated segment, else from the frames seen."""
     wall_offset: Duration
     """Wall clock minus the world's clock; 0 in simulated time."""
+    error_frames: Callable[[], int]
+    """How many error frames there were on the bus so far, as far as they can be seen."""
+    tap_errors: Callable[[Tap], None]
+    """Show error frames to a tap, as extended frames with CAN_ERR_FLAG; nothing where none can be seen."""
 
 
 class WorldFaults:
@@ -75,6 +82,8 @@ class WorldPlan:
     side: Side = "host"
     fault_log: FaultLog | None = None
     """Takes what is injected, for a recording."""
+    background: tuple[Stream, ...] = ()
+    """Other nodes' traffic on a simulated segment."""
 
 
 def check_time(spec: BusSpec, time: str | None) -> bool:
@@ -106,18 +115,42 @@ def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World
     segment = Segment(timeline, plan.bitrate_bit_s)
     bus = SimulatedBus(segment=segment)
     clock = SimulatedClock(timeline)
-    injection = Injection(plan.faults, plan.seed, plan.fault_log) if plan.faults is not None else None
+    injection = None
     faulty = None
-    if injection is not None and injection.fates is not None:
-        faulty = FaultyBus(bus, injection.fates, clock, plan.side, Duration(0))
+    if plan.faults is not None:
+        injection = Injection(plan.faults, plan.seed, plan.fault_log, True, bus.host_port.port.name.__eq__)
+        if injection.disturber is not None:
+            segment.set_disturb(injection.disturber.disturb)
+        if injection.fates is not None:
+            faulty = FaultyBus(bus, injection.fates, clock, plan.side, Duration(0))
     for device in devices:
         node = device if injection is None else injection.wrap(device)
         attached = attach_to_segment(node, segment, timeline)
         if injection is not None and isinstance(node, FaultyDevice):
+            node.controller = attached.port
             injection.on_start(attached.wake_now)
+    for other in background_nodes(plan.background, plan.seed):
+        attach_to_segment(other, segment, timeline, f"background 0x{other.stream.can_id:X}")
     link = BusLink(faulty or bus, clock, StampSource.MONOTONIC, str(plan.spec))
     faults = None if injection is None else WorldFaults(injection, faulty)
-    return World(link, clock, plan.paced, faults, segment.load_percent, Duration(0))
+
+    def tap_errors(tap: Tap) -> None:
+        def show(error: BusError) -> None:
+            can_id, data, *_ = error_frame_of(error, bus.port.controller)
+            tap("rx", can_id, data, True, False, error.at)
+
+        segment.add_error_monitor(show)
+
+    return World(
+        link,
+        clock,
+        plan.paced,
+        faults,
+        segment.load_percent,
+        Duration(0),
+        lambda: segment.errors,
+        tap_errors,
+    )
 
 
 def _real_world(plan: WorldPlan) -> World:
@@ -128,6 +161,14 @@ def _real_world(plan: WorldPlan) -> World:
             f"the bus {plan.spec}",
             "the bus 'simulated', where the bench makes the drives itself",
             "give these faults to the drives: hil simulate --faults FILE",
+        )
+    if plan.background:
+        raise BadInput(
+            "bus.background",
+            "",
+            f"the bus {plan.spec}",
+            "the bus 'simulated', which the bench makes itself",
+            "send it from another process: hil simulate --background FILE",
         )
     clock = MonotonicClock()
     opened = open_bus(plan.spec, plan.bitrate_bit_s)
@@ -141,7 +182,16 @@ def _real_world(plan: WorldPlan) -> World:
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)
     faults = None if injection is None else WorldFaults(injection, faulty)
-    return World(link, clock, True, faults, meter.load_percent, wall_offset)
+    return World(
+        link,
+        clock,
+        True,
+        faults,
+        meter.load_percent,
+        wall_offset,
+        lambda: link.error_frames,
+        lambda _tap: None,
+    )
 
 
 class LoadMeter:

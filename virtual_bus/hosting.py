@@ -9,6 +9,7 @@ import can
 
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_S, Clock, Instant
+from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Device, Frame
 from virtual_bus.segment import Segment
@@ -34,7 +35,10 @@ class AttachedDevice:
         """Frames that did not fit into the port's transmit queue."""
         self._timeline = timeline
         self._scheduled: Instant | None = None
-        self._port = segment.attach(name, self._on_frame)
+        self.port = segment.attach(name, self._on_frame)
+        """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
+        self.port.on_error_state = self._on_error_state
+        self._off = False
         self._attached = True
         self._send(device.start(timeline.now))
         self._schedule()
@@ -42,7 +46,7 @@ class AttachedDevice:
     def detach(self) -> None:
         """Unplug the device: it neither hears nor acts any more."""
         self._attached = False
-        self._port.detach()
+        self.port.detach()
 
     def wake_now(self) -> None:
         """Let the device act at once, after something was done to it outside of the bus."""
@@ -57,10 +61,24 @@ class AttachedDevice:
         if due is not None and (self._scheduled is None or due < self._scheduled):
             self._schedule()
 
+    def _on_error_state(self, state: ErrorState, now: Instant) -> None:
+        """Tell a device that wants to know that its controller is bus-off, or back."""
+        if state is ErrorState.BUS_OFF:
+            self._off = True
+            tell = getattr(self.device, "bus_off", None)
+            if tell is not None:
+                tell(now)
+        elif self._off:
+            self._off = False
+            tell = getattr(self.device, "bus_recovered", None)
+            if tell is not None:
+                self._send(tell(now))
+        self._schedule()
+
     def _send(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
             try:
-                self._port.send(frame)
+                self.port.send(frame)
             except can.CanOperationError:
                 self.frames_lost += 1
 

@@ -5,13 +5,22 @@ the hub's broker (virtual_bus.can_bus.hub_broker), which leaves after the last o
 """
 
 import select
+from collections import deque
 from typing import NoReturn
 
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
+from virtual_bus.can_bus.error_message import bus_state
+from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.filters import accepts
+from virtual_bus.can_bus.hub_control import (
+    HubStatus,
+    Request,
+    decode_status,
+    encode_request,
+)
 from virtual_bus.can_bus.hub_join import join
 from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
 from virtual_bus.can_bus.hub_protocol import FRAME_BYTES, Hello, Received, decode_frame, encode_frame
@@ -20,6 +29,9 @@ from virtual_bus.frame import Frame
 
 _WAIT_MAX_S = 3_600.0
 _NEVER = Instant(1 << 62)
+_ANSWER_MAX_S = 5.0
+_ASK_AGAIN_S = 0.01
+"""Another thread that reads may have taken in the answer."""
 
 
 class HubBus(can.BusABC):
@@ -50,6 +62,9 @@ class HubBus(can.BusABC):
         self._socket, self.bitrate_bit_s = join(place, Hello(bitrate or 0, receive_own_messages), self._clock)
         self.channel_info = f"hub:{channel}"
         self._channel = str(channel)
+        self._kept: deque[Received] = deque()
+        self._answers: deque[HubStatus] = deque()
+        self._error_state = ErrorState.ACTIVE
         super().__init__(channel, can_filters)
 
     def recv_frame(self, until: Instant) -> tuple[Frame, Instant] | None:
@@ -68,6 +83,41 @@ class HubBus(can.BusABC):
             raise can.CanOperationError(f"{self.channel_info}: transmit queue is full") from None
         except OSError as error:
             self._lost(error)
+        self._check_state()
+
+    def status(self) -> HubStatus:
+        """This client's controller and the bus. Raises can.CanOperationError if the broker is gone."""
+        return self._ask(Request.STATUS)
+
+    def go_bus_off(self) -> HubStatus:
+        """Take this client's controller off the bus, as after too many errors; its queue is lost."""
+        return self._ask(Request.GO_BUS_OFF)
+
+    def recover(self) -> HubStatus:
+        """Let the controller begin to recover, which takes 128 times 11 recessive bits."""
+        return self._ask(Request.RECOVER)
+
+    def unplug(self) -> HubStatus:
+        """Take this client off the wire: it hears and sends nothing, and keeps its queue."""
+        return self._ask(Request.UNPLUG)
+
+    def plug(self) -> HubStatus:
+        """Put this client back on the wire."""
+        return self._ask(Request.PLUG)
+
+    def set_listen_only(self, listen_only: bool) -> HubStatus:
+        """Only listen, or speak again."""
+        return self._ask(Request.LISTEN_ONLY if listen_only else Request.LISTEN_AND_SPEAK)
+
+    @property
+    def state(self) -> can.BusState:
+        """As far as it is known from what was received: ERROR is bus-off. See :meth:`status`."""
+        return bus_state(self._error_state)
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        """Raises NotImplementedError: the state is what the counters make it."""
+        raise NotImplementedError("the error state follows the error counters; see set_listen_only")
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next message; None after ``timeout`` seconds.
@@ -98,6 +148,7 @@ class HubBus(can.BusABC):
             except OSError as error:
                 self._lost(error)
             else:
+                self._check_state()
                 return
 
     def fileno(self) -> int:
@@ -110,6 +161,8 @@ class HubBus(can.BusABC):
         self._socket.close()
 
     def _receive(self, until: Instant) -> Received | None:
+        if self._kept:
+            return self._kept.popleft()
         while True:
             try:
                 packet = self._socket.recv(FRAME_BYTES)
@@ -123,9 +176,55 @@ class HubBus(can.BusABC):
                 self._lost(error)
             if not packet:
                 self._lost(None)
+            if len(packet) != FRAME_BYTES:
+                self._note(packet)
+                continue
             received = decode_frame(packet)
             if self._filters is None or accepts(self._filters, received.frame):
                 return received
+
+    def _note(self, packet: bytes) -> None:
+        """Take in what the broker tells of this client's controller."""
+        told = decode_status(packet)
+        if told is None:
+            raise can.CanOperationError(f"{self.channel_info}: the hub sent what is no frame")
+        status, asked = told
+        self._error_state = status.error_state
+        if asked:
+            self._answers.append(status)
+
+    def _ask(self, request: Request) -> HubStatus:
+        """The answer to ``request``; frames that come before it are kept, also if another thread reads."""
+        try:
+            self._socket.send(encode_request(request))
+        except OSError as error:
+            self._lost(error)
+        deadline = instant_after(self._clock.now(), _ANSWER_MAX_S)
+        while not self._answers:
+            now = self._clock.now()
+            if now >= deadline:
+                raise can.CanOperationError(f"{self.channel_info}: the hub does not answer")
+            try:
+                packet = self._socket.recv(FRAME_BYTES)
+            except BlockingIOError:
+                select.select([self._socket], [], [], _ASK_AGAIN_S)
+                continue
+            except OSError as error:
+                self._lost(error)
+            if not packet:
+                self._lost(None)
+            if len(packet) != FRAME_BYTES:
+                self._note(packet)
+                continue
+            received = decode_frame(packet)
+            if self._filters is None or accepts(self._filters, received.frame):
+                self._kept.append(received)
+        return self._answers.popleft()
+
+    def _check_state(self) -> None:
+        """Raises can.CanOperationError if the controller is bus-off, as asked again once it was."""
+        if self._error_state is ErrorState.BUS_OFF and self.status().error_state is ErrorState.BUS_OFF:
+            raise can.CanOperationError(f"{self.channel_info}: the controller is bus-off")
 
     def _wait_for_room(self, deadline: Instant) -> bool:
         remaining_ns = deadline - self._clock.now()

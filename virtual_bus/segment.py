@@ -1,8 +1,10 @@
 """One CAN segment in simulated time: arbitration, exact frame time, frame spacing, load.
 
-Every frame is acknowledged and none is corrupted; a port that sends sees its own frame's end
-through ``on_sent``. Two ports that send the same identifier at the same time are served in the
-order in which they were attached (on a real bus their data would collide).
+Unless asked for something else, every frame is acknowledged and none is corrupted: disturbed frames,
+error counters, bus-off, missing acknowledgement, unplugged nodes and the like are the business of
+:mod:`virtual_bus.can_bus.error_handling`, which takes over once any of them is used. A port that
+sends sees its own frame's end through ``on_sent``. Two ports that send the same identifier at the
+same time are served in the order in which they were attached (on a real bus their data would collide).
 
 The next frame is chosen as soon as the bus is known to become free, and stays open to
 contest until its start of frame: whatever else is queued by then, also at that very
@@ -21,6 +23,10 @@ from drivers.timebase import Duration, Instant
 from virtual_bus.can_bus.arbitration import arbitration_key
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, LONGEST_FRAME_BITS, bits_duration, wire_bits
 from virtual_bus.can_bus.bus_load import BusLoad
+from virtual_bus.can_bus.controller import Controller
+from virtual_bus.can_bus.disturbance import Disturb, OnError
+from virtual_bus.can_bus.error_handling import ErrorHandling
+from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
@@ -28,6 +34,7 @@ _push: Final = heappush
 _pop: Final = heappop
 
 OnFrame = Callable[[Frame, Instant], None]
+OnErrorState = Callable[[ErrorState, Instant], None]
 
 TRANSMIT_QUEUE_MAX: Final = 256
 """Frames that a port holds for the bus; one more is refused."""
@@ -43,15 +50,62 @@ _IGNORE: Final = _ignore
 class Port:
     """A node's connection to a segment: a first-in first-out transmit queue and a callback."""
 
-    __slots__ = ("_queue", "_rank", "_segment", "name", "on_frame", "on_sent")
+    __slots__ = (
+        "_queue",
+        "_rank",
+        "_room",
+        "_segment",
+        "controller",
+        "name",
+        "on_error_state",
+        "on_frame",
+        "on_sent",
+        "recover_after_ns",
+    )
 
     def __init__(self, segment: "Segment", rank: int, name: str, on_frame: OnFrame) -> None:
         self.name = name
         self.on_frame = on_frame
         self.on_sent: OnFrame | None = None
+        self.on_error_state: OnErrorState | None = None
+        """Told when the controller gets error active, error passive or bus-off."""
+        self.recover_after_ns: int | None = None
+        """So long after bus-off the controller begins to recover by itself; None: only on request."""
+        self.controller = Controller(segment.bitrate_bit_s)
         self._segment = segment
         self._rank = rank
         self._queue: deque[tuple[int, Frame]] = deque()
+        self._room = TRANSMIT_QUEUE_MAX
+
+    @property
+    def error_state(self) -> ErrorState:
+        """Error active, error passive or bus-off."""
+        return self.controller.state
+
+    @property
+    def transmit_errors(self) -> int:
+        """The transmit error counter; 256 stands for bus-off."""
+        return self.controller.transmit_errors
+
+    @property
+    def receive_errors(self) -> int:
+        """The receive error counter, at most 255."""
+        return self.controller.receive_errors
+
+    @property
+    def plugged(self) -> bool:
+        """Whether it is on the wire."""
+        return self.controller.plugged
+
+    @property
+    def listen_only(self) -> bool:
+        """Whether it never drives the bus: no frame, no acknowledgement, no error flag."""
+        return self.controller.listen_only
+
+    @property
+    def bitrate_bit_s(self) -> int:
+        """The bit rate that the node is set to, bit/s; right if it is the segment's."""
+        return self.controller.bitrate_bit_s
 
     @property
     def pending(self) -> int:
@@ -59,9 +113,9 @@ class Port:
         return len(self._queue)
 
     def send(self, frame: Frame) -> None:
-        """Queue ``frame``. Raises can.CanOperationError if the queue is full or the port detached."""
+        """Queue ``frame``. Raises can.CanOperationError if the queue is full, or the port off or detached."""
         queue = self._queue
-        if len(queue) >= TRANSMIT_QUEUE_MAX or self.on_frame is _IGNORE:
+        if len(queue) >= self._room or self.on_frame is _IGNORE:
             raise self._refusal()
         can_id, _, extended, remote, _ = frame
         key = arbitration_key(frame) if extended or remote else can_id << 21
@@ -75,7 +129,51 @@ class Port:
         self.on_sent = None
         self._segment._forget(self)
 
+    def go_bus_off(self) -> None:
+        """Go bus-off at once: what was queued is discarded, and nothing is sent or received."""
+        self._segment._handled().force_off(self)
+
+    def recover(self) -> None:
+        """Begin to recover from bus-off, which takes 128 times 11 recessive bits."""
+        self._segment._handled().recover(self)
+
+    def unplug(self) -> None:
+        """Leave the wire: hear and send nothing, keep the queue; a frame under way is cut off."""
+        if self.controller.plugged:
+            handling = self._segment._handled()
+            self.controller.plugged = False
+            handling.pull_off(self)
+
+    def plug(self) -> None:
+        """Be on the wire again, from the next frame on."""
+        if not self.controller.plugged:
+            self.controller.plugged = True
+            self._segment._handled().plug(self)
+
+    def set_listen_only(self, listen_only: bool) -> None:
+        """Never drive the bus, or do so again; what is queued waits."""
+        handling = self._segment._handled()
+        self.controller.listen_only = listen_only
+        handling.choose()
+
+    def set_bitrate(self, bitrate_bit_s: int) -> None:
+        """Set the node to that bit rate; at another one than the segment's it destroys frames.
+
+        Raises ValueError for a rate that is not positive.
+        """
+        if bitrate_bit_s <= 0:
+            raise ValueError(f"bitrate {bitrate_bit_s} bit/s: it must be positive")
+        handling = self._segment._handled()
+        self.controller.bitrate_bit_s = bitrate_bit_s
+        handling.choose()
+
+    def _reopen(self) -> None:
+        """The controller is back from bus-off."""
+        self._room = TRANSMIT_QUEUE_MAX
+
     def _refusal(self) -> can.CanOperationError:
+        if self._room == 0:
+            return can.CanOperationError(f"{self.name}: the controller is bus-off")
         if self.on_frame is _ignore:
             return can.CanOperationError(f"{self.name}: the port is detached from its segment")
         return can.CanOperationError(f"{self.name}: transmit queue is full ({TRANSMIT_QUEUE_MAX} frames)")
@@ -90,8 +188,11 @@ class Segment:
         "_delivering",
         "_durations",
         "_end_at",
+        "_error_monitors",
         "_free_at",
+        "_handling",
         "_intermission",
+        "_judge",
         "_key",
         "_load",
         "_monitors",
@@ -99,17 +200,23 @@ class Segment:
         "_ports",
         "_sender",
         "_start_at",
+        "acknowledged",
         "bitrate_bit_s",
+        "errors",
         "frames",
         "timeline",
     )
 
-    def __init__(self, timeline: Timeline, bitrate: int = 1_000_000) -> None:
+    def __init__(self, timeline: Timeline, bitrate: int = 1_000_000, acknowledged: bool = True) -> None:
+        """``acknowledged``: something that is no port acknowledges every frame; else another port has to."""
         if bitrate <= 0:
             raise ValueError(f"bitrate {bitrate} bit/s: it must be positive")
         self.timeline = timeline
         self.bitrate_bit_s = bitrate
+        self.acknowledged = acknowledged
         self.frames = 0
+        self.errors = 0
+        """Attempts that ended in an error frame."""
         self._durations = [bits_duration(bits, bitrate) for bits in range(LONGEST_FRAME_BITS + 1)]
         self._intermission = bits_duration(INTERMISSION_BITS, bitrate)
         self._load = BusLoad()
@@ -124,6 +231,11 @@ class Segment:
         self._free_at = Instant(0)
         self._delivering = False
         self._on_end = self._finish
+        self._judge: Disturb | None = None
+        self._error_monitors: tuple[OnError, ...] = ()
+        self._handling: ErrorHandling | None = None
+        if not acknowledged:
+            self._handled()
 
     @property
     def busy_ns(self) -> Duration:
@@ -150,11 +262,50 @@ class Segment:
 
         return remove
 
+    def set_disturb(self, judge: Disturb | None) -> None:
+        """Ask ``judge`` at each attempt to send what disturbs it; None: nothing any more."""
+        self._judge = judge
+        if judge is not None:
+            self._handled()
+
+    def add_error_monitor(self, on_error: OnError) -> Callable[[], None]:
+        """Show every error frame to ``on_error`` at its end; returns what ends that."""
+        self._error_monitors = (*self._error_monitors, on_error)
+
+        def remove() -> None:
+            self._error_monitors = tuple(one for one in self._error_monitors if one is not on_error)
+
+        return remove
+
+    def ports(self) -> tuple[Port, ...]:
+        """The ports, in the order in which they were attached."""
+        return self._ports
+
+    def port(self, name: str) -> Port:
+        """The port of that name. Raises LookupError if there is none or more than one."""
+        found = [port for port in self._ports if port.name == name]
+        if len(found) != 1:
+            names = ", ".join(sorted(port.name for port in self._ports))
+            raise LookupError(f"{len(found)} ports of the name {name!r}; there are {names or 'none'}")
+        return found[0]
+
+    def _handled(self) -> ErrorHandling:
+        """The error handling, which is in charge from the first call on."""
+        handling = self._handling
+        if handling is None:
+            self._handling = handling = ErrorHandling(self)
+        return handling
+
     def _forget(self, port: Port) -> None:
+        if port in self._ports and self._handling is not None:
+            self._handling.left(port)
         self._ports = tuple(other for other in self._ports if other is not port)
 
     def _contend(self, key: int, port: Port) -> None:
         """``port`` has a frame at the head of its queue, of arbitration key ``key``."""
+        if self._handling is not None:
+            self._handling.choose()
+            return
         sender = self._sender
         if sender is None and not self._delivering:
             self._begin(key, port)
@@ -209,6 +360,8 @@ class Segment:
                 sender.on_sent(frame, now)
         finally:
             self._delivering = False
-            if contenders:
+            if self._handling is not None:
+                self._handling.choose()
+            elif contenders:
                 key, _, port = _pop(contenders)
                 self._begin(key, port)

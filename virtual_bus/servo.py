@@ -1,7 +1,7 @@
 """The simulated servo drive: a CiA 402 device with firmware and motor inside.
 
 CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may torque flow)
-                                    |           --  OperationMode       (which torque)
+                                    |           --  OperationMode, Axis (which motion)
                                     +---------- --  Firmware            (inner loops, motor)
 """
 
@@ -16,6 +16,7 @@ from drivers.profile402 import (
     AbortConnectionOption,
     DriveCommand,
     Event,
+    Mode,
     State,
     Status,
 )
@@ -30,7 +31,11 @@ from virtual_bus.canopen_device.application import (
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
 from virtual_bus.canopen_device.parameter_store import ParameterStore
 from virtual_bus.device import CanopenDevice
+from virtual_bus.servo_drive.axis import REST_S, Axis
+from virtual_bus.servo_drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
 from virtual_bus.servo_drive.firmware import Firmware, InnerControl
+from virtual_bus.servo_drive.machine import SimulatedMachine
+from virtual_bus.servo_drive.motion_objects import MotionObjects
 from virtual_bus.servo_drive.motor_kernel import (
     D_CURRENT_MAX,
     D_LOAD,
@@ -38,39 +43,24 @@ from virtual_bus.servo_drive.motor_kernel import (
     D_TORQUE_MAX,
     S_COUNT,
     S_LIMITED,
-    S_Q_MEASURED,
     S_SPEED_MEASURED,
-    S_TORQUE_DEMAND,
     S_TORQUE_MEASURED,
 )
-from virtual_bus.servo_drive.operation_modes import MODES, OperationMode
+from virtual_bus.servo_drive.operation_mode import OperationMode
+from virtual_bus.servo_drive.operation_modes import MODES
 from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
-from virtual_bus.servo_drive.servo_objects import RPM, VELOCITY_UNIT_RAD_S, ServoObjects
+from virtual_bus.servo_drive.servo_objects import RPM, ServoObjects
 from virtual_bus.servo_drive.servo_parameters import (
     HIGH_RESOLUTION_TIME_STAMP,
     DriveParameters,
     device_options,
 )
+from virtual_bus.servo_drive.slow_values import LOAD_NM, clipped, provide_slow_values
+from virtual_bus.servo_drive.user_units import UserUnits
 
-COMMUNICATION_ERROR: Final = 0x8100
-HEARTBEAT_ERROR: Final = 0x8130
-LOSS_CODES: dict[CommunicationLoss, int] = {
-    CommunicationLoss.HEARTBEAT: HEARTBEAT_ERROR,
-    CommunicationLoss.LIFE_GUARDING: HEARTBEAT_ERROR,
-    CommunicationLoss.RPDO_DEADLINE: 0x8250,
-    CommunicationLoss.BUS_OFF: 0x8140,
-}
-"""Error code 603Fh by what was lost; the EMCY of it is the device engine's."""
-
-REST_S: Final = 0.005
-"""The shaft has come to rest when it has rested for that long at the end of a ramp."""
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
 _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
-
-_VELOCITY_RAW_PER_RAD_S: Final = 1.0 / VELOCITY_UNIT_RAD_S
-_LOAD_NM: Final = 1e-3
-"""Unit of 2100h."""
 
 INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
 
@@ -103,36 +93,38 @@ class ServoApplication(Application):
         self._revision = -1
         self._base_status = 0
         self._failures: set[int] = set()
+        self._controlword = 0
+        self._task: OperationMode | None = None
+        """The mode, if it is followed and runs once per motion period."""
+        self._plain = True
+        self._origin = 0
+        self._velocity_per_rad_s = 1.0
 
     def attach(self, services: DeviceServices) -> None:
         self._services = services
-        self.objects = objects = ServoObjects(services.dictionary, self.motor, self.drive, frozenset(MODES))
+        dictionary = services.dictionary
+        self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
+        self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
-        self._modes: dict[int, OperationMode] = {
-            int(mode): make(objects, self.firmware) for mode, make in MODES.items()
-        }
-        self._mode = self._modes[objects.mode.value]
+        counts = self.drive.encoder_counts_per_revolution
+        self.units = UserUnits(dictionary, counts, self._may_change_units)
+        self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
+        self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
+        self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
+        self._mode = self._modes[objects.mode.default]
         self._cyclic = objects.position, objects.velocity, objects.torque, objects.statusword
         self._torque_unit_nm = objects.rated_torque.default * 1e-6
         objects.controlword.on_write = self._on_controlword
         objects.mode.on_write = self._on_mode
-        for variable in (objects.target_torque, objects.torque_offset):
-            variable.on_write = self._on_set_point
+        objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
+        motion.target_velocity.on_write = motion.velocity_offset.on_write = self._on_velocity
+        motion.target_position.on_write = motion.position_offset.on_write = self._on_position
         for variable in (objects.max_torque, objects.max_current, objects.max_motor_speed):
             variable.on_write = lambda _value: self._take_limits()
         objects.load_torque.on_write = self._on_load
-        self._provide_slow_values()
-
-    def _provide_slow_values(self) -> None:
-        """Values that are seldom asked for are computed when they are."""
-        objects, state = self.objects, self._state
-        current_unit_a = self.motor.rated_current_a / 1000.0
-        objects.position_internal.provider = lambda: objects.position.value
-        objects.torque_demand.provider = lambda: _int16(state[S_TORQUE_DEMAND] / self._torque_unit_nm)
-        objects.current.provider = lambda: _int16(state[S_Q_MEASURED] / current_unit_a)
-        objects.load_torque.provider = objects.load_actual.provider = lambda: round(
-            float(self._demand[D_LOAD]) / _LOAD_NM
-        )
+        self.units.on_change(self._take_units)
+        self.machine.on_change(self._on_inputs)
+        provide_slow_values(self.axis)
 
     def on_reset(self, now: Instant) -> None:
         """Power-on, or reset of the node: the power stage goes off; shaft, encoder and load stay."""
@@ -142,12 +134,18 @@ class ServoApplication(Application):
         self.wake_at = Instant(now + _WAKE_NS)
         self._failures.clear()
         self.power.restart()
-        self._mode = self._modes[self.objects.mode.value]
+        self._mode = self._modes.get(self.objects.mode.value, self._mode)
+        self._controlword = 0
+        self.units.origin = 0.0
+        self.units.take()
+        self._take_units()
         self._take_limits()
         self._act()
         self._refresh()
 
     def advance(self, now: Instant) -> None:
+        if self._task is not None and self._run_mode(now):
+            return
         if not self.firmware.advance_to(now):
             due = self.wake_at
             if due is not None and due <= now:
@@ -163,13 +161,38 @@ class ServoApplication(Application):
             self.wake_at = Instant(now + _WAKE_NS)
         self._refresh()
 
+    def _run_mode(self, now: Instant) -> bool:
+        """Motion period by motion period, as long as the mode is followed; whether it is so at ``now``."""
+        firmware, axis = self.firmware, self.axis
+        ticks = firmware.ticks
+        while (task := self._task) is not None and firmware.advance_to_motion_tick(now):
+            axis.limited = False
+            task.run()
+            self._show_mode()
+        if self._task is None:
+            return False
+        self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
+        if firmware.ticks != ticks:
+            self._refresh()
+        return True
+
+    def _show_mode(self) -> None:
+        """Let the statusword follow the mode."""
+        if self._motion is Motion.FOLLOW:
+            status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
+            self._base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
+
     def _refresh(self) -> None:
         """The cyclic values as of the last inner tick."""
         state = self._state
         position, velocity, torque, statusword = self._cyclic
-        position.value = (int(state[_COUNT]) + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        speed = state[_SPEED] * _VELOCITY_RAW_PER_RAD_S
-        velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else _int32(speed)
+        if self._plain:
+            count = int(state[_COUNT]) - self._origin
+            position.value = (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
+        else:
+            position.value = self.units.position_of(state[_COUNT])
+        speed = state[_SPEED] * self._velocity_per_rad_s
+        velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else clipped(speed, 32)
         torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
         status = self._base_status
         if state[_LIMITED] != 0.0:
@@ -188,35 +211,44 @@ class ServoApplication(Application):
             self._motion = power.motion
             self._move(power.motion)
         status = _BASE_STATUS[power.state]
+        self._task = None
         if power.motion is Motion.FOLLOW:
             status |= self._mode.status_bits()
+            self._task = self._mode if self._mode.periodic else None
+        if power.torque_off:
+            status &= ~Status.VOLTAGE_ENABLED
         if power.at_rest:
             status |= Status.TARGET_REACHED
         self._base_status = status
-        if power.stopping:
+        if power.stopping or self._task is not None:
             self.wake_at = Instant(self._services.now + _WAKE_WHILE_STOPPING_NS)
 
     def _move(self, motion: Motion) -> None:
         if motion is Motion.OFF:
             self.firmware.control(InnerControl.OFF)
         elif motion is Motion.FOLLOW:
-            self._mode.begin()
+            self._mode.begin(self._controlword)
         else:
+            self.axis.demand = None
             self.firmware.ramp_to_speed(0.0, self._deceleration_rad_s2(motion))
 
     def _deceleration_rad_s2(self, motion: Motion) -> float:
         if motion is Motion.CURRENT_LIMIT:
             return math.inf
-        index = Object.PROFILE_DECELERATION
-        if motion is Motion.QUICK_STOP_RAMP:
-            index = Object.QUICK_STOP_DECELERATION
-        return self.objects.option(index) * RPM
+        return (
+            self.axis.quick_stop_rad_s2 if motion is Motion.QUICK_STOP_RAMP else self._mode.slow_down_rad_s2()
+        )
 
     def _on_controlword(self, controlword: int) -> None:
+        last, self._controlword = self._controlword, controlword
         self.power.receive(controlword)
         if self.power.revision != self._revision:
             self._leave_fault()
             self._act()
+            self._refresh()
+        elif controlword != last and self._task is not None:
+            self._task.receive(controlword)
+            self._show_mode()
             self._refresh()
 
     def _leave_fault(self) -> None:
@@ -227,22 +259,62 @@ class ServoApplication(Application):
             self._failures.clear()
 
     def _on_mode(self, mode: int) -> None:
+        """0 is "no change" (CiA 402-2, object 6060h)."""
+        if mode == Mode.NONE or self._modes[mode] is self._mode:
+            return
         self._mode = self._modes[mode]
         self.objects.mode_display.value = mode
         if self._motion is Motion.FOLLOW:
-            self._mode.begin()
+            self._mode.begin(self._controlword)
+            self._task = self._mode if self._mode.periodic else None
+            self._show_mode()
+            self._refresh()
 
-    def _on_set_point(self, _value: int) -> None:
-        self._mode.take_set_points()
+    def _on_torque(self, _value: int) -> None:
+        self._mode.take_torque()
+
+    def _on_velocity(self, _value: int) -> None:
+        self._mode.take_velocity()
+
+    def _on_position(self, _value: int) -> None:
+        self._mode.take_position()
 
     def _on_load(self, raw: int) -> None:
-        self._demand[D_LOAD] = raw * _LOAD_NM
+        self._demand[D_LOAD] = raw * LOAD_NM
 
     def _take_limits(self) -> None:
         objects, demand = self.objects, self._demand
         demand[D_TORQUE_MAX] = objects.max_torque.value * self._torque_unit_nm
         demand[D_CURRENT_MAX] = objects.max_current.value * self.motor.rated_current_a / 1000.0
         demand[D_SPEED_MAX] = objects.max_motor_speed.value * RPM
+
+    def _encoder_count(self) -> float:
+        return self._state[S_COUNT]
+
+    def _may_change_units(self) -> bool:
+        return self._motion is Motion.OFF
+
+    def _take_units(self) -> None:
+        """For the cyclic path, which asks for them thousands of times a second."""
+        units = self.units
+        self._origin = int(units.origin)
+        self._plain = units.plain and units.origin == self._origin
+        self._velocity_per_rad_s = units.velocity_per_rad_s
+
+    def _on_inputs(self) -> None:
+        """Safe torque off acts at once; the switches are read when a mode asks for them."""
+        power = self.power
+        if self.machine.sto != power.torque_off:
+            power.torque_off = self.machine.sto
+            if power.torque_off:
+                power.cut_torque()
+            power.revision += 1
+            self._act()
+            self._refresh()
+        self._services.notify(self.machine.inputs)
+
+    def _fail_following(self) -> None:
+        self.fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)
 
     def fail(self, code: int, register: ErrorRegister) -> None:
         """A fault of the drive: EMCY, 603Fh, and arrow 13 with the reaction of 605Eh.
@@ -317,11 +389,6 @@ class SimulatedServo(CanopenDevice):
     def drive_state(self) -> State:
         """State of the CiA 402 state machine."""
         return self.drive.power.state
-
-
-def _int32(value: float) -> int:
-    """``value`` rounded into INTEGER32."""
-    return round(min(max(value, -_INT32_MAX), _INT32_MAX))
 
 
 def _int16(value: float) -> int:

@@ -7,10 +7,11 @@ from can.typechecking import CanFilters
 
 from drivers.timebase import Instant, instant_after
 from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
+from virtual_bus.can_bus.error_message import bus_state
 from virtual_bus.can_bus.host_port import Entry, HostPort
 from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
-from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Segment
+from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
 from virtual_bus.timeline import Timeline
 
 _NEVER = Instant(1 << 62)
@@ -22,7 +23,8 @@ class SimulatedBus(can.BusABC):
     Without ``segment`` it makes its own, on a timeline of its own. ``recv`` lets simulated
     time pass until a frame is there; ``send`` queues at the present instant and lets none pass.
     A message's timestamp is its end of frame in seconds of simulated time, or that of its release
-    if a fault held it.
+    if a fault held it. ``receive_error_frames``: error frames on the segment come as messages whose
+    ``is_error_frame`` is set, with identifier and data as SocketCAN has them.
     """
 
     def __init__(
@@ -33,6 +35,7 @@ class SimulatedBus(can.BusABC):
         segment: Segment | None = None,
         bitrate: int = 1_000_000,
         receive_own_messages: bool = False,
+        receive_error_frames: bool = False,
         **_: object,
     ) -> None:
         self.segment = segment if segment is not None else Segment(Timeline(), bitrate)
@@ -46,12 +49,29 @@ class SimulatedBus(can.BusABC):
         """See :meth:`HostPort.send_frame`."""
         if receive_own_messages:
             host_port.hear_itself()
+        if receive_error_frames:
+            host_port.hear_errors(self.segment)
         super().__init__(channel or "", can_filters)
 
     @property
     def overruns(self) -> int:
         """Frames lost because nobody fetched them."""
         return self.host_port.overruns
+
+    @property
+    def port(self) -> Port:
+        """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
+        return self.host_port.port
+
+    @property
+    def state(self) -> can.BusState:
+        """ACTIVE or PASSIVE for an error active or passive controller; ERROR: bus-off."""
+        return bus_state(self.host_port.port.error_state)
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        """Raises NotImplementedError: the state is what the counters make it."""
+        raise NotImplementedError("the error state follows the error counters; see port.set_listen_only")
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next message; None after ``timeout`` seconds of simulated time.

@@ -13,6 +13,7 @@ from hil.configuration.config_axis import Controller, ControllerFile
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
 from hil.configuration.config_files import NamedBy, read_toml, require_file
+from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.motor_file import load_motor
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
 from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, read_fault_plan
@@ -105,6 +106,19 @@ class _Expansion:
             if isinstance(value, str):
                 named_by = NamedBy(self._source, f"drive.{name}.{part}", value)
                 tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
+        control = tables.get("current_control")
+        if isinstance(control, Mapping):
+            tables["current_control"] = self._current_control(name, control)
+        return tables
+
+    def _current_control(self, name: str, control: Mapping[str, Any]) -> dict[str, Any]:
+        tables = dict(control)
+        for part, axis in (("controller", "q"), ("controller_d", "d")):
+            value = tables.get(part)
+            if isinstance(value, str):
+                named_by = NamedBy(self._source, f"drive.{name}.current_control.{part}", value)
+                load = partial(load_current_controller, self._folder / value, named_by, axis)
+                tables[part] = self._attempt(named_by.key, load)
         return tables
 
     def _faults(self, tables: Mapping[str, Any]) -> Faults:

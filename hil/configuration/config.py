@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import Drive, LoadStep, Reference
 from hil.configuration.config_files import Section
 from hil.configuration.toml_text import toml_text
@@ -36,6 +37,8 @@ class Bus(Section):
     spec: str = Field(default="simulated", min_length=1)
     """``simulated``, ``hub:NAME``, ``socketcan:can0``, or INTERFACE:CHANNEL of python-can."""
     bitrate_bit_s: BitRate = 1_000_000
+    background: BackgroundTables = ()
+    """Other nodes' traffic, on the bus ``simulated`` that the bench makes itself."""
 
 
 class Host(Section):

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from hil.configuration.config_files import Section
+from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
 
 
@@ -16,6 +17,10 @@ class Simulation(Section):
     """Rate of the current loops."""
     clock_drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     """How much faster than the host's the drive's clock runs."""
+    resistance_factor: float = Field(default=1.0, gt=0, le=10)
+    """The simulated motor's resistance beside the motor file's, by which its drive was set."""
+    inductance_factor: float = Field(default=1.0, gt=0, le=10)
+    """The same for both inductances."""
 
 
 class Limits(Section):
@@ -96,6 +101,7 @@ class Drive(Section):
     heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)
     """A drive that is silent for so long counts as lost."""
     simulation: Simulation = Simulation()
+    current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: Compensator = ArrivalCompensator(kind="arrival")
     controller: Controller = Field(description="a table with kind = 'pid' or 'state_feedback', or a path")

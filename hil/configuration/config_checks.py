@@ -13,6 +13,8 @@ from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47
 """Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
+_BROADCASTS = (0x000, 0x080, 0x100, 0x7E4, 0x7E5)
+"""NMT, SYNC, TIME and LSS (CiA 301, 7.3.5)."""
 TOLERANCE = 1.0 + 1e-9
 """So that a limit written as the rounded decimal of the motor's own is accepted."""
 
@@ -21,7 +23,7 @@ def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
     """Every value that does not agree with another one; empty for a bench that can be run."""
     errors = [
         BadInput(source, key, value, expected, remedy)
-        for check in (_nodes, _times, _bus, _limits, _profiles)
+        for check in (_nodes, _times, _bus, _background, _limits, _profiles)
         for key, value, expected, remedy in check(config)
     ]
     try:
@@ -89,6 +91,18 @@ def _bus(config: BenchConfig) -> Iterator[Fault]:
         if every == 1:
             remedy += ", or set loop.position_every_cycles = 10"
         yield "loop.period_us", config.loop.period_us, expected, remedy
+
+
+def _background(config: BenchConfig) -> Iterator[Fault]:
+    """Other nodes' frames must not be taken for those of the bench and its drives."""
+    nodes = {config.host.node, *(drive.node for drive in config.drive.values())}
+    for index, entry in enumerate(config.bus.background):
+        taken = entry.can_id in _BROADCASTS or (entry.can_id > 0x80 and entry.can_id & 0x7F in nodes)
+        if taken and not entry.extended:
+            expected = (
+                "an identifier that CiA 301 gives neither to the whole network nor to a node of the bench"
+            )
+            yield f"bus.background[{index}].can_id", f"0x{entry.can_id:X}", expected, ""
 
 
 def _limits(config: BenchConfig) -> Iterator[Fault]:

@@ -12,7 +12,8 @@ from drivers.timebase import NS_PER_US
 from hil.recording.side_rows import EXTENDED_FLAG, REMOTE_FLAG
 
 _HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
-_IDENTIFIER_MASK = (1 << 29) - 1
+_IDENTIFIER_MASK = (1 << 30) - 1
+"""The highest of these bits marks an error frame (CAN_ERR_FLAG)."""
 _SECONDS_DIGITS = 10
 _DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
 

@@ -25,7 +25,7 @@ INJECTED = {
     "every_third": {"periodic_loss", "blackout"},
     "jitter": {"delay"},
     "measured": {"delay"},
-    "noise": {"corruption", "duplicate", "reorder"},
+    "noise": {"error_frame", "duplicate", "reorder"},
     "outage": {"silence"},
     "bus_off": {"bus_off"},
     "drive_faults": {"drive_fault"},

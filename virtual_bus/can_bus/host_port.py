@@ -8,12 +8,16 @@ is held waits on the segment's own timeline, so a fault costs one event and no p
 """
 
 from collections import deque
+from collections.abc import Callable
 from heapq import heappop, heappush
 from typing import Final
 
 from can.typechecking import CanFilters
 
 from drivers.timebase import Duration, Instant
+from virtual_bus.can_bus.disturbance import BusError
+from virtual_bus.can_bus.error_message import error_frame_of
+from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.filters import accepts
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.faults import FateSource
@@ -53,6 +57,7 @@ class HostPort:
         self._incoming: list[tuple[Instant, int, Frame]] = []
         self._outgoing: list[tuple[Instant, int, Frame]] = []
         self._order = 0
+        self._deaf_to_errors: Callable[[], None] | None = None
         self._release_in = self._let_in
         self._release_out = self._let_out
         self.port: Port = segment.attach(name, self._on_frame)
@@ -111,6 +116,18 @@ class HostPort:
         """Let its own frames come back from now on; they meet no fault."""
         self.port.on_sent = self._on_sent
 
+    def hear_errors(self, segment: Segment) -> None:
+        """Let error frames come in from now on, each as a frame whose identifier bears ERROR_FLAG."""
+        self._deaf_to_errors = segment.add_error_monitor(self._on_error)
+
+    def _on_error(self, error: BusError) -> None:
+        if self.port.controller.on_bus:
+            frame = error_frame_of(error, self.port.controller)
+            if len(self.received) < RECEIVE_QUEUE_MAX:
+                self.received.append((frame, error.at, False))
+            else:
+                self.overruns += 1
+
     def _on_sent(self, frame: Frame, at: Instant) -> None:
         self._keep(frame, at, True)
 
@@ -125,12 +142,15 @@ class HostPort:
 
     def close(self) -> None:
         """Send at once what is held and has room, as a last command may be among it; leave the segment."""
-        room = TRANSMIT_QUEUE_MAX - self.port.pending
+        off = self.port.error_state is ErrorState.BUS_OFF
+        room = 0 if off else TRANSMIT_QUEUE_MAX - self.port.pending
         while self._outgoing and room > 0:
             self.port.send(_pop(self._outgoing)[2])
             room -= 1
         self._outgoing.clear()
         self._incoming.clear()
+        if self._deaf_to_errors is not None:
+            self._deaf_to_errors()
         self.port.detach()
 
     def _on_frame(self, frame: Frame, at: Instant) -> None:
@@ -167,5 +187,8 @@ class HostPort:
 
     def _let_out(self, now: Instant) -> None:
         outgoing = self._outgoing
+        off = self.port.error_state is ErrorState.BUS_OFF
         while outgoing and outgoing[0][0] <= now:
-            self.port.send(_pop(outgoing)[2])
+            frame = _pop(outgoing)[2]
+            if not off:
+                self.port.send(frame)

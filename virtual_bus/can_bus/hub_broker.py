@@ -21,6 +21,8 @@ import sys
 from collections import deque
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant, MonotonicClock
+from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.can_bus.hub_control import decode_request, encode_status, obey
 from virtual_bus.can_bus.hub_place import HubPlace, try_lock
 from virtual_bus.can_bus.hub_protocol import (
     PACKET_BYTES_MAX,
@@ -193,7 +195,7 @@ class Broker:
 
     def _take(self, client: _Client, packet: bytes) -> None:
         if client.port is not None:
-            client.port.send(decode_frame(packet).frame)
+            self._serve(client, client.port, packet)
             return
         try:
             hello = decode_hello(packet)
@@ -213,10 +215,27 @@ class Broker:
             return
         self._welcome(client, hello)
 
+    def _serve(self, client: _Client, port: Port, packet: bytes) -> None:
+        """A frame to send, which a controller that is bus-off forgets, or a request to the controller."""
+        request = decode_request(packet)
+        if request is not None:
+            obey(port, request)
+            client.push(self._status(port, asked=True))
+            return
+        frame = decode_frame(packet).frame
+        if port.error_state is not ErrorState.BUS_OFF:
+            port.send(frame)
+
+    def _status(self, port: Port, *, asked: bool) -> bytes:
+        segment, now = self._segment, self._timeline.now
+        load = segment.load_percent(Instant(now - NS_PER_S), now)
+        return encode_status(port, load, segment.frames, asked=asked)
+
     def _welcome(self, client: _Client, hello: Hello) -> None:
         if client.hello_deadline is not None:
             client.hello_deadline.cancel()
         client.port = port = self._segment.attach(str(client), lambda _frame, _at: self._deliver(client))
+        port.on_error_state = lambda _state, _at: client.push(self._status(port, asked=False))
         if hello.receive_own:
             port.on_sent = lambda frame, at: client.push(encode_frame(frame, at, own=True))
         client.push(encode_welcome(self._segment.bitrate_bit_s))

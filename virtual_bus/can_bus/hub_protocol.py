@@ -1,7 +1,8 @@
 """What a hub's broker and its clients say to each other: one packet, one record.
 
 The client opens with a hello; the broker answers with a welcome, or with a refusal in words
-and closes. From then on each packet is one frame, either way.
+and closes. From then on each packet is one frame, either way, or a request to the client's controller
+and what is told of it (virtual_bus.can_bus.hub_control).
 """
 
 import struct
@@ -10,7 +11,7 @@ from typing import NamedTuple
 from drivers.timebase import Instant
 from virtual_bus.frame import Frame
 
-VERSION = 1
+VERSION = 2
 PACKET_BYTES_MAX = 512
 
 _HELLO = struct.Struct("<4sHHI")

@@ -3,6 +3,7 @@
 import can
 
 from drivers.timebase import Instant
+from virtual_bus.can_bus.error_message import ERROR_FLAG
 from virtual_bus.frame import Frame
 
 
@@ -30,6 +31,15 @@ def frame_of(message: can.Message) -> Frame:
 def message_of(frame: Frame, at: Instant, *, is_rx: bool = True, channel: str | None = None) -> can.Message:
     """The message of a frame that ended on the bus at ``at``; its timestamp is that instant in seconds."""
     can_id, data, extended, remote, remote_length = frame
+    if can_id >= ERROR_FLAG:
+        return can.Message(
+            timestamp=at * 1e-9,
+            arbitration_id=can_id - ERROR_FLAG,
+            is_error_frame=True,
+            dlc=len(data),
+            data=data,
+            channel=channel,
+        )
     return can.Message(
         timestamp=at * 1e-9,
         arbitration_id=can_id,

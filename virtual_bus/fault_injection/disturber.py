@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from drivers.timebase import Instant
 from virtual_bus.can_bus.bit_length import frame_bits
+from virtual_bus.can_bus.disturbance import Disturbance
 from virtual_bus.fault_injection.fault_log import EXTENDED_FLAG, KIND_CODES, Entry, FaultLog
 from virtual_bus.fault_injection.fault_plan import Corruption, Direction, Effect, FaultPlan, node_of
 from virtual_bus.fault_injection.fault_streams import uniform_stream
@@ -130,6 +131,11 @@ class Disturber:
     def stop(self) -> None:
         """From here on nothing is disturbed."""
         self._zero = None
+
+    def disturb(self, sender: str, frame: Frame, at: Instant) -> Disturbance | None:
+        """What :meth:`virtual_bus.segment.Segment.set_disturb` asks: every node sees the disturbed bit."""
+        bit = self.bit(sender, frame, at)
+        return None if bit is None else Disturbance(bit)
 
     def bit(self, sender: str, frame: Frame, at: Instant) -> int | None:
         """The bit of the frame, counted from start of frame, at which the bus is disturbed."""

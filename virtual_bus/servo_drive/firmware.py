@@ -13,15 +13,17 @@ Speed loop: for ramps to rest. Time is the caller's: ``advance_to`` runs the tic
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, cast
 
 import numpy as np
 
 from design.motor import PmsmParameters
+from design.statespace import StateSpace
 from drivers.timebase import NS_PER_S, Instant
 from virtual_bus.servo_drive import motor_kernel as kernel
+from virtual_bus.servo_drive.current_controller import check_controller, fill_controllers
 from virtual_bus.servo_drive.plant import fill_machine
 
 _REST_SPEED_RAD_S: Final = 0.5
@@ -30,6 +32,13 @@ _COUNTS_AT_REST: Final = 1.5
 
 _advance_drive: Final = kernel.advance_drive
 _TORQUE: Final = int(kernel.D_TORQUE)
+_CONTROL: Final = int(kernel.D_CONTROL)
+_SPEED: Final = int(kernel.D_SPEED)
+_ACCELERATION: Final = int(kernel.D_ACCELERATION)
+_TORQUE_FEED: Final = int(kernel.D_TORQUE_FEED)
+_CONTROL_SPEED: Final = float(kernel.CONTROL_SPEED)
+_MOTION_RATE_HZ: Final = 1000
+"""Profiles and the position loop run this often, or at the inner rate if that is slower."""
 
 
 class InnerControl(Enum):
@@ -56,6 +65,12 @@ class FirmwareParameters:
     """Corner of the first-order filter behind the encoder's count difference."""
     brake_torque_nm: float | None = None
     """Holding brake; None: twice the motor's rated torque, 0: no brake."""
+    controller_d: StateSpace | None = None
+    """What takes the place of the PI on i_d: from its error, A, to the voltage, V, at the inner rate."""
+    controller_q: StateSpace | None = None
+    resistance_factor: float = 1.0
+    """The turning motor's resistance beside the one that the drive was set for."""
+    inductance_factor: float = 1.0
 
     def __post_init__(self) -> None:
         """Error: ValueError for a setting with which the loops could not work."""
@@ -66,6 +81,10 @@ class FirmwareParameters:
             raise ValueError(f"encoder_counts_per_revolution {counts}: 16..2**30 expected")
         if not 0.0 < self.current_hz <= self.inner_rate_hz / 8:
             raise ValueError(f"current_bandwidth_hz {self.current_hz}: at most inner_rate_hz / 8 expected")
+        check_controller(self.controller_d, self.inner_rate_hz)
+        check_controller(self.controller_q, self.inner_rate_hz)
+        if not (self.resistance_factor > 0.0 and self.inductance_factor > 0.0):
+            raise ValueError("resistance_factor and inductance_factor: more than 0 expected")
         if not self.speed_filter_hz > 0.0:
             raise ValueError(f"speed_filter_hz {self.speed_filter_hz}: more than 0 expected")
 
@@ -92,15 +111,32 @@ class Firmware:
         self._p = np.zeros(kernel.PARAMETERS_SIZE)
         self._power_on = Instant(0)
         self._rate_hz = parameters.inner_rate_hz
-        fill_machine(self._p, motor, 1.0 / parameters.inner_rate_hz)
+        self.motion_ticks = max(1, parameters.inner_rate_hz // _MOTION_RATE_HZ)
+        """Inner ticks of a motion period; the grid of these starts at power-on too."""
+        self.tick_s = 1.0 / parameters.inner_rate_hz
+        self.counts_per_rad = parameters.encoder_counts_per_revolution / kernel.TURN
+        self.speed_bandwidth_rad_s = kernel.TURN * parameters.speed_bandwidth_hz
+        fill_machine(self._p, self._turning(), 1.0 / parameters.inner_rate_hz)
+        fill_controllers(self._p, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()
         kernel.advance_drive(self.state, self._p, self.demand, 0)  # compiled now, not in the first cycle
+
+    def _turning(self) -> PmsmParameters:
+        """The motor as it is; gains and decoupling go by the motor as the drive knows it."""
+        motor, parameters = self.motor, self.parameters
+        return replace(
+            motor,
+            resistance_ohm=motor.resistance_ohm * parameters.resistance_factor,
+            inductance_d_h=motor.inductance_d_h * parameters.inductance_factor,
+            inductance_q_h=motor.inductance_q_h * parameters.inductance_factor,
+        )
 
     def _set_gains(self) -> None:
         motor, parameters, p = self.motor, self.parameters, self._p
         period_s = 1.0 / parameters.inner_rate_hz
         alpha = kernel.TURN * parameters.current_hz
+        p[kernel.P_DECOUPLE_D], p[kernel.P_DECOUPLE_Q] = motor.inductance_d_h, motor.inductance_q_h
         p[kernel.P_GAIN_D] = alpha * motor.inductance_d_h
         p[kernel.P_GAIN_Q] = alpha * motor.inductance_q_h
         p[kernel.P_PER_GAIN_D] = 1.0 / p[kernel.P_GAIN_D]
@@ -140,6 +176,17 @@ class Firmware:
         self.ticks += due
         return True
 
+    def advance_to_motion_tick(self, now: Instant) -> bool:
+        """Run the ticks up to the next of the motion grid, or to ``now`` if that comes first; whether the
+        grid was reached."""
+        due = (now - self._power_on) * self._rate_hz // NS_PER_S - self.ticks
+        missing = self.motion_ticks - self.ticks % self.motion_ticks
+        ticks = min(due, missing)
+        if ticks > 0:
+            _advance_drive(self.state, self._p, self.demand, ticks)
+            self.ticks += ticks
+        return due >= missing
+
     @property
     def tick_at(self) -> Instant:
         """The instant of the last tick, ns rounded down: when the actual values were sampled."""
@@ -147,17 +194,19 @@ class Firmware:
 
     def control(self, control: InnerControl) -> None:
         """Choose what the inner loops follow from the next tick on; the change is bumpless."""
-        self.demand[kernel.D_CONTROL] = control.value
+        self._demand[_CONTROL] = control.value
 
     def demand_torque(self, torque_nm: float) -> None:
         """Torque set-point for ``InnerControl.TORQUE``."""
         self._demand[_TORQUE] = torque_nm
 
-    def ramp_to_speed(self, speed_rad_s: float, acceleration_rad_s2: float) -> None:
-        """Follow a speed ramp from the present speed on."""
-        self.demand[kernel.D_SPEED] = speed_rad_s
-        self.demand[kernel.D_ACCELERATION] = acceleration_rad_s2
-        self.control(InnerControl.SPEED)
+    def ramp_to_speed(self, speed_rad_s: float, acceleration_rad_s2: float, feed_nm: float = 0.0) -> None:
+        """Follow a speed ramp from the present speed on; ``feed_nm`` is added to the speed loop's torque."""
+        demand = self._demand
+        demand[_SPEED] = speed_rad_s
+        demand[_ACCELERATION] = acceleration_rad_s2
+        demand[_TORQUE_FEED] = feed_nm
+        demand[_CONTROL] = _CONTROL_SPEED
 
     def hold_encoder(self, held: bool) -> None:
         """``held``: the encoder's line is broken, and from the next tick on its count stands still."""

@@ -44,7 +44,9 @@ S_NEXT_ON, S_NEXT_D, S_NEXT_Q, S_NEXT_ANGLE = 9, 10, 11, 12
 S_INTEGRAL_D, S_INTEGRAL_Q, S_COUNT, S_SPEED_MEASURED = 13, 14, 15, 16
 S_D_MEASURED, S_Q_MEASURED, S_TORQUE_MEASURED, S_TORQUE_DEMAND = 17, 18, 19, 20
 S_SPEED_DEMAND, S_SPEED_INTEGRAL, S_REST_TICKS, S_CONTROL, S_LIMITED, S_BRAKED = 21, 22, 23, 24, 25, 26
-STATE_SIZE = 27
+# State: of a current controller in state space, d and q
+S_CONTROLLER_D, S_CONTROLLER_Q, S_CONTROLLER_OLD = 27, 35, 43
+STATE_SIZE = 51
 
 P_RESISTANCE, P_INDUCTANCE_D, P_INDUCTANCE_Q, P_FLUX, P_POLE_PAIRS, P_TORQUE_FACTOR = 0, 1, 2, 3, 4, 5
 P_INERTIA, P_VISCOUS, P_COULOMB, P_VOLTAGE_MAX = 6, 7, 8, 9
@@ -56,10 +58,17 @@ P_REST_SPEED, P_BRAKE = 20, 21
 P_PER_INDUCTANCE_D, P_PER_INDUCTANCE_Q, P_PER_INERTIA, P_STEP = 22, 23, 24, 25
 P_RATE, P_TORQUE_CONSTANT, P_PER_TORQUE_CONSTANT, P_PER_GAIN_D, P_PER_GAIN_Q = 26, 27, 28, 29, 30
 P_COUNTS_PER_RAD, P_RAD_PER_COUNT, P_ENCODER_HELD = 31, 32, 33
-PARAMETERS_SIZE = 34
+# Inductances that the drive decouples with, which need not be the motor's
+P_DECOUPLE_D, P_DECOUPLE_Q = 34, 35
+# Controllers in state space: is there one; of each axis: order, D, and in rows A, B, C, the take-back gain
+P_CONTROLLERS, P_CONTROLLER_D = 36, 37
+CONTROLLER_ORDER_MAX = 8
+CONTROLLER_SIZE = 2 + CONTROLLER_ORDER_MAX * (CONTROLLER_ORDER_MAX + 3)
+P_CONTROLLER_Q = P_CONTROLLER_D + CONTROLLER_SIZE
+PARAMETERS_SIZE = P_CONTROLLER_Q + CONTROLLER_SIZE
 
 D_CONTROL, D_TORQUE, D_TORQUE_MAX, D_CURRENT_MAX, D_SPEED, D_ACCELERATION, D_SPEED_MAX, D_LOAD = range(8)
-DEMAND_SIZE = 8
+D_TORQUE_FEED, DEMAND_SIZE = 8, 9
 
 CONTROL_OFF, CONTROL_TORQUE, CONTROL_SPEED = 0.0, 1.0, 2.0
 
@@ -263,7 +272,7 @@ def _speed_loop(state: FloatArray, p: FloatArray, demand: FloatArray, limit: flo
     state[S_SPEED_DEMAND] += change
     error = state[S_SPEED_DEMAND] - state[S_SPEED_MEASURED]
     proportional = p[P_SPEED_GAIN] * error + p[P_INERTIA] * change * p[P_RATE]
-    torque = proportional + state[S_SPEED_INTEGRAL]
+    torque = proportional + state[S_SPEED_INTEGRAL] + demand[D_TORQUE_FEED]
     limited = float(min(max(torque, -limit), limit))
     if torque != limited:
         state[S_LIMITED] = 1.0
@@ -297,15 +306,48 @@ def _torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> floa
 
 
 @compiled
+def _voltage(
+    state: FloatArray, p: FloatArray, error: float, gain: float, integral: float, first: int, at: int
+) -> float:
+    """An axis' voltage before decoupling: PI, or C x + D e of the controller whose state begins at ``first``
+    and whose parameters begin at ``at``."""
+    order = int(p[at])
+    if order < 0:
+        return float(gain * error + integral)
+    row = at + 2 + CONTROLLER_ORDER_MAX * (CONTROLLER_ORDER_MAX + 1)
+    voltage = p[at + 1] * error
+    for k in range(order):
+        voltage += p[row + k] * state[first + k]
+    return float(voltage)
+
+
+@compiled
+def _advance_controller(
+    state: FloatArray, p: FloatArray, error: float, cut: float, first: int, at: int
+) -> None:
+    """x = A x + B e + L cut, with ``cut`` V what the limits took off the voltage."""
+    order = int(p[at])
+    inputs = at + 2 + CONTROLLER_ORDER_MAX * CONTROLLER_ORDER_MAX
+    for k in range(order):
+        state[S_CONTROLLER_OLD + k] = state[first + k]
+    for k in range(order):
+        value = p[inputs + k] * error + p[inputs + 2 * CONTROLLER_ORDER_MAX + k] * cut
+        for j in range(order):
+            value += p[at + 2 + CONTROLLER_ORDER_MAX * k + j] * state[S_CONTROLLER_OLD + j]
+        state[first + k] = value
+
+
+@compiled
 def _current_loops(state: FloatArray, p: FloatArray, i_q_wanted: float) -> None:
-    """PI in d (to zero) and q with decoupling and back-EMF feed-forward; the voltage circle serves d first,
-    and what it cuts off is taken back out of the integrals (no wind-up)."""
+    """PI or state space in d (to zero) and q with decoupling and back-EMF feed-forward; the voltage circle
+    serves d first, and what it cuts off is taken back out of the integrals (no wind-up)."""
     i_d, i_q = state[S_D_MEASURED], state[S_Q_MEASURED]
     electrical = p[P_POLE_PAIRS] * state[S_SPEED_MEASURED]
     error_d, error_q = -i_d, i_q_wanted - i_q
-    v_d = p[P_GAIN_D] * error_d + state[S_INTEGRAL_D] - electrical * p[P_INDUCTANCE_Q] * i_q
-    v_q = p[P_GAIN_Q] * error_q + state[S_INTEGRAL_Q]
-    v_q += electrical * (p[P_INDUCTANCE_D] * i_d + p[P_FLUX])
+    v_d = _voltage(state, p, error_d, p[P_GAIN_D], state[S_INTEGRAL_D], S_CONTROLLER_D, P_CONTROLLER_D)
+    v_q = _voltage(state, p, error_q, p[P_GAIN_Q], state[S_INTEGRAL_Q], S_CONTROLLER_Q, P_CONTROLLER_Q)
+    v_d -= electrical * p[P_DECOUPLE_Q] * i_q
+    v_q += electrical * (p[P_DECOUPLE_D] * i_d + p[P_FLUX])
     most = p[P_VOLTAGE_MAX]
     out_d = min(max(v_d, -most), most)
     most_q = math.sqrt(most * most - out_d * out_d)
@@ -314,6 +356,9 @@ def _current_loops(state: FloatArray, p: FloatArray, i_q_wanted: float) -> None:
         state[S_LIMITED] = 1.0
     state[S_INTEGRAL_D] += p[P_INTEGRAL_GAIN] * (error_d + (out_d - v_d) * p[P_PER_GAIN_D])
     state[S_INTEGRAL_Q] += p[P_INTEGRAL_GAIN] * (error_q + (out_q - v_q) * p[P_PER_GAIN_Q])
+    if p[P_CONTROLLERS] != 0.0:
+        _advance_controller(state, p, error_d, out_d - v_d, S_CONTROLLER_D, P_CONTROLLER_D)
+        _advance_controller(state, p, error_q, out_q - v_q, S_CONTROLLER_Q, P_CONTROLLER_Q)
     state[S_NEXT_D], state[S_NEXT_Q] = out_d, out_q
 
 
@@ -332,6 +377,8 @@ def _firmware(state: FloatArray, p: FloatArray, demand: FloatArray) -> None:
         state[S_ON] = state[S_NEXT_ON] = 0.0
         state[S_NEXT_D] = state[S_NEXT_Q] = state[S_INTEGRAL_D] = state[S_INTEGRAL_Q] = 0.0
         state[S_TORQUE_DEMAND] = state[S_REST_TICKS] = 0.0
+        for k in range(S_CONTROLLER_D, S_CONTROLLER_OLD):
+            state[k] = 0.0
         if abs(state[S_SPEED_MEASURED]) < p[P_REST_SPEED]:
             state[S_BRAKED] = 1.0
     else:

@@ -14,6 +14,7 @@ Rules beside the arrows, CiA 402-2 clause 6:
 - Arrow 16 is open only where 605Ah lets the drive stay in QUICK_STOP (5..8).
 - Arrow 15 is taken on the rising edge of bit 7 only.
 - A stop that waits to become arrow 5 or 8 is called off by "enable operation".
+- Safe torque off takes arrow 7, 9, 10 or 12 at once and keeps arrow 2 closed.
 """
 
 from collections.abc import Callable
@@ -82,6 +83,8 @@ class PowerStateMachine:
         self._option = option
         self.revision = 0
         """Counts every change of ``state``, ``motion`` or ``at_rest``."""
+        self.torque_off = False
+        """Safe torque off is requested: arrow 2 is closed, and :meth:`cut_torque` was called."""
         self._arrows: dict[State, list[tuple[Transition, ...]]] = {
             state: [_arrows_for(state, bits) for bits in range(_COMMAND_BITS)] for state in State
         }
@@ -129,6 +132,13 @@ class PowerStateMachine:
         if arrow is not None:
             self._take(arrow)
 
+    def cut_torque(self) -> None:
+        """Safe torque off: no ramp any more. Arrows 7, 9, 10 and 12, or a fault reaction that is over."""
+        if self.state is State.FAULT_REACTION:
+            self.signal(Event.FAULT_REACTION_DONE)
+        else:
+            self.command(DriveCommand.DISABLE_VOLTAGE)
+
     def rested(self) -> None:
         """The motor that was being stopped has come to rest."""
         assert self.stopping, f"no stop under way in {self.state.value}"
@@ -146,6 +156,8 @@ class PowerStateMachine:
         if arrow is self._waiting:
             return
         if arrow.number == 16 and not self._stays_in_quick_stop():
+            return
+        if arrow.number == 2 and self.torque_off:
             return
         was_moving = self.motion is not Motion.OFF
         stop = self._stop_for(arrow) if was_moving else Motion.OFF

@@ -1,25 +1,17 @@
-"""The CiA 402 objects of the simulated drive, with their types, limits and defaults.
+"""The CiA 402 objects of state, torque, motor and load, with their types, limits and defaults.
 
-Units of this drive: position in encoder counts (608Fh), velocity in 0.001 rev/min (60A9h), acceleration in
-rev/min per second (60AAh), torque in per thousand of 6076h, current in per thousand of 6075h.
+Units of the drive at power-on: position in encoder counts (608Fh), velocity in 0.001 rev/min (60A9h),
+acceleration in rev/min per second (60AAh), torque in per thousand of 6076h, current in per thousand of 6075h.
 """
 
 import math
-from collections.abc import Callable
 
 from design.motor import PmsmParameters, Transform
-from drivers.objects402 import Object, Unit, unit_word
-from drivers.profile402 import (
-    AbortConnectionOption,
-    DisableOperationOption,
-    FaultReactionOption,
-    Mode,
-    QuickStopOption,
-    ShutdownOption,
-)
+from drivers.objects402 import Object
+from drivers.profile402 import Mode
 from virtual_bus.canopen_device.data_types import DataType
 from virtual_bus.canopen_device.object_dictionary import Access, ObjectDictionary, Variable
-from virtual_bus.canopen_device.sdo_abort import AbortCode
+from virtual_bus.servo_drive.option_objects import add_option_codes, one_of
 from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
@@ -47,12 +39,11 @@ class ServoObjects:
         modes: frozenset[Mode],
     ) -> None:
         self._dictionary = dictionary
-        self._add_options(drive)
+        add_option_codes(dictionary, drive.abort_connection)
         self._add_state(modes)
         self._add_set_points()
         self._add_actual_values()
         self._add_limits(motor, drive)
-        self._add_units(drive)
         self._add_motor(motor)
         self._add_load_machine()
 
@@ -65,37 +56,11 @@ class ServoObjects:
     ) -> Variable:
         return self._dictionary.add(index, name, data_type, access, **options)
 
-    def _add_options(self, drive: DriveParameters) -> None:
-        for index, name, choices, default in (
-            (
-                Object.ABORT_CONNECTION_OPTION,
-                "Abort connection",
-                AbortConnectionOption,
-                drive.abort_connection,
-            ),
-            (Object.QUICK_STOP_OPTION, "Quick stop", QuickStopOption, QuickStopOption.QUICK_STOP_RAMP),
-            (Object.SHUTDOWN_OPTION, "Shutdown", ShutdownOption, ShutdownOption.DISABLE),
-            (
-                Object.DISABLE_OPERATION_OPTION,
-                "Disable operation",
-                DisableOperationOption,
-                DisableOperationOption.SLOW_DOWN_RAMP,
-            ),
-            (
-                Object.FAULT_REACTION_OPTION,
-                "Fault reaction",
-                FaultReactionOption,
-                FaultReactionOption.QUICK_STOP_RAMP,
-            ),
-        ):
-            check = one_of(frozenset(int(choice) for choice in choices))
-            self._add(index, f"{name} option code", I16, RW, default=int(default), check=check)
-
     def _add_state(self, modes: frozenset[Mode]) -> None:
         self.error_code = self._add(Object.ERROR_CODE, "Error code", U16, RO, mappable=True)
         self.controlword = self._add(Object.CONTROLWORD, "Controlword", U16, RW, mappable=True)
         self.statusword = self._add(Object.STATUSWORD, "Statusword", U16, RO, mappable=True)
-        default = int(min(modes))
+        default = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
         self.mode = self._add(
             Object.MODES_OF_OPERATION,
             "Modes of operation",
@@ -103,7 +68,7 @@ class ServoObjects:
             RW,
             default=default,
             mappable=True,
-            check=one_of(frozenset(int(mode) for mode in modes)),
+            check=one_of(frozenset(int(mode) for mode in (*modes, Mode.NONE))),
         )
         self.mode_display = self._add(
             Object.MODES_OF_OPERATION_DISPLAY,
@@ -119,9 +84,6 @@ class ServoObjects:
     def _add_set_points(self) -> None:
         self.target_torque = self._add(Object.TARGET_TORQUE, "Target torque", I16, RW, mappable=True)
         self.torque_offset = self._add(Object.TORQUE_OFFSET, "Torque offset", I16, RW, mappable=True)
-        period = self._dictionary.add_record(Object.INTERPOLATION_TIME_PERIOD, "Interpolation time period")
-        period.add(1, "Interpolation time period value", U8, RW, default=1, low=1)
-        period.add(2, "Interpolation time index", I8, RW, default=-3, low=-6, high=0)
 
     def _add_actual_values(self) -> None:
         self.position = self._add(
@@ -161,28 +123,6 @@ class ServoObjects:
             high=speed,
             mappable=True,
         )
-        for index, name, rad_s2 in (
-            (Object.PROFILE_DECELERATION, "Profile deceleration", drive.slow_down_rad_s2(motor)),
-            (Object.QUICK_STOP_DECELERATION, "Quick stop deceleration", drive.quick_stop_rad_s2(motor)),
-        ):
-            self._add(index, name, U32, RW, default=max(1, round(rad_s2 / RPM)), low=1, mappable=True)
-
-    def _add_units(self, drive: DriveParameters) -> None:
-        resolution = self._dictionary.add_array(
-            Object.POSITION_ENCODER_RESOLUTION, "Position encoder resolution"
-        )
-        resolution.add(1, "Encoder increments", U32, RO, default=drive.encoder_counts_per_revolution)
-        resolution.add(2, "Motor revolutions", U32, RO, default=1)
-        for index, name, word in (
-            (Object.SI_UNIT_POSITION, "SI unit position", unit_word(0, Unit.INCREMENT)),
-            (Object.SI_UNIT_VELOCITY, "SI unit velocity", unit_word(-3, Unit.REVOLUTION, Unit.MINUTE)),
-            (
-                Object.SI_UNIT_ACCELERATION,
-                "SI unit acceleration",
-                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SECOND),
-            ),
-        ):
-            self._add(index, name, U32, RO, default=word)
 
     def _add_motor(self, motor: PmsmParameters) -> None:
         per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
@@ -211,8 +151,3 @@ class ServoObjects:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")
         self.load_torque = load.add(1, "Load torque, mN m against positive speed", I32, RW, mappable=True)
         self.load_actual = load.add(2, "Load torque actual value, mN m", I32, RO, mappable=True)
-
-
-def one_of(values: frozenset[int]) -> Callable[[int], AbortCode | None]:
-    """A check that refuses what is not in ``values``."""
-    return lambda value: None if value in values else AbortCode.INVALID_VALUE

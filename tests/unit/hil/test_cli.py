@@ -162,8 +162,6 @@ def test_bad_input_lists_all_errors_without_a_traceback(tmp_path: Path) -> None:
         ["simulate", "--bus", "hub:a", "--node", "128"],
         ["simulate", "--bus", "hub:a", "--node", "1", "--motor", "missing.toml"],
         ["simulate", "--bus", "hub:a", "--node", "1", "--faults", "missing.toml"],
-        ["simulate", "--bus", "hub:a", "--node", "1", "--eds", "missing.eds"],
-        ["simulate", "--bus", "hub:a", "--node", "1-2", "--store", "memory.json"],
     ],
 )
 def test_bad_arguments_leave_with_two(arguments: list[str]) -> None:
@@ -199,7 +197,17 @@ def test_simulate_hands_over_nodes_motor_and_faults(bench: Bench) -> None:
         1_000_000,
         0,
     )
+    assert bench.asked["files"] == (None, None)
     assert "node 1 is on hub:a" in result.stderr
+
+
+def test_simulate_hands_over_the_devices_files(bench: Bench) -> None:
+    result = hil(
+        "simulate", "--bus", "hub:a", "--node", "unconfigured", "--eds", "some.eds", "--store", "memory.json"
+    )
+    assert result.exit_code == 0, result.stderr
+    assert bench.asked["nodes"] == [255]
+    assert bench.asked["files"] == (Path("some.eds"), Path("memory.json"))
 
 
 def test_simulate_has_a_default_motor_and_no_faults(bench: Bench) -> None:

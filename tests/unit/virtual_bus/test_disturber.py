@@ -18,6 +18,8 @@ from virtual_bus.fault_injection.fault_plan import (
 )
 from virtual_bus.fault_injection.replay import RecordedFaults
 from virtual_bus.frame import Frame
+from virtual_bus.segment import Segment
+from virtual_bus.timeline import Timeline
 
 TPDO = Frame(0x181, bytes(8))
 
@@ -79,3 +81,20 @@ def test_a_replay_disturbs_the_same_attempts() -> None:
     again.start(Instant(1000))
     assert [again.bit("drive", frame, Instant(1000 + 7 * k)) for k, frame in enumerate(frames)] == first
     assert any(bit is not None for bit in first)
+
+
+def test_a_disturbed_frame_is_repeated_until_it_comes_through() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    got: list[tuple[Frame, Instant]] = []
+    sender = segment.attach("drive", lambda frame, at: None)
+    segment.attach("host", lambda frame, at: got.append((frame, at)))
+    window = Selection(until_ns=Duration(1_000_000))
+    source = made(Corruption(probability=1.0, selection=window))
+    segment.set_disturb(source.disturb)
+    sender.send(TPDO)
+    timeline.run_until(Instant(5_000_000))
+    ((frame, at),) = got
+    assert frame == TPDO
+    assert at > 1_000_000
+    assert segment.errors == source.disturbed["drive_to_host"] >= 5

@@ -33,8 +33,7 @@ MASTER = 127
 NO_BRAKE = DriveParameters(brake_torque_nm=0.0)
 
 
-def supervise(bench: ServoBench, milliseconds: int = 100) -> None:
-    """The drive watches the master's heartbeat, and hears the first one."""
+def supervise(bench: ServoBench, milliseconds: int = 100) -> None:  # and hears the first heartbeat
     assert bench.write(0x1016, "I", MASTER << 16 | milliseconds, 1) is None
     bench.receive(Frame(0x700 + MASTER, b"\x05"))
 
@@ -302,7 +301,13 @@ def test_speed_is_held_below_6080() -> None:
         (Object.MAX_CURRENT, "H", 3001, AbortCode.TOO_HIGH),
         (Object.MAX_MOTOR_SPEED, "I", 6000, AbortCode.TOO_HIGH),
         (Object.QUICK_STOP_DECELERATION, "I", 0, AbortCode.TOO_LOW),
-        (Object.MODES_OF_OPERATION, "b", Mode.PROFILE_POSITION, AbortCode.INVALID_VALUE),
+        (Object.MODES_OF_OPERATION, "b", Mode.INTERPOLATED_POSITION, AbortCode.INVALID_VALUE),
+        (Object.MODES_OF_OPERATION, "b", -1, AbortCode.INVALID_VALUE),
+        (Object.HALT_OPTION, "h", 0, AbortCode.INVALID_VALUE),
+        (Object.HOMING_METHOD, "b", 15, AbortCode.INVALID_VALUE),
+        (Object.POLARITY, "B", 0x01, AbortCode.INVALID_VALUE),
+        (Object.SI_UNIT_VELOCITY, "I", 0x00010300, AbortCode.INVALID_VALUE),
+        (Object.MAX_ACCELERATION, "I", 0, AbortCode.TOO_LOW),
         (Object.QUICK_STOP_OPTION, "h", 9, AbortCode.INVALID_VALUE),
         (Object.STATUSWORD, "H", 0, AbortCode.READ_ONLY),
         (Object.TARGET_TORQUE, "i", 0, AbortCode.TOO_LONG),
@@ -315,7 +320,7 @@ def test_what_the_drive_cannot_do_is_refused(index: int, code: str, value: int, 
 
 def test_only_the_modes_that_exist_are_offered() -> None:
     bench = ServoBench()
-    assert bench.read(Object.SUPPORTED_DRIVE_MODES, "I") == 1 << (Mode.CYCLIC_SYNCHRONOUS_TORQUE - 1)
+    assert bench.read(Object.SUPPORTED_DRIVE_MODES, "I") == 0b11_1010_1101, "PP PV PT HM, CSP CSV CST"
     assert bench.read(Object.MODES_OF_OPERATION_DISPLAY, "b") == Mode.CYCLIC_SYNCHRONOUS_TORQUE
 
 

@@ -33,8 +33,9 @@ def device() -> SimulatedServo:
 
 def ask(device: SimulatedServo, command: int, index: int, subindex: int = 0, data: bytes = b"") -> bytes:
     request = bytes([command]) + index.to_bytes(2, "little") + bytes([subindex]) + data.ljust(4, b"\x00")
-    (answer,) = device.receive(Frame(0x600 + NODE, request), NOW)
-    return answer.data
+    frames = device.receive(Frame(0x600 + NODE, request), NOW)
+    (answer,) = (frame.data for frame in frames if frame.can_id == 0x580 + NODE)
+    return answer
 
 
 def number(answer: bytes) -> int:

@@ -1,0 +1,94 @@
+"""Files of a current controller: what ``hil design current --out`` writes and a simulated drive runs."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from design.current_loop import tustin
+from design.statespace import StateSpace, from_zpk
+from drivers.errors import BadInput
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+
+Root = Annotated[tuple[float, float], Field(strict=False)]
+Roots = Annotated[tuple[Root, ...], Field(strict=False)]
+
+
+class ContinuousController(Section):
+    """gain * prod(s - zeros)/prod(s - poles), volts per ampere; sampled by Tustin's rule where it runs."""
+
+    kind: Literal["continuous"]
+    axis: Literal["d", "q"] = Field(description="'d' or 'q'")
+    gain: float = Field(description="the gain of the zero-pole form")
+    zeros_rad_s: Roots = Field(description="[real, imaginary] of each zero, rad/s")
+    poles_rad_s: Roots = Field(description="[real, imaginary] of each pole, rad/s")
+    prewarp_rad_s: float = Field(default=0.0, ge=0)
+    """Where Tustin's rule is exact: the loop's crossover."""
+
+    def at_rate(self, rate_hz: int) -> StateSpace:
+        """The sampled controller. Error: ValueError for roots without their conjugate or too low a rate."""
+        system = from_zpk(_numbers(self.zeros_rad_s), _numbers(self.poles_rad_s), self.gain)
+        return tustin(system, rate_hz, self.prewarp_rad_s)
+
+
+class SampledController(Section):
+    """gain * prod(z - zeros)/prod(z - poles), made for one inner rate only."""
+
+    kind: Literal["sampled"]
+    axis: Literal["d", "q"] = Field(description="'d' or 'q'")
+    gain: float = Field(description="the gain of the zero-pole form")
+    zeros_z: Roots = Field(description="[real, imaginary] of each zero in the z plane")
+    poles_z: Roots = Field(description="[real, imaginary] of each pole in the z plane")
+    sample_rate_hz: int = Field(gt=0, description="the inner rate that it was made for, Hz")
+
+    def at_rate(self, rate_hz: int) -> StateSpace:
+        """The controller. Error: ValueError for another rate than its own."""
+        if rate_hz != self.sample_rate_hz:
+            raise ValueError(f"made for {self.sample_rate_hz} Hz, the drive's inner rate is {rate_hz} Hz")
+        return from_zpk(_numbers(self.zeros_z), _numbers(self.poles_z), self.gain, 1.0 / rate_hz)
+
+
+def _numbers(roots: tuple[tuple[float, float], ...]) -> list[complex]:
+    return [complex(*root) for root in roots]
+
+
+CurrentController = Annotated[ContinuousController | SampledController, Field(discriminator="kind")]
+
+
+class CurrentControllerFile(Section):
+    """A whole file."""
+
+    current_controller: CurrentController = Field(
+        description="the table [current_controller] with kind = 'continuous' or 'sampled'"
+    )
+
+
+class CurrentControl(Section):
+    """``current_control``: what the simulated drive runs instead of its PI current loops."""
+
+    controller: CurrentController | None = None
+    """Path of the controller on the q axis, which makes the torque; PI if absent."""
+    controller_d: CurrentController | None = None
+    """Path of the controller on the d axis; PI if absent."""
+
+
+def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> CurrentController:
+    """The controller file at ``path``, made for ``axis``. Raises BadInput or BadInputs."""
+    tables: dict[str, Any] = read_toml(path, "current controller file", named_by)
+    try:
+        controller = CurrentControllerFile.model_validate(tables).current_controller
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, CurrentControllerFile))
+    if controller.axis != axis:
+        raise BadInput(
+            named_by.source,
+            named_by.key,
+            f"a controller for the {controller.axis} axis",
+            f"one for the {axis} axis",
+        )
+    try:
+        controller.at_rate(controller.sample_rate_hz if controller.kind == "sampled" else 1_000_000)
+    except ValueError as error:
+        raise BadInput(str(path), "current_controller", str(error), "a controller that can be run") from None
+    return controller

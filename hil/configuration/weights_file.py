@@ -1,0 +1,90 @@
+"""Weight files: the bounds on |S|, |KS| and |T| that a current controller is designed for."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from design.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
+from drivers.errors import BadInput
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+
+
+class ZeroPole(Section):
+    """high (s + zero)/(s + pole)."""
+
+    kind: Literal["zero_pole"]
+    high: float = Field(gt=0, description="gain at high frequency")
+    zero_rad_s: float = Field(gt=0, description="the zero's rate, rad/s")
+    pole_rad_s: float = Field(gt=0, description="the pole's rate, rad/s")
+
+    def weight(self) -> Weight:
+        """The weight."""
+        return Weight(self.high, self.zero_rad_s, self.pole_rad_s)
+
+
+class ByCrossing(Section):
+    """Both gains, and where |w| = 1."""
+
+    kind: Literal["crossing"]
+    low: float = Field(gt=0, description="gain at rest")
+    high: float = Field(gt=0, description="gain at high frequency")
+    crossing_rad_s: float = Field(gt=0, description="where the weight is 1, rad/s")
+
+    def weight(self) -> Weight:
+        """The weight. Error: ValueError unless 1 lies between the gains."""
+        return crossing_weight(self.low, self.high, self.crossing_rad_s)
+
+
+class BySlope(Section):
+    """Both gains, and the zero: the end of the slope of a falling weight, the start of a rising one's."""
+
+    kind: Literal["slope"]
+    low: float = Field(gt=0, description="gain at rest")
+    high: float = Field(gt=0, description="gain at high frequency")
+    slope_end_rad_s: float = Field(gt=0, description="the zero's rate, rad/s")
+
+    def weight(self) -> Weight:
+        """The weight."""
+        return slope_weight(self.low, self.high, self.slope_end_rad_s)
+
+
+class ByError(Section):
+    """[Azaiz2007] 3.2 for w1: 1/|w1| crosses 1 there, ends at ``peak``, starts at ``static_error``."""
+
+    kind: Literal["error"]
+    crossing_rad_s: float = Field(gt=0, description="where 1/|w1| is 1, rad/s")
+    peak: float = Field(gt=1, description="1/|w1| at high frequency, above 1")
+    static_error: float = Field(gt=0, lt=1, description="1/|w1| at rest, below 1")
+
+    def weight(self) -> Weight:
+        """The weight."""
+        return error_weight(self.crossing_rad_s, self.peak, self.static_error)
+
+
+AnyWeight = Annotated[ZeroPole | ByCrossing | BySlope | ByError, Field(discriminator="kind")]
+
+
+class WeightsFile(Section):
+    """A whole file."""
+
+    error: AnyWeight = Field(description="the table [error], w1, with kind, e.g. 'error'")
+    control: AnyWeight = Field(description="the table [control], w2, with kind, e.g. 'zero_pole'")
+    output: AnyWeight = Field(description="the table [output], w3, with kind, e.g. 'slope'")
+
+
+def load_weights(path: Path) -> Weights:
+    """The weights in the file at ``path``. Raises BadInput or BadInputs."""
+    tables = read_toml(path, "weights file", NamedBy("--weights", "", str(path)))
+    try:
+        found = WeightsFile.model_validate(tables)
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, WeightsFile))
+    made = []
+    for name in ("error", "control", "output"):
+        try:
+            made.append(getattr(found, name).weight())
+        except ValueError as error:
+            raise BadInput(str(path), name, str(error), "a stable weight of the gains asked for") from None
+    return Weights(*made)

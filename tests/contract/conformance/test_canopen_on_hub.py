@@ -1,0 +1,27 @@
+"""The independent master on the hub."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.contract.conformance.master_suite import MasterSuite
+
+
+class TestOnTheHub(MasterSuite):
+    """Master and device are processes of their own."""
+
+    @pytest.fixture(autouse=True)
+    def _runtime(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        runtime = tmp_path / "runtime"
+        runtime.mkdir(mode=0o700)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+
+    @pytest.fixture
+    def bus_spec(self) -> str:
+        return f"hub:master-{os.getpid()}"
+
+    @pytest.fixture
+    def connection(self, bus_spec: str) -> dict[str, Any]:
+        return {"interface": "hub", "channel": bus_spec.partition(":")[2], "bitrate": 1_000_000}

@@ -1,0 +1,259 @@
+"""The axis as a mode of operation sees it: where it is, what it is asked to do, and its limits.
+
+A mode runs once per motion period, 1 ms, on the grid of the inner ticks. It hands over a position with its
+speed, a speed or a torque; the inner loops go there until the next period:
+
+    position --> P controller --+--> speed, ramped over one period --> inner speed loop --> current loops
+    speed of the profile -------'
+"""
+
+from collections.abc import Callable
+from typing import Final, cast
+
+from drivers.objects402 import Object
+from drivers.profile402 import HaltOption
+from virtual_bus.servo_drive.firmware import Firmware, InnerControl
+from virtual_bus.servo_drive.machine import SimulatedMachine
+from virtual_bus.servo_drive.motion_objects import HIGHEST, LOWEST, NO_WINDOW, UNLIMITED, MotionObjects
+from virtual_bus.servo_drive.motor_kernel import (
+    CONTROL_SPEED,
+    D_SPEED_MAX,
+    S_CONTROL,
+    S_COUNT,
+    S_SPEED_DEMAND,
+    S_SPEED_MEASURED,
+    S_TORQUE_DEMAND,
+    S_TORQUE_MEASURED,
+)
+from virtual_bus.servo_drive.servo_objects import ServoObjects
+from virtual_bus.servo_drive.trajectory import MoveLimits
+from virtual_bus.servo_drive.user_units import UserUnits
+
+POSITION_BANDWIDTH: Final = 0.25
+"""Gain of the position loop, 1/s, beside the bandwidth of the speed loop, rad/s."""
+REST_S: Final = 0.005
+"""The shaft has come to rest when it has rested for that long at the end of a ramp."""
+_STIFFEST_RAD_S2: Final = 1e9
+"""In the place of an acceleration without limit where a profile is planned with it."""
+
+
+class Window:
+    """Whether something has been so for long enough: 6068h, 606Eh, 6070h, 6066h."""
+
+    def __init__(self) -> None:
+        self._inside_s = 0.0
+
+    def restart(self) -> None:
+        """It is not so now."""
+        self._inside_s = 0.0
+
+    def held(self, inside: bool, period_s: float, time_ms: int) -> bool:
+        """One period more; whether it has been inside for ``time_ms``."""
+        if not inside:
+            self._inside_s = 0.0
+            return False
+        self._inside_s += period_s
+        return self._inside_s * 1000.0 >= time_ms
+
+
+class Axis:
+    """What all modes share."""
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        objects: ServoObjects,
+        motion: MotionObjects,
+        units: UserUnits,
+        machine: SimulatedMachine,
+        fail_following: Callable[[], None],
+    ) -> None:
+        """``fail_following``: the following error has left its window for too long."""
+        self.firmware = firmware
+        self.objects = objects
+        self.motion = motion
+        self.units = units
+        self.machine = machine
+        self.period_s = firmware.motion_ticks / firmware.parameters.inner_rate_hz
+        self.torque_unit_nm = objects.rated_torque.default * 1e-6
+        self.limited = False
+        """A set-point was cut at a limit in the last period (statusword bit 11)."""
+        self.feeds_torque = False
+        """60B2h is added to what the speed loop asks for: in CSP and CSV."""
+        self.demand: float | None = None
+        """Position asked of the position loop, encoder counts; None where there is none."""
+        self._state = cast("memoryview[float]", firmware.state.data)
+        self._fail_following = fail_following
+        self._following = Window()
+        self._counts_per_rad = firmware.counts_per_rad
+        self._gain = POSITION_BANDWIDTH * firmware.speed_bandwidth_rad_s
+
+    # ---- where it is ----------------------------------------------------------------------------------
+
+    @property
+    def count(self) -> float:
+        """Encoder count."""
+        return self._state[S_COUNT]
+
+    @property
+    def counts_per_s(self) -> float:
+        """Speed from which a profile can begin: what the speed loop follows, or the measured one."""
+        return self.speed_rad_s * self._counts_per_rad
+
+    @property
+    def speed_rad_s(self) -> float:
+        state = self._state
+        following = state[S_CONTROL] == CONTROL_SPEED
+        return state[S_SPEED_DEMAND] if following else state[S_SPEED_MEASURED]
+
+    @property
+    def velocity(self) -> float:
+        """606Ch, before it is rounded."""
+        return self._state[S_SPEED_MEASURED] * self.units.velocity_per_rad_s
+
+    @property
+    def torque_demand_nm(self) -> float:
+        return self._state[S_TORQUE_DEMAND]
+
+    @property
+    def torque_nm(self) -> float:
+        return self._state[S_TORQUE_MEASURED]
+
+    # ---- what it is asked -----------------------------------------------------------------------------
+
+    def begin(self, *, feeds_torque: bool = False) -> None:
+        """A mode begins: nothing is asked yet."""
+        self.feeds_torque = feeds_torque
+        self.limited = False
+        self.demand = None
+        self._following.restart()
+
+    def follow(self, count: float, counts_per_s: float, feed_rad_s: float = 0.0) -> None:
+        """Be at ``count`` now, and at ``counts_per_s`` when the period ends."""
+        self.demand = count
+        error_rad = (count - self._state[S_COUNT]) / self._counts_per_rad
+        self.run_at(counts_per_s / self._counts_per_rad + feed_rad_s + self._gain * error_rad)
+
+    def run_at(self, speed_rad_s: float) -> None:
+        """Be at a speed when the period ends, by a ramp."""
+        speed = self.cut_speed(speed_rad_s)
+        feed_nm = self.objects.torque_offset.value * self.torque_unit_nm if self.feeds_torque else 0.0
+        if speed != 0.0 and self.machine.blocked(speed):
+            self.limited = True
+            self.firmware.ramp_to_speed(0.0, self.quick_stop_rad_s2)
+            return
+        self.firmware.ramp_to_speed(speed, abs(speed - self.speed_rad_s) / self.period_s, feed_nm)
+
+    def stop(self, deceleration_rad_s2: float) -> None:
+        """To rest by a ramp, without the position loop."""
+        self.demand = None
+        self.firmware.ramp_to_speed(0.0, deceleration_rad_s2)
+
+    def make_torque(self, torque_nm: float) -> None:
+        """A torque."""
+        self.firmware.demand_torque(torque_nm)
+        self.firmware.control(InnerControl.TORQUE)
+
+    def rests(self) -> bool:
+        """Whether the shaft has come to rest at the end of a ramp."""
+        return self.firmware.rested_for_s() >= REST_S
+
+    # ---- limits ---------------------------------------------------------------------------------------
+
+    def cut_speed(self, speed_rad_s: float) -> float:
+        """A speed inside 6080h."""
+        most = float(self.firmware.demand[D_SPEED_MAX])
+        cut = min(max(speed_rad_s, -most), most)
+        self.limited = self.limited or cut != speed_rad_s
+        return cut
+
+    def cut_target(self, position: int) -> int:
+        """A target inside 607Dh, which counts from the machine's home and so is corrected by 607Ch."""
+        low, high = self.motion.position_min.value, self.motion.position_max.value
+        if low >= high or (low == LOWEST and high == HIGHEST):
+            return position
+        offset = self.motion.home_offset.value
+        cut = int(min(max(position, low - offset), high - offset))
+        self.limited = self.limited or cut != position
+        return cut
+
+    def move_limits(self) -> MoveLimits:
+        """6081h..6084h inside 607Fh, 6080h, 60C5h and 60C6h; counts and seconds."""
+        motion = self.motion
+        speed = min(motion.speed.value, motion.max_speed.value)
+        self.limited = self.limited or speed != motion.speed.value
+        return MoveLimits(
+            self._counts_per_rad * self.cut_speed(self.speed_of(speed)),
+            self._counts_per_rad * self.acceleration_rad_s2,
+            self._counts_per_rad * self.deceleration_rad_s2,
+            self._counts_per_rad * self.speed_of(motion.end_speed.value),
+        )
+
+    def cut_change(self, speed_rad_s: float, change_rad_s: float) -> float:
+        """A change of speed within one period, inside 60C5h if it goes faster and 60C6h if slower."""
+        faster = (speed_rad_s + 0.5 * change_rad_s) * change_rad_s > 0.0
+        raw = (self.motion.max_acceleration if faster else self.motion.max_deceleration).value
+        if raw == UNLIMITED:
+            return change_rad_s
+        most = raw * self.units.rad_s2_per_acceleration * self.period_s
+        cut = min(max(change_rad_s, -most), most)
+        self.limited = self.limited or cut != change_rad_s
+        return float(cut)
+
+    def interpolation_ticks(self) -> int:
+        """60C2h in inner ticks, one motion period at least."""
+        seconds = self.motion.period_value.value * 10.0**self.motion.period_index.value
+        return max(round(float(seconds) / self.firmware.tick_s), self.firmware.motion_ticks)
+
+    def speed_of(self, velocity: int) -> float:
+        """rad/s of a user velocity without a sign."""
+        return velocity * abs(self.units.rad_s_per_velocity)
+
+    @property
+    def acceleration_rad_s2(self) -> float:
+        """6083h inside 60C5h."""
+        return self._limited_rate(self.motion.acceleration.value, self.motion.max_acceleration.value)
+
+    @property
+    def deceleration_rad_s2(self) -> float:
+        """6084h inside 60C6h."""
+        return self._limited_rate(self.motion.deceleration.value, self.motion.max_deceleration.value)
+
+    @property
+    def quick_stop_rad_s2(self) -> float:
+        """6085h, which no other limit weakens."""
+        return float(self.motion.quick_stop.value * self.units.rad_s2_per_acceleration)
+
+    @property
+    def homing_rad_s2(self) -> float:
+        """609Ah inside 60C5h and 60C6h."""
+        most = min(self.motion.max_acceleration.value, self.motion.max_deceleration.value)
+        return self._limited_rate(self.motion.homing_acceleration.value, most)
+
+    def _limited_rate(self, rate: int, most: int) -> float:
+        value = rate if most == UNLIMITED else min(rate, most)
+        return float(value * self.units.rad_s2_per_acceleration)
+
+    def halt_rad_s2(self, slow_down_rad_s2: float) -> float:
+        """By 605Dh."""
+        option = self.objects.option(Object.HALT_OPTION)
+        if option == HaltOption.SLOW_DOWN_RAMP:
+            return slow_down_rad_s2
+        return self.quick_stop_rad_s2 if option == HaltOption.QUICK_STOP_RAMP else _STIFFEST_RAD_S2
+
+    # ---- what watches over it -------------------------------------------------------------------------
+
+    @property
+    def following_error(self) -> int:
+        """60F4h, user units."""
+        demand = self.demand
+        return 0 if demand is None else self.units.length_of(demand - self.count)
+
+    def watch_following(self) -> bool:
+        """Whether 60F4h has left 6065h for 6066h: the mode's bit 13; the drive is told to fail."""
+        window = self.motion.following_window.value
+        outside = window != NO_WINDOW and abs(self.following_error) > window
+        failed = self._following.held(outside, self.period_s, self.motion.following_ms.value)
+        if failed:
+            self._fail_following()
+        return failed
