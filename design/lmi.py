@@ -4,7 +4,7 @@ A problem is: minimise c'y over y, subject to F_j(y) = F_j0 + sum_k y_k F_jk >= 
 where y holds the free entries of the unknown matrices. Building knows nothing of the solver.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import clarabel
@@ -110,10 +110,16 @@ class LmiSolution:
     status: str = "Solved"
 
 
-def solve(problem: LmiProblem, tolerance: float = 1e-9) -> LmiSolution:
-    """The optimum. Raises NoSolution with the solver's status for anything but an optimum."""
-    answer = _ask(problem, tolerance)
-    status = str(answer.status)
+def solve(problem: LmiProblem, tolerances: Sequence[float] = (1e-9, 1e-8)) -> LmiSolution:
+    """The optimum, to the first of the relative ``tolerances`` that the solver reaches.
+
+    Raises NoSolution with the solver's status for anything but an optimum.
+    """
+    for tolerance in tolerances:
+        answer = _ask(problem, tolerance)
+        status = str(answer.status)
+        if status != "AlmostSolved":
+            break
     if status != "Solved":
         raise NoSolution(
             problem.what,

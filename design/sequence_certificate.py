@@ -146,7 +146,7 @@ def _at(edges: list[Edge], nodes: int, decay_per_s: float) -> tuple[list[Array],
     """P_i and the margin with which they prove ``decay_per_s``; None if the solver finds none that do."""
     problem = _problem(edges, nodes, decay_per_s)
     try:
-        y = solve(problem, tolerance=1e-8).y
+        y = solve(problem, (1e-8,)).y
     except NoSolution:
         return None
     proof = y.copy()

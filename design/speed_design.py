@@ -20,14 +20,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from design.delay_loop import Array, DelayLoop, loop_function
-from design.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, peaks
+from design.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, peaks, sampled_norm
 from design.errors import NoSolution
 from design.speed_loop import Feedback, SpeedModel
 
-_EXCHANGES = 25
+_EXCHANGES = 30
+_RADIUS = 0.5
+"""How far one exchange may go at first, in parts of each gain and of the delay."""
 _RESTARTS = 5
-_INTEGRAL_STARTS = (1e-3, 0.03, 0.3)
-"""Integral gain at the start, times the rate of the proportional loop."""
+_LEAST = 1e-12
+_LESS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1)
 _EXCESS = 1e-8
 """Relative excess of a peak over the bound that is let pass."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
@@ -45,13 +47,19 @@ class SpeedDesign:
     gain: float
 
 
-def least_gain(model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.FULL) -> SpeedDesign:
+def least_gain(
+    model: SpeedModel,
+    delay_s: float,
+    feedback: Feedback = Feedback.FULL,
+    integral_time_s: float | None = None,
+) -> SpeedDesign:
     """The feedback with the least gain from load torque to speed error at ``delay_s``.
 
+    ``integral_time_s``: K2/K3 of a model with integral, by default :meth:`SpeedModel.integral_time_s`.
     Raises NoSolution if no start leads to a stable loop.
     """
     found = []
-    for K in _starts(model, delay_s, feedback):
+    for K in _starts(model, delay_s, feedback, integral_time_s or model.integral_time_s(delay_s)):
         design = _refine(model, K, delay_s, None, feedback)
         if design is not None:
             found.append(design)
@@ -60,16 +68,26 @@ def least_gain(model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.
     return min(found, key=lambda design: design.gain)
 
 
-def largest_delay(model: SpeedModel, gamma: float, feedback: Feedback = Feedback.FULL) -> SpeedDesign:
+def largest_delay(
+    model: SpeedModel,
+    gamma: float,
+    feedback: Feedback = Feedback.FULL,
+    integral_time_s: float | None = None,
+) -> SpeedDesign:
     """The feedback with the largest delay at which the gain stays within ``gamma``, rad/s per N m.
 
-    Raises NoSolution if no feedback keeps it even without delay, which cannot be with a free K2.
+    ``integral_time_s``: K2/K3 of a model with integral; by default that of the largest delay without
+    integral. Raises NoSolution if no feedback keeps it even without delay, which cannot be with a free K2.
     """
+    if model.has_integral and integral_time_s is None:
+        plain = largest_delay(model.without_integral, gamma, Feedback.SPEED)
+        integral_time_s = model.integral_time_s(plain.delay_s)
     found: list[SpeedDesign] = []
-    for K in _speed_starts(model, gamma):
+    speed_starts = _speed_starts(model, gamma, integral_time_s or math.inf)
+    for K in speed_starts:
         _try(found, model, K, gamma, Feedback.SPEED)
     if feedback is Feedback.FULL and found:
-        starts = [_with_current(K, K1) for K in _speed_starts(model, gamma) for K1 in _K1_STARTS]
+        starts = [_with_current(K, K1) for K in speed_starts for K1 in _K1_STARTS]
         starts.sort(key=lambda K: -_delay_within(model, K, gamma, coarse=True))
         for K in starts[:_REFINED]:
             _try(found, model, K, gamma, feedback)
@@ -98,11 +116,7 @@ def _delay_within(
         return 0.0
 
     def within(delay_s: float) -> bool:
-        loop = model.loop(K, delay_s)
-        if not is_stable(loop):
-            return False
-        norm = hinf_norm(loop) if exact else max(peak.gain for peak in peaks(loop, share=0.8))
-        return norm <= gamma * (1.0 + 1e-9)
+        return _keeps(model.loop(K, delay_s), gamma, exact)
 
     if not within(0.0):
         return 0.0
@@ -123,22 +137,28 @@ def _delay_within(
     return low
 
 
-def _starts(model: SpeedModel, delay_s: float, feedback: Feedback) -> list[Array]:
+def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
+    """Whether the loop is stable and its norm within ``gamma``."""
+    if not is_stable(loop):
+        return False
+    norm = hinf_norm(loop) if exact else sampled_norm(loop)
+    return norm <= gamma * (1.0 + 1e-9)
+
+
+def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time_s: float) -> list[Array]:
     """Gains that are stable at ``delay_s``, from the least of speed-only feedback."""
     free = len(model.A)
     best: tuple[float, Array] = (math.inf, np.zeros(free))
     for k in np.geomspace(1e-5, 1e3, 161) * _natural_gain(model):
-        K = _speed_gain(model, -float(k))
+        K = _speed_gain(model, -float(k), integral_time_s)
         loop = model.loop(K, delay_s)
         if is_stable(loop):
-            gain = max(peak.gain for peak in peaks(loop, share=0.8))
+            gain = sampled_norm(loop)
             if gain < best[0]:
                 best = (gain, K)
     if math.isinf(best[0]):
         return []
-    K2 = float(best[1][1])
-    found = [_speed_gain(model, K2, part) for part in (_INTEGRAL_STARTS if model.has_integral else (0.0,))]
-    found = [K for K in found if is_stable(model.loop(K, delay_s))]
+    found = [best[1]]
     if feedback is Feedback.FULL:
         found += [K for K1 in _K1_STARTS if is_stable(model.loop(K := _with_current(best[1], K1), delay_s))]
     return found
@@ -150,22 +170,22 @@ def _natural_gain(model: SpeedModel) -> float:
     return rate / 10.0 / float(model.A[1, 0])
 
 
-def _speed_gain(model: SpeedModel, K2: float, integral: float = _INTEGRAL_STARTS[1]) -> Array:
-    """K2 with, where there is one, an integral that is slow beside it."""
+def _speed_gain(model: SpeedModel, K2: float, integral_time_s: float) -> Array:
     K = np.zeros(len(model.A))
     K[1] = K2
     if model.has_integral:
-        K[2] = K2 * abs(float(model.A[1, 0]) * K2) * integral
+        K[2] = K2 / integral_time_s
     return K
 
 
-def _speed_starts(model: SpeedModel, gamma: float) -> list[Array]:
+def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> list[Array]:
     """Speed gains around the least that keeps the gain at rest within ``gamma``."""
     slope, friction = float(model.A[1, 0]), -float(model.A[1, 1])
     J = 1.0 / float(model.B2[1])
     needed = max((1.0 / gamma - friction * J) / (slope * J), 1e-6 * _natural_gain(model))
-    integrals = _INTEGRAL_STARTS if model.has_integral else (0.0,)
-    return [_speed_gain(model, -needed * factor, part) for factor in (1.02, 1.15) for part in integrals]
+    # beside an integral the resonance counts, not the gain at rest
+    factors = (1.02, 1.15, 1.6, 2.5, 4.0) if model.has_integral else (1.02, 1.15)
+    return [_speed_gain(model, -needed * factor, integral_time_s) for factor in factors]
 
 
 def _with_current(K: Array, K1: float) -> Array:
@@ -194,30 +214,31 @@ def _refine_once(
 ) -> SpeedDesign | None:
     """The local optimum next to (K, delay): of the gain, or of the delay within ``gamma``."""
     free = np.array(model.free_gains(feedback))
-    scale = np.maximum(np.abs(K[free]), 0.05 * np.abs(K[1]) if len(K) > 1 else 1e-3)
-    scale = np.where(free == 0, 1.0, scale)
+    scale = np.where(free == 0, 1.0, np.abs(K[free]))
     bound = gamma if gamma is not None else hinf_norm(model.loop(K, delay_s))
     if math.isinf(bound):
         return None
     programme = _Programme(model, K.copy(), free, scale, delay_s, bound, gamma is not None)
-    x = programme.start()
+    centre, radius = programme.start(), _RADIUS
+    x = centre
     frequencies = np.array([peak.frequency_rad_s for peak in peaks(programme.loop(x), share=0.3)])
     best: SpeedDesign | None = None
     for _ in range(_EXCHANGES):
-        x = programme.solve(x, frequencies)
+        x = programme.solve(x, frequencies, centre, radius)
         loop = programme.loop(x)
         if not is_stable(loop):
-            x = 0.5 * (x + programme.start())
-            if not is_stable(programme.loop(x)):
-                break
-            loop = programme.loop(x)
+            # too far for what these frequencies know
+            radius, x = 0.5 * radius, centre
+            continue
         found = peaks(loop, share=0.5)
         worst = max(peak.gain for peak in found)
         design = _measured(model, programme, x, gamma, worst)
         if design is not None and (best is None or _better(design, best, gamma)):
             best = design
         if worst <= programme.allowed(x) * (1.0 + _EXCESS):
-            break
+            if np.max(np.abs(x - centre)) < 0.9 * radius:
+                break
+            centre = x
         frequencies = np.union1d(frequencies, [peak.frequency_rad_s for peak in found])
     if best is None:
         return None
@@ -237,7 +258,12 @@ def _measured(
     K = programme.gain_of(x)
     if gamma is None:
         return SpeedDesign(K, programme.delay_s, worst)
-    delay_s = _delay_within(model, K, gamma) if worst > gamma * (1.0 + _EXCESS) else programme.delay_of(x)
+    # on the way the programme stands outside the bound: a little less delay brings it in
+    for share in _LESS:
+        delay_s = programme.delay_of(x) * (1.0 - share)
+        if (share == 0.0 and worst <= gamma * (1.0 + _EXCESS)) or _keeps(model.loop(K, delay_s), gamma):
+            return SpeedDesign(K, delay_s, gamma)
+    delay_s = _delay_within(model, K, gamma)
     return SpeedDesign(K, delay_s, gamma) if delay_s > 0.0 else None
 
 
@@ -260,9 +286,7 @@ class _Programme:
         return np.append(self._K[self._free] / self._scale, 0.0)
 
     def gain_of(self, x: Array) -> Array:
-        K = self._K.copy()
-        K[self._free] = x[:-1] * self._scale
-        return K
+        return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
 
     def delay_of(self, x: Array) -> float:
         return self.delay_s * math.exp(x[-1]) if self._for_delay else self.delay_s
@@ -274,23 +298,24 @@ class _Programme:
     def loop(self, x: Array) -> DelayLoop:
         return self._model.loop(self.gain_of(x), self.delay_of(x))
 
-    def solve(self, x: Array, frequencies: Array) -> Array:
+    def solve(self, x: Array, frequencies: Array, centre: Array, radius: float) -> Array:
+        """From ``x``, the optimum within ``radius`` of ``centre`` when only ``frequencies`` count."""
         sign = -1.0 if self._for_delay else 1.0
 
         def slack(x: Array) -> Array:
             function = loop_function(self.loop(x))
-            values = function.magnitude(frequencies * function.time_unit_s)
+            # with an integral the gain at rest is zero
+            values = np.maximum(function.magnitude(frequencies * function.time_unit_s), _LEAST)
             return np.asarray(math.log(self.allowed(x)) - np.log(values))
 
         objective: Callable[[Array], float] = lambda x: sign * float(x[-1])  # noqa: E731
         gradient = np.zeros(len(x))
         gradient[-1] = sign
-        step = 0.5
         answer = minimize(
             objective,
             x,
             jac=lambda _x: gradient,
-            bounds=[(value - step - abs(value), value + step + abs(value)) for value in x],
+            bounds=[(value - radius, value + radius) for value in centre],
             constraints=[{"type": "ineq", "fun": slack}],
             method="SLSQP",
             options={"ftol": 1e-12, "maxiter": 60},

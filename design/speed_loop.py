@@ -58,9 +58,30 @@ class SpeedModel:
         return DelayLoop(self.A, self.B1, np.asarray(K, dtype=float), self.B2, self.C, delay_s)
 
     def free_gains(self, feedback: Feedback) -> list[int]:
-        """Indices of the entries of K that a design may choose."""
-        first = 0 if feedback is Feedback.FULL else 1
-        return list(range(first, len(self.A)))
+        """Indices of the entries of K that a design chooses; K3 follows K2 by the integral time."""
+        return [0, 1] if feedback is Feedback.FULL else [1]
+
+    def with_entries(self, K: Array, free: ArrayLike, entries: ArrayLike) -> Array:
+        """K with other ``entries`` at the indices ``free``, its integral time K2/K3 as it was."""
+        changed = K.copy()
+        changed[np.asarray(free)] = entries
+        if self.has_integral:
+            changed[2] = K[2] * changed[1] / K[1]
+        return np.asarray(changed)
+
+    @property
+    def without_integral(self) -> "SpeedModel":
+        """The model of the two states of [Ling2012] alone."""
+        return SpeedModel(self.A[:2, :2], self.B1[:2], self.B2[:2], self.C[:2], self.state_scale[:2])
+
+    def integral_time_s(self, delay_s: float) -> float:
+        """The integral time K2/K3 that a design takes if none is given.
+
+        The norm alone would make the integral vanish: it asks only for small errors, at whatever
+        frequency. Four times the lags of the loop, its delay and its current loop, is the ratio of
+        the symmetric optimum.
+        """
+        return 4.0 * (delay_s - 1.0 / float(self.A[0, 0]))
 
 
 def speed_model(motor: PmsmParameters, integral: bool = False) -> SpeedModel:

@@ -1,0 +1,110 @@
+"""Certificates of loops with constant delay: against Theorem 3.3 as printed, the exact norm, and forgery."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from design.certificate import (
+    CLOSE_ENOUGH,
+    certified_delay_s,
+    certified_gain,
+    certified_gain_auto,
+    certified_stable,
+    proved,
+)
+from design.delay_lmi import gain_problem, scaled
+from design.delay_loop import DelayLoop
+from design.delay_norm import hinf_norm, largest_stable_delay_s
+from design.errors import NoSolution
+from design.lmi import solve
+from design.speed_loop import speed_model
+from tests.motors import AZAIZ, LING
+
+MODEL = speed_model(LING)
+PUBLISHED = MODEL.loop([0.0, -0.0212], 0.064)
+
+
+def as_printed(loop: DelayLoop, gain_scale: float) -> float:
+    """Least gain of [Ling2012] (3.10) with Y and W free, by a modelling language and without elimination."""
+    import cvxpy as cp
+
+    n = len(loop.A)
+    T = MODEL.state_scale * gain_scale
+    eta = 1.0
+    A, BK = (loop.delay_s * M * T / T[:, None] for M in (loop.A, loop.BK))
+    E, C = (loop.delay_s * loop.E / T)[:, None], (loop.C * T / gain_scale)[None, :]
+    P, Q, Z = (cp.Variable((n, n), symmetric=True) for _ in range(3))
+    Y, W = cp.Variable((n, n)), cp.Variable((n, n))
+    square = cp.Variable((1, 1))
+    zero, none = np.zeros((n, n)), np.zeros((n, 1))
+    rows = [
+        [A.T @ P + P @ A + Y + Y.T + Q + C.T @ C, P @ BK - Y + W.T, -eta * Y, P @ E, eta * A.T @ Z],
+        [(P @ BK - Y + W.T).T, -Q - W - W.T, -eta * W, none, eta * BK.T @ Z],
+        [-eta * Y.T, -eta * W.T, -eta * Z, none, zero],
+        [E.T @ P, none.T, none.T, -square, eta * E.T @ Z],
+        [eta * Z @ A, eta * Z @ BK, zero, eta * Z @ E, -eta * Z],
+    ]
+    M = cp.bmat(rows)
+    margin = 1e-8
+    m = 4 * n + 1
+    constraints = [X >> margin * np.eye(n) for X in (P, Q, Z)]
+    constraints.append(0.5 * (M + M.T) << -margin * np.eye(m))
+    problem = cp.Problem(cp.Minimize(square[0, 0]), constraints)
+    problem.solve(solver=cp.CLARABEL)
+    assert problem.status == "optimal"
+    return gain_scale * float(np.sqrt(problem.value))
+
+
+def test_order_0_is_theorem_3_3() -> None:
+    assert certified_gain(MODEL, PUBLISHED, 0).gain == pytest.approx(as_printed(PUBLISHED, 150.0), rel=2e-5)
+
+
+def test_published_design_certified() -> None:
+    """Theorem 3.3 does not give 125 for the published K at 64 ms; even the exact gain is above it."""
+    found = [certified_gain(MODEL, PUBLISHED, order) for order in range(4)]
+    assert found[0].gain == pytest.approx(135.668, rel=2e-5)
+    assert found[1].gain == pytest.approx(125.367, rel=2e-5)
+    gains = [each.gain for each in found]
+    assert all(later <= earlier * (1.0 + 1e-6) for earlier, later in itertools.pairwise(gains))
+    assert all(gain >= hinf_norm(PUBLISHED) * (1.0 - 1e-9) for gain in gains)
+    assert all(each.proof.min_margin > 0.0 for each in found)
+
+
+def test_order_is_chosen_automatically() -> None:
+    found = certified_gain_auto(MODEL, PUBLISHED)
+    assert found.order == 1
+    assert found.gain <= CLOSE_ENOUGH * hinf_norm(PUBLISHED)
+    near_limit = MODEL.loop([0.0, -0.0212], 0.15)
+    assert certified_gain_auto(MODEL, near_limit).order > 1
+
+
+def test_delay_up_to_which_stability_is_certified() -> None:
+    limits = [certified_delay_s(MODEL, PUBLISHED, order) for order in range(3)]
+    assert limits == pytest.approx([0.149206, 0.169796, 0.170361], abs=3e-6)
+    assert limits[-1] <= largest_stable_delay_s(PUBLISHED)
+    assert certified_stable(MODEL, PUBLISHED.with_delay(0.149), 0)
+    assert not certified_stable(MODEL, PUBLISHED.with_delay(0.150), 0)
+
+
+@pytest.mark.parametrize("motor", [LING, AZAIZ])
+def test_without_delay_it_is_the_ordinary_norm(motor: object) -> None:
+    model = speed_model(motor)  # type: ignore[arg-type]
+    loop = model.loop([-0.3, -0.05], 0.0)
+    assert certified_gain(model, loop, 0).gain == pytest.approx(hinf_norm(loop), rel=1e-6)
+
+
+def test_an_unstable_loop_has_no_certificate() -> None:
+    with pytest.raises(NoSolution, match="unstable"):
+        certified_gain(MODEL, MODEL.loop([0.0, -0.0212], 0.2), 0)
+
+
+@pytest.mark.parametrize("entry", [0, 3, 8, -1])
+def test_a_forged_certificate_is_refused(entry: int) -> None:
+    """The check in numpy believes nobody."""
+    problem = gain_problem(scaled(PUBLISHED, MODEL.state_scale, 140.0), 0)
+    y = solve(problem).y
+    proved(problem, y)
+    y[entry] -= 0.05 * max(abs(y[entry]), 1.0)
+    with pytest.raises(NoSolution, match="fails its check"):
+        proved(problem, y)
