@@ -2,9 +2,9 @@
 
 import itertools
 
-import numpy as np
 import pytest
 
+from design.as_printed import theorem_3_1, theorem_3_3
 from design.certificate import (
     CLOSE_ENOUGH,
     certified_delay_s,
@@ -14,7 +14,6 @@ from design.certificate import (
     proved,
 )
 from design.delay_lmi import gain_problem, scaled
-from design.delay_loop import DelayLoop
 from design.delay_norm import hinf_norm, largest_stable_delay_s
 from design.errors import NoSolution
 from design.lmi import solve
@@ -25,39 +24,16 @@ MODEL = speed_model(LING)
 PUBLISHED = MODEL.loop([0.0, -0.0212], 0.064)
 
 
-def as_printed(loop: DelayLoop, gain_scale: float) -> float:
-    """Least gain of [Ling2012] (3.10) with Y and W free, by a modelling language and without elimination."""
-    import cvxpy as cp
-
-    n = len(loop.A)
-    T = MODEL.state_scale * gain_scale
-    eta = 1.0
-    A, BK = (loop.delay_s * M * T / T[:, None] for M in (loop.A, loop.BK))
-    E, C = (loop.delay_s * loop.E / T)[:, None], (loop.C * T / gain_scale)[None, :]
-    P, Q, Z = (cp.Variable((n, n), symmetric=True) for _ in range(3))
-    Y, W = cp.Variable((n, n)), cp.Variable((n, n))
-    square = cp.Variable((1, 1))
-    zero, none = np.zeros((n, n)), np.zeros((n, 1))
-    rows = [
-        [A.T @ P + P @ A + Y + Y.T + Q + C.T @ C, P @ BK - Y + W.T, -eta * Y, P @ E, eta * A.T @ Z],
-        [(P @ BK - Y + W.T).T, -Q - W - W.T, -eta * W, none, eta * BK.T @ Z],
-        [-eta * Y.T, -eta * W.T, -eta * Z, none, zero],
-        [E.T @ P, none.T, none.T, -square, eta * E.T @ Z],
-        [eta * Z @ A, eta * Z @ BK, zero, eta * Z @ E, -eta * Z],
-    ]
-    M = cp.bmat(rows)
-    margin = 1e-8
-    m = 4 * n + 1
-    constraints = [X >> margin * np.eye(n) for X in (P, Q, Z)]
-    constraints.append(0.5 * (M + M.T) << -margin * np.eye(m))
-    problem = cp.Problem(cp.Minimize(square[0, 0]), constraints)
-    problem.solve(solver=cp.CLARABEL)
-    assert problem.status == "optimal"
-    return gain_scale * float(np.sqrt(problem.value))
+def test_order_0_is_theorem_3_3_as_printed() -> None:
+    """With Y and W free, and through a modelling language."""
+    printed = theorem_3_3(PUBLISHED, MODEL.state_scale, 150.0)
+    assert certified_gain(MODEL, PUBLISHED, 0).gain == pytest.approx(printed, rel=2e-5)
 
 
-def test_order_0_is_theorem_3_3() -> None:
-    assert certified_gain(MODEL, PUBLISHED, 0).gain == pytest.approx(as_printed(PUBLISHED, 150.0), rel=2e-5)
+@pytest.mark.parametrize("delay_s", [0.10, 0.149, 0.150, 0.165])
+def test_order_0_is_theorem_3_1_as_printed(delay_s: float) -> None:
+    loop = PUBLISHED.with_delay(delay_s)
+    assert certified_stable(MODEL, loop, 0) == theorem_3_1(loop, MODEL.state_scale)
 
 
 def test_published_design_certified() -> None:
