@@ -191,9 +191,13 @@ def _decayed(x: float) -> float:
 def _flow(
     x: NDArray[np.float64], a: float, b: float, c: float, g: float, u: float, d: float, t: float,
     E_a: float, E_b: float,
-) -> None:  # fmt: skip
-    """x = [e_q, e, q] after ``t`` with u and d held; E_a = e^{-at}, E_b = e^{-bt}."""
-    off = x[0] - u
+) -> float:  # fmt: skip
+    """x = [e_q, e, q] after ``t`` with u and d held, and the largest |e| on the way.
+
+    E_a = e^{-at}, E_b = e^{-bt}.
+    """
+    e_q, e = x[0], x[1]
+    slope, off = c * e_q - b * e + g * d, e_q - u
     phi = _rest(b, t, E_b)
     bt = b * t
     psi = t * t * (0.5 - bt / 6.0) if bt < _SMALL else (t - phi) / b
@@ -202,6 +206,28 @@ def _flow(
     x[2] += x[1] * phi + drive * psi + mix * ((1.0 - E_a) / a - phi)
     x[1] = x[1] * E_b + drive * phi + mix * (E_a - E_b)
     x[0] = u + off * E_a
+    top: float = max(abs(e), abs(x[1]))
+    if slope * (c * x[0] - b * x[1] + g * d) < 0.0:
+        top = max(top, _summit(e_q, e, a, b, c, g, u, d, t, slope))
+    return top
+
+
+@_kernel
+def _summit(
+    e_q: float, e: float, a: float, b: float, c: float, g: float, u: float, d: float, t: float, slope: float
+) -> float:
+    """|e| where its slope, ``slope`` at the start, passes through zero before ``t``."""
+    low, high, top = 0.0, t, e
+    off, drive = e_q - u, c * u + g * d
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        E_a, E_b = math.exp(-a * middle), math.exp(-b * middle)
+        top = e * E_b + drive * _rest(b, middle, E_b) + c * off / (b - a) * (E_a - E_b)
+        if slope * (c * (u + off * E_a) - b * top + g * d) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return abs(top)
 
 
 @_kernel
@@ -224,11 +250,11 @@ def _run(
     E_ao, E_bo = math.exp(-a * offset), math.exp(-b * offset)
     values, came = np.zeros(behind + 1), np.zeros(behind + 1, np.bool_)
     x = np.zeros(3)
-    held, peak, lost = 0.0, 0.0, 0
+    held, lost = 0.0, 0
     state += golden
     # the load steps somewhere in the first period; at rest nothing else has happened before
     late = h * _even(_mixed(state))
-    _flow(x, a, b, c, g, 0.0, load, h - late, math.exp(-a * (h - late)), math.exp(-b * (h - late)))
+    peak = _flow(x, a, b, c, g, 0.0, load, h - late, math.exp(-a * (h - late)), math.exp(-b * (h - late)))
     for k in range(steps):
         slot = k % (behind + 1)
         values[slot] = K[0] * x[0] + K[1] * x[1] + K[2] * x[2]
@@ -242,20 +268,17 @@ def _run(
             at = T * _even(_mixed(state))
             if delivered:
                 E_a, E_b = math.exp(-a * at), _decayed(b * at)
-                _flow(x, a, b, c, g, held, load, at, E_a, E_b)
-                peak = max(peak, abs(x[1]))
+                peak = max(peak, _flow(x, a, b, c, g, held, load, at, E_a, E_b))
                 held = values[slot]
-                _flow(x, a, b, c, g, held, load, h - at, E_ah / E_a, E_bh / E_b)
+                peak = max(peak, _flow(x, a, b, c, g, held, load, h - at, E_ah / E_a, E_bh / E_b))
             else:
-                _flow(x, a, b, c, g, held, load, h, E_ah, E_bh)
+                peak = max(peak, _flow(x, a, b, c, g, held, load, h, E_ah, E_bh))
         elif k >= behind and came[oldest]:
-            _flow(x, a, b, c, g, held, load, offset, E_ao, E_bo)
-            peak = max(peak, abs(x[1]))
+            peak = max(peak, _flow(x, a, b, c, g, held, load, offset, E_ao, E_bo))
             held = values[oldest]
-            _flow(x, a, b, c, g, held, load, h - offset, E_ah / E_ao, E_bh / E_bo)
+            peak = max(peak, _flow(x, a, b, c, g, held, load, h - offset, E_ah / E_ao, E_bh / E_bo))
         else:
-            _flow(x, a, b, c, g, held, load, h, E_ah, E_bh)
-        peak = max(peak, abs(x[1]))
+            peak = max(peak, _flow(x, a, b, c, g, held, load, h, E_ah, E_bh))
         if not peak < limit:
             return np.inf, np.inf
     return peak, abs(x[1])

@@ -90,6 +90,13 @@ def simulated(x: np.ndarray, u: float, time_s: float) -> np.ndarray:
     return np.asarray((expm(M * time_s) @ np.append(x, u))[:2])
 
 
+def simulated_with_load(x: np.ndarray, u: float, time_s: float) -> np.ndarray:
+    """The same under a load of 1 N m."""
+    M = np.zeros((4, 4))
+    M[:2, :2], M[:2, 2], M[:2, 3] = MODEL.A, MODEL.B1, MODEL.B2
+    return np.asarray((expm(M * time_s) @ np.append(x, [u, 1.0]))[:2])
+
+
 def test_figures_of_the_published_loop(analyses: dict[Strategy, SampledAnalysis]) -> None:
     """Decay to 1e-4 and gain to 1e-3 of another program's."""
     assert analyses[Strategy.HISTORY].decay_per_s == pytest.approx(7.7502, rel=1e-4)
@@ -213,6 +220,23 @@ class TestMonteCarlo:
         static = 0.6 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * K[1])
         assert outcomes.ends_rad_s == pytest.approx(np.full(50, static), rel=1e-6)
         assert outcomes.diverged.value == 0.0
+
+    def test_the_peak_between_two_samples_is_not_missed(self) -> None:
+        """At a long period the error turns inside it: against a simulation in small steps."""
+        slow, late = 0.03, []
+        net = SampledNetwork(Strategy.ARRIVAL, slow, 0, 0.0)
+        chance = Chance(runs=400, seed=4, duration_s=0.3, loss_probability=0.0)
+        for phase in np.linspace(0.0, slow, 25):
+            x, held, peak = np.zeros(2), 0.0, 0.0
+            for k in range(11):
+                for _ in range(60):
+                    x = simulated_with_load(x, held, slow / 60 if k else (slow - phase) / 60)
+                    peak = max(peak, abs(x[1]))
+                held = float(K @ x)
+            late.append(peak)
+        peaks = run_many(LING, K, net, chance).peaks_rad_s
+        assert peaks.min() == pytest.approx(min(late), rel=2e-3)
+        assert peaks.max() == pytest.approx(max(late), rel=2e-3)
 
     @pytest.mark.parametrize("strategy", list(Strategy))
     def test_same_seed_same_runs(self, strategy: Strategy) -> None:
