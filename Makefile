@@ -15,6 +15,8 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
+PEERS   ?= .venv-bench
+
 RUNTIME := $(VENV)/.runtime
 TOOLS   := $(VENV)/.tools
 
@@ -80,8 +82,16 @@ test: $(TOOLS) compile
 test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
 
-bench: $(TOOLS) compile
-	@for file in tests/benchmarks/bench_*.py; do $(BIN)/python "$$file" || exit; done
+# What the benchmarks compare with has an environment of its own, and nothing else needs it.
+$(PEERS)/.installed: requirements-bench.lock | $(BIN)/python
+	@echo "Setting up $(PEERS): the simulators that the benchmarks compare with"
+	@{ $(PYTHON) -m venv $(PEERS) && \
+	   $(PEERS)/bin/pip install --quiet --require-hashes -r requirements-bench.lock && touch $@; } || { \
+	  rm -rf $(PEERS); echo "They cannot be installed here; the benchmarks go on without them" >&2; }
+
+bench: $(TOOLS) compile $(PEERS)/.installed
+	@for file in tests/benchmarks/bench_*.py; do \
+	  echo; echo "python $$file"; SERVOBENCH_PEERS=$(PEERS)/bin/python $(BIN)/python "$$file" || exit; done
 
 # The build backend is in the lock too: the editable install runs without build isolation.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
@@ -91,8 +101,9 @@ BACKEND = import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["bui
 lock: $(TOOLS)
 	$(BIN)/python -c '$(BACKEND)' | $(COMPILE) -o requirements.lock pyproject.toml -
 	$(COMPILE) --group dev -c requirements.lock -o requirements-dev.lock
+	$(COMPILE) --group bench -o requirements-bench.lock
 
 clean:
 	find design drivers hil virtual_bus -name '*.so' -delete
 	rm -f drivers/compiled.json
-	rm -rf $(VENV) build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -25,17 +25,22 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_pump link nmt readings servo setpoint"),
+    *_below("drivers", "exchange frame_port frame_pump link nmt readings servo setpoint"),
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
-    *_below("virtual_bus", "device faults frame hosting pacing segment servo timeline"),
-    *_below("virtual_bus/can_bus", "arbitration bit_length bus_load filters host_port"),
+    *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
+    *_below("virtual_bus/can_bus", "arbitration bit_length bus_load controller error_frame error_handling"),
+    *_below("virtual_bus/can_bus", "error_state filters frame_image host_port inbox listener trial"),
     *_below("virtual_bus/canopen_device", "application device_clock heartbeat object_dictionary"),
     *_below(
         "virtual_bus/canopen_device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"
     ),
-    *_below("virtual_bus/fault_injection", "fault_log fault_streams logged_fates special_faults"),
-    *_below("virtual_bus/servo_drive", "firmware operation_modes power_state servo_parameters"),
+    *_below("virtual_bus/fault_injection", "fates fault_log fault_streams special_faults strikes"),
+    *_below("virtual_bus/servo_drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),
+    *_below("virtual_bus/servo_drive", "homing_methods machine operation_mode operation_modes power_state"),
+    *_below("virtual_bus/servo_drive", "profile_position profile_torque profile_velocity"),
+    *_below("virtual_bus/servo_drive", "servo_parameters slow_values"),
+    *_below("virtual_bus/servo_drive", "trajectory user_units"),
 ]
 """What runs in every cycle of the loop or of a simulated drive."""
 
@@ -66,6 +71,9 @@ def extensions() -> list[Extension]:
     for extension in made:
         # A fused multiply-add, where the processor has it, would change the last bit of a result.
         extension.extra_compile_args.append("-ffp-contract=off")
+        if sys.platform == "linux":
+            # Calls among the modules go through no table that another library could change: 4 % of the time.
+            extension.extra_compile_args += ["-fvisibility=hidden", "-fno-semantic-interposition", "-fno-plt"]
     return made
 
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from design.errors import InfeasibleDesign, SingularPlant
 from design.hinf import gamma_min, synthesise, verified_norm
 from design.margins import Margins, margins
 from design.mixed_sensitivity import axis_plant, mixed_sensitivity
@@ -68,12 +69,29 @@ def design_axis(motor: PmsmParameters, axis: str, weights: Weights, gamma: float
     G = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
     plant = mixed_sensitivity(G, weights)
     least = gamma_min(plant)
-    return describe(G, weights, synthesise(plant, gamma).controller, least)
+    K = synthesise(plant, gamma).controller
+    if not complementary(G, K).is_stable():
+        raise SingularPlant(
+            "A2",
+            f"nearly broken: w2 has a gain of {weights.control.high:.3g} at high frequency, and rounding "
+            "leaves an unstable loop",
+            "give w2 a larger gain at high frequency",
+        )
+    return describe(G, weights, K, least)
 
 
 def describe(G: StateSpace, weights: Weights, K: StateSpace, least: float) -> AxisDesign:
-    """The figures of ``K`` on ``G``; ``least``: gamma_min of the full-order problem."""
+    """The figures of ``K`` on ``G``; ``least``: gamma_min of the full-order problem.
+
+    Raises InfeasibleDesign for a loop that is not stable.
+    """
     T = complementary(G, K)
+    if not T.is_stable():
+        raise InfeasibleDesign(
+            f"a controller of order {K.order}",
+            "its loop is unstable",
+            "keep more states, or residualise instead of truncating",
+        )
     return AxisDesign(
         plant=G,
         weights=weights,

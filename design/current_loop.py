@@ -5,6 +5,7 @@ design for the sampled plant itself, with its hold and delay, in the bilinear pl
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,8 +38,8 @@ def tustin(system: StateSpace, rate_hz: float, exact_at_rad_s: float = 0.0) -> S
     period_s = 1.0 / rate_hz
     if not 0.0 <= exact_at_rad_s * period_s < math.pi:
         raise ValueError(
-            f"a rate of {rate_hz:g} Hz is too low for a loop that crosses at {exact_at_rad_s:g} rad/s: "
-            f"more than {exact_at_rad_s / math.pi:.3g} Hz expected"
+            f"more than {exact_at_rad_s / math.pi:.3g} Hz, for the loop crosses at {exact_at_rad_s:.4g} "
+            "rad/s; sample faster, or lower the crossing of w1"
         )
     half = 0.5 * period_s
     if exact_at_rad_s > 0.0:
@@ -123,19 +124,26 @@ def lowest_rate_hz(
         found = sampled_figures(G, tustin(K, rate_hz, crossover_rad_s), delay_samples)
         return found.spectral_radius < 1.0 and found.margins.modulus_margin >= modulus_margin
 
-    high = RATE_MAX_HZ
-    if not holds(high):
+    found = lowest_rate(holds, 1e-3)
+    if found is None:
         best = margins(series(G, K)).modulus_margin
         raise InfeasibleDesign(
             f"a modulus margin of {modulus_margin:g}",
             f"the continuous loop has {best:.4f}",
             "ask for less, or lower the crossing of w1",
         )
-    low = high
+    return found
+
+
+def lowest_rate(holds: Callable[[float], bool], relative: float) -> float | None:
+    """The lowest rate, Hz, at and above which ``holds``; None if not even at ``RATE_MAX_HZ``."""
+    low = high = RATE_MAX_HZ
+    if not holds(high):
+        return None
     while low > 10.0 and holds(low / 1.25):  # downwards, so that it holds at every rate above
         low /= 1.25
     high, low = low, low / 1.25
-    while high / low > 1.001:
+    while high / low > 1.0 + relative:
         middle = math.sqrt(low * high)
         low, high = (low, middle) if holds(middle) else (middle, high)
     return high

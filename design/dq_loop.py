@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from design.current_loop import lowest_rate, tustin
 from design.motor import PmsmParameters
 from design.statespace import Array, StateSpace, append
 
@@ -86,6 +87,30 @@ def closed_loop_matrix(
     M[waiting : 2 + waiting, :2] = voltage_of_current
     M[waiting : 2 + waiting, 2 + waiting :] = K.C
     return M
+
+
+def lowest_coupled_rate_hz(
+    motor: PmsmParameters,
+    K_d: StateSpace,
+    K_q: StateSpace,
+    crossovers_rad_s: tuple[float, float],
+    speed_max_rad_s: float,
+    delay_samples: int,
+) -> float | None:
+    """The lowest rate, to 1 %, at and above which Tustin's ``K_d`` and ``K_q`` are stable up to that speed.
+
+    With right decoupling and angle advance, seen at six speeds. None: not even at ``RATE_MAX_HZ``.
+    """
+    speeds = np.linspace(0.0, speed_max_rad_s, 6)
+    decoupling = nominal_decoupling(motor, delay_samples)
+
+    def holds(rate_hz: float) -> bool:
+        if rate_hz <= 1.05 * max(crossovers_rad_s) / np.pi:
+            return False
+        d, q = (tustin(K, rate_hz, at) for K, at in zip((K_d, K_q), crossovers_rad_s, strict=True))
+        return bool(spectral_radius(motor, d, q, speeds, decoupling, delay_samples).max() < 1.0)
+
+    return lowest_rate(holds, 0.01)
 
 
 def spectral_radius(

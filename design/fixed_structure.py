@@ -3,7 +3,8 @@
 The objective max over w of the largest singular value of [w1 S; w2 K S; w3 T] is neither smooth nor
 convex in the controller's coefficients. It is solved as a smooth problem with many constraints (minimise t
 with the value at each frequency below t, by sequential quadratic programming), frequencies being added
-where the true peak shows, from several starts; the last word is the H-infinity norm itself.
+where the true peak shows, from several starts; the last word is the H-infinity norm itself. Time is
+counted in the plant's own L/r, so that a motor's size changes nothing.
 """
 
 import math
@@ -23,7 +24,7 @@ from design.system_norm import hinf_norm
 from design.weights import Weights
 
 _BAD = 1e3
-_ROUNDS = 4
+_ROUNDS = 6
 
 
 class Structure(Enum):
@@ -33,7 +34,7 @@ class Structure(Enum):
     """k (s + a)/s"""
     PI_POLE = "pi+pole"
     """k (s + a)/(s (s/p + 1))"""
-    THIRD = "third"
+    THIRD = "third-order"
     """k (s + a)(s + b)/(s (s^2 + 2 d w s + w^2)), the form of [Azaiz2007] (71)"""
 
 
@@ -77,17 +78,20 @@ def tune(G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: 
     """
     plant = mixed_sensitivity(G, weights)
     corner, gain = -float(G.A[0, 0]), float((G.C @ G.B)[0, 0])
+    slow = _Scaled.of(G, weights, corner)
     best: FixedDesign | None = None
     for factor in (0.25, 0.5, 1.0, 2.0):
-        k = factor * crossing_rad_s / gain
-        fast = max(20.0 * crossing_rad_s, corner)
+        crossing = crossing_rad_s / corner
+        k = factor * crossing * corner / gain
+        fast, high = max(20.0 * crossing, 1.0), weights.control.pole_rad_s / corner
         starts = {
-            Structure.PI: [k, corner],
-            Structure.PI_POLE: [k, corner, fast],
-            Structure.THIRD: [k * fast**2 / 5e4, corner, 5e4, fast, 1.0],
+            Structure.PI: [k, 1.0],
+            Structure.PI_POLE: [k, 1.0, fast],
+            Structure.THIRD: [k * fast**2 / high, 1.0, high, fast, 1.0],
         }
-        theta = _minimax(G, weights, structure, np.log(starts[structure]))
-        K = from_zpk(*_FORMS[structure](theta))
+        zeros, poles, scaled = _FORMS[structure](_minimax(slow, structure, np.log(starts[structure])))
+        rise = corner ** (len(poles) - len(zeros))
+        K = from_zpk([z * corner for z in zeros], [p * corner for p in poles], scaled * rise)
         norm = hinf_norm(closed_loop(plant, K)).gain
         if math.isfinite(norm) and (best is None or norm < best.gamma):
             best = FixedDesign(structure, K, norm)
@@ -100,10 +104,31 @@ def tune(G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: 
     return best
 
 
-def _minimax(G: StateSpace, weights: Weights, structure: Structure, start: Array) -> Array:
-    omega = np.logspace(-3, 6, 91)
-    fine = np.logspace(-3, 7, 2001)
-    systems = (G, *(weight.system for weight in (weights.error, weights.control, weights.output)))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scaled:
+    """G, w1, w2 and w3 in the time 1/``rate``; the slowest and fastest rate among them, in that time."""
+
+    systems: tuple[StateSpace, ...]
+    rate: float
+    slowest: float
+    fastest: float
+
+    @classmethod
+    def of(cls, G: StateSpace, weights: Weights, rate: float) -> "_Scaled":
+        parts = (weights.error, weights.control, weights.output)
+        rates = np.array([x for w in parts for x in (w.zero_rad_s, w.pole_rad_s)]) / rate
+        systems = (G, *(weight.system for weight in parts))
+        return cls(systems, rate, float(rates.min()), float(rates.max()))
+
+    def responses(self, omega: Array) -> list[ComplexArray]:
+        """Each (k,)."""
+        return [system.response(omega * self.rate)[:, 0, 0] for system in self.systems]
+
+
+def _minimax(problem_of: _Scaled, structure: Structure, start: Array) -> Array:
+    ends = math.log10(problem_of.slowest) - 1.0, math.log10(problem_of.fastest)
+    omega = np.logspace(*ends, int(10 * (ends[1] - ends[0])))
+    fine = np.logspace(*ends, int(200 * (ends[1] - ends[0])))
     theta = start
 
     def values(theta: Array, grid: Array, responses: list[ComplexArray]) -> Array:
@@ -116,9 +141,9 @@ def _minimax(G: StateSpace, weights: Weights, structure: Structure, start: Array
             np.sqrt(np.abs(w1 * S) ** 2 + np.abs(w2 * K * S) ** 2 + np.abs(w3 * g * K * S) ** 2)
         )
 
-    on_fine = [system.response(fine)[:, 0, 0] for system in systems]
+    on_fine = problem_of.responses(fine)
     for _ in range(_ROUNDS):
-        responses = [system.response(omega)[:, 0, 0] for system in systems]
+        responses = problem_of.responses(omega)
         level = float(values(theta, omega, responses).max())
         problem: dict[str, Any] = {
             "type": "ineq",

@@ -13,15 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.errors import InfeasibleDesign
+from design.errors import InfeasibleDesign, SingularPlant
 from design.hinf_plant import GeneralisedPlant, NormalPlant, normal_form
-from design.riccati import RiccatiSolution, is_positive_semidefinite, stabilising_solution
+from design.riccati import LongArray, RiccatiSolution, is_positive_semidefinite, stabilising_solution
 from design.statespace import Array, StateSpace, connect, lower_lft
 from design.system_norm import hinf_norm
 
 GAMMA_MIN_RELATIVE = 1e-10
 """How far apart, relative, the last feasible and the last infeasible gamma of the bisection are."""
 _DOUBLINGS_MAX = 60
+_TWO = np.longdouble(2)
+_ERROR_MAX = 0.02
+"""Relative error of X or Y beyond which no figure is given, but the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +75,7 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
             f"gamma_min is {least:.9g} ({found})",
             "take a larger gamma, or relax the weights",
         )
+    _require_accurate(found)
     return _controllers(normal, gamma, found, plant.controls)
 
 
@@ -102,7 +106,24 @@ def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> 
             low = middle
         else:
             high = middle
+    beside = _feasible(normal, high * (1.0 + 1e-4))
+    if not isinstance(beside, str):
+        _require_accurate(beside)
     return high
+
+
+def _require_accurate(found: _Feasible) -> None:
+    """Raises SingularPlant where rounding leaves X or Y without true digits."""
+    for solution, name, assumption, end in (
+        (found.X, "X", "A2 or A3", "control a larger direct weight, D12"),
+        (found.Y, "Y", "A2 or A4", "measurement a larger direct disturbance, D21"),
+    ):
+        if solution.error > _ERROR_MAX:
+            raise SingularPlant(
+                assumption,
+                f"nearly broken: {name} is known to {solution.error:.1g} of itself only",
+                f"give every {end}, or move modes that lie more than ten decades apart together",
+            )
 
 
 def closed_loop(plant: GeneralisedPlant, controller: StateSpace) -> StateSpace:
@@ -135,39 +156,45 @@ def _feasible(normal: NormalPlant, gamma: float) -> _Feasible | str:
     Ds1 = np.vstack([normal.D11, np.eye(normal.D11.shape[1])[-p2:]])
     B, C = np.hstack([normal.B1, normal.B2]), np.vstack([normal.C1, normal.C2])
     X, F = _control_side(normal.A, B, normal.C1, D1s, gamma, normal.B1.shape[1])
-    if X is None or not is_positive_semidefinite(X.X, _noise(normal.A, normal.C1)):
+    if X is None or not is_positive_semidefinite(X):
         return "condition (b): no stabilising X >= 0"
     Y, Lt = _control_side(normal.A.T, C.T, normal.B1.T, Ds1.T, gamma, len(normal.C1))
-    if Y is None or not is_positive_semidefinite(Y.X, _noise(normal.A, normal.B1)):
+    if Y is None or not is_positive_semidefinite(Y):
         return "condition (b): no stabilising Y >= 0"
-    radius = float(np.abs(np.linalg.eigvals(X.X @ Y.X)).max(initial=0.0))
+    product = np.asarray(X.X @ Y.X, dtype=float)
+    radius = float(np.abs(np.linalg.eigvals(product)).max(initial=0.0))
     if radius >= gamma**2:
         return "condition (b): the spectral radius of X Y"
     return _Feasible(X, Y, F, Lt.T)
-
-
-def _noise(A: Array, ends: Array) -> float:
-    """Size of a rounding error of X (Y): 1e-13 of what all of C1 (B1) would give without control."""
-    return 1e-13 * float(np.linalg.norm(ends)) ** 2 / max(float(np.linalg.norm(A)), 1e-300)
 
 
 def _control_side(
     A: Array, B: Array, C1: Array, D: Array, gamma: float, disturbances: int
 ) -> tuple[RiccatiSolution | None, Array]:
     """X of (18) and F of (20); with A', C', B1' and Ds1' for their arguments: Y of (19) and L' of (21)."""
-    R = D.T @ D
-    R[:disturbances, :disturbances] -= gamma**2 * np.eye(disturbances)
+    a, b, c, d = (np.asarray(part, dtype=np.longdouble) for part in (A, B, C1, D))
+    R = d.T @ d
+    R[:disturbances, :disturbances] -= np.longdouble(gamma) ** 2 * np.eye(disturbances)
     try:
-        cross, inputs = np.linalg.solve(R, D.T @ C1), np.linalg.solve(R, B.T)
+        inverse = _inverse(R)
     except np.linalg.LinAlgError:
         return None, np.zeros((0, 0))
-    E = A - B @ cross
-    W = B @ inputs
-    Q = C1.T @ C1 - C1.T @ D @ cross
-    solution = stabilising_solution(E, 0.5 * (W + W.T), 0.5 * (Q + Q.T))
+    cross, inputs = inverse @ (d.T @ c), inverse @ b.T
+    W: LongArray = b @ inputs
+    Q: LongArray = c.T @ c - c.T @ d @ cross
+    terms = np.abs(C1.T) @ np.abs(C1) + np.abs(C1.T @ D) @ np.abs(np.asarray(cross, dtype=float))
+    solution = stabilising_solution(a - b @ cross, (W + W.T) / _TWO, (Q + Q.T) / _TWO, terms)
     if solution is None:
         return None, np.zeros((0, 0))
-    return solution, -(cross + inputs @ solution.X)
+    return solution, np.asarray(-(cross + inputs @ solution.X), dtype=float)
+
+
+def _inverse(R: LongArray) -> LongArray:
+    """R^-1 in extended precision: the one in double precision and two steps of Newton and Schulz."""
+    inverse = np.asarray(np.linalg.inv(np.asarray(R, dtype=float)), dtype=np.longdouble)
+    for _ in range(2):
+        inverse = inverse @ (2.0 * np.eye(len(R)) - R @ inverse)
+    return inverse
 
 
 def _controllers(normal: NormalPlant, gamma: float, found: _Feasible, controls: int) -> Synthesis:
@@ -177,7 +204,7 @@ def _controllers(normal: NormalPlant, gamma: float, found: _Feasible, controls: 
     D11_hat, D12_hat, D21_hat = _direct_gains(normal.D11, gamma, m2, p2)
     F12, F2 = found.F[m1 - p2 : m1], found.F[m1:]
     L12, L2 = found.L[:, p1 - m2 : p1], found.L[:, p1:]
-    Z = np.linalg.inv(np.eye(len(normal.A)) - found.Y.X @ found.X.X / gamma**2)
+    Z = np.linalg.inv(np.asarray(np.eye(len(normal.A)) - found.Y.X @ found.X.X / gamma**2, dtype=float))
     B2_hat = Z @ (normal.B2 + L12) @ D12_hat
     C2_hat = -D21_hat @ (normal.C2 + F12)
     B1_hat = -Z @ L2 + B2_hat @ np.linalg.solve(D12_hat, D11_hat)
@@ -201,8 +228,8 @@ def _controllers(normal: NormalPlant, gamma: float, found: _Feasible, controls: 
         gamma=gamma,
         controller=generator.part(slice(0, m2), slice(0, p2)),
         generator=generator,
-        X=found.X.X,
-        Y=found.Y.X,
+        X=np.asarray(found.X.X, dtype=float),
+        Y=np.asarray(found.Y.X, dtype=float),
         state_feedback_modes=found.X.closed_loop * rate,
         observer_modes=found.Y.closed_loop * rate,
         controls=controls,

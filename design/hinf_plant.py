@@ -11,14 +11,15 @@ A4  [A - jwI, B1; C2, D21] of full row rank for all w
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from design.errors import SingularPlant
-from design.statespace import Array, StateSpace, balanced
+from design.statespace import Array, ComplexArray, StateSpace, balanced
 
 _RANK = 1e-11
 """A singular value below this part of the largest one counts as zero."""
-_SAME = 1e-10
-"""Real parts below this part of the fastest mode count as zero."""
+_ROUNDED = 1e-13
+"""Relative error of a matrix' entries that its eigenvalues must be told apart in spite of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,9 +154,8 @@ def _deficient(matrix: Array) -> bool:
 def _check_modes(system: StateSpace, plant: GeneralisedPlant, rate: float) -> None:
     """A1 by the test of Popov, Belevitch and Hautus at every mode that does not decay by itself."""
     A = system.A
-    values = np.linalg.eigvals(A)
-    floor = _SAME * np.abs(values).max(initial=0.0)
-    for value in values[values.real >= -floor]:
+    values, errors = _modes(A)
+    for value in values[values.real >= -errors]:
         pencil = A - value * np.eye(len(A))
         mode = f"the mode at s = {_text(value * rate)} 1/s"
         if _deficient(np.hstack([pencil, system.B[:, plant.u]])):
@@ -197,11 +197,24 @@ def _check_axis(normal: NormalPlant) -> None:
         )
 
 
+def _modes(A: Array) -> tuple[ComplexArray, Array]:
+    """Eigenvalues of A, (n,), and how far each may move when every entry of A is off by ``_ROUNDED``.
+
+    |y|' |A| |x| / |y' x| with its eigenvectors: small for a slow mode that stands apart from the fast ones,
+    however fast these are, and large for one that is defective.
+    """
+    if not len(A):
+        return np.zeros(0, dtype=complex), np.zeros(0)
+    values, left, right = scipy.linalg.eig(A, left=True, right=True)
+    spread = np.einsum("ik,ij,jk->k", np.abs(left), np.abs(A), np.abs(right))
+    across = np.abs(np.einsum("ik,ik->k", left.conj(), right))
+    return values, _ROUNDED * spread / np.maximum(across, 1e-30)
+
+
 def _hidden_on_axis(A: Array, C: Array) -> float | None:
     """|w| of a mode of A on the imaginary axis that C does not show, or None."""
-    values = np.linalg.eigvals(A)
-    floor = _SAME * np.abs(values).max(initial=0.0)
-    for value in values[np.abs(values.real) <= floor]:
+    values, errors = _modes(A)
+    for value in values[np.abs(values.real) <= errors]:
         if _deficient(np.hstack([(A - 1j * value.imag * np.eye(len(A))).T, C.T])):
             return float(abs(value.imag))
     return None

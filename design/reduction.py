@@ -63,9 +63,7 @@ def hankel_singular_values(system: StateSpace) -> Array:
 def reduce(system: StateSpace, order: int, method: Method = Method.TRUNCATE) -> StateSpace:
     """``system`` with ``order`` states. Error: ValueError for an unstable system or an order out of range."""
     if not 0 < order < system.order:
-        raise ValueError(
-            f"order {order}: 1..{system.order - 1} expected, the system has {system.order} states"
-        )
+        raise ValueError(f"fewer states than the {system.order} of the controller, and one at least")
     if method is Method.PAPER:
         return _paper(system, order)
     even = balanced(system)
@@ -102,6 +100,6 @@ def paper_rule(system: StateSpace) -> Zpk:
 
 def _paper(system: StateSpace, order: int) -> StateSpace:
     if order != system.order - 1:
-        raise ValueError(f"order {order}: the paper's rule takes one state away, {system.order - 1} expected")
+        raise ValueError(f"{system.order - 1} states: the paper's rule takes one away")
     reduced = paper_rule(system)
     return from_zpk(reduced.zeros, reduced.poles, reduced.gain)

@@ -235,8 +235,14 @@ def state_scales(system: StateSpace) -> Array:
     row = np.max(np.abs(system.C), axis=0, initial=0.0)
     framed = np.zeros((n + 1, n + 1))
     framed[:n, :n], framed[:n, n], framed[n, :n] = np.abs(system.A), column, row
-    _, (scale, _) = scipy.linalg.matrix_balance(framed, permute=False, separate=True)
+    scale = balancing_scales(framed)
     return np.asarray(scale[:n] / scale[n], dtype=float)
+
+
+def balancing_scales(matrix: Array) -> Array:
+    """(n,) powers of two t for which diag(1/t) ``matrix`` diag(t) has rows and columns of like size."""
+    _, _, _, scale, _ = scipy.linalg.lapack.dgebal(matrix, scale=1, permute=0)
+    return np.asarray(scale, dtype=float)
 
 
 def balanced(system: StateSpace) -> StateSpace:
@@ -262,7 +268,7 @@ def zeros(system: StateSpace) -> ComplexArray:
     while len(A):
         through_states = np.linalg.norm(B) * np.linalg.norm(C) / (np.linalg.norm(A) or math.inf)
         if abs(D[0, 0]) > _DIRECT * through_states:
-            values = np.linalg.eigvals(_rebalanced(A - B @ C / D[0, 0]))
+            values = np.linalg.eigvals(rebalanced(A - B @ C / D[0, 0]))
             return np.asarray(values[np.argsort(np.abs(values), kind="stable")], dtype=complex)
         if not np.any(C):
             break
@@ -271,8 +277,10 @@ def zeros(system: StateSpace) -> ComplexArray:
     return np.zeros(0, dtype=complex)
 
 
-def _rebalanced(A: Array) -> Array:
-    return np.asarray(scipy.linalg.matrix_balance(A, permute=False)[0], dtype=float)
+def rebalanced(A: Array) -> Array:
+    """``A`` in states scaled by :func:`balancing_scales`: the same eigenvalues, told more exactly."""
+    scale = balancing_scales(A)
+    return np.asarray(A * scale / scale[:, None], dtype=float)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from design.statespace import Array, StateSpace, balanced
+from design.statespace import Array, StateSpace, balanced, rebalanced
 
 _NEAR_AXIS = 1e-5
 """|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
@@ -108,7 +108,7 @@ def _crossings(system: StateSpace, level: float) -> Array:
     E = A + BR @ D.T @ C
     S = np.eye(len(D)) + D @ np.linalg.solve(R, D.T)
     H = np.block([[E, BR @ B.T], [-C.T @ S @ C, -E.T]])
-    values = np.linalg.eigvals(scipy.linalg.matrix_balance(H, permute=False)[0])
+    values = np.linalg.eigvals(rebalanced(H))
     near = np.abs(values.real) <= _NEAR_AXIS * np.abs(values)
     return np.unique(np.abs(values[near].imag))
 

@@ -22,11 +22,22 @@ class Weight:
     pole_rad_s: float
 
     def __post_init__(self) -> None:
-        """Error: ValueError for a weight that is not stable and of minimum phase."""
-        if not (self.high > 0.0 and self.zero_rad_s > 0.0 and self.pole_rad_s > 0.0):
+        """Error: ValueError, naming the assumption that it breaks, for a weight out of its range."""
+        shown = f"{self.high:g} (s + {self.zero_rad_s:g})/(s + {self.pole_rad_s:g})"
+        if not self.high > 0.0:
             raise ValueError(
-                f"weight {self.high:g} (s + {self.zero_rad_s:g})/(s + {self.pole_rad_s:g}): all above 0 "
-                "expected; an integrator in a weight cannot be stabilised from the loop (A1)"
+                f"weight {shown} breaks A2: it vanishes at high frequency, so that nothing is weighed there "
+                "(D12 of w2 is 0); give it a gain above 0 there"
+            )
+        if not self.pole_rad_s > 0.0:
+            raise ValueError(
+                f"weight {shown} breaks A1: it is not stable, and nothing in the loop can stabilise it; give "
+                "it a pole above 0 rad/s, for an integrator a slow one (static error above 0)"
+            )
+        if not self.zero_rad_s > 0.0:
+            raise ValueError(
+                f"weight {shown} breaks A3: it has a zero at or beyond the imaginary axis, where it weighs "
+                "nothing; give it a zero above 0 rad/s"
             )
 
     @property
@@ -58,6 +69,11 @@ def crossing_weight(low: float, high: float, crossing_rad_s: float) -> Weight:
 
     Error: ValueError unless 1 lies between ``low`` and ``high`` and the crossing is above 0.
     """
+    if high <= 0.0:
+        raise ValueError(
+            f"gain {high:g} at high frequency breaks A2: nothing is weighed there (D12 of w2 is 0); give it "
+            "a gain above 0"
+        )
     if not (min(low, high) < 1.0 < max(low, high) and min(low, high) > 0.0 and crossing_rad_s > 0.0):
         raise ValueError(
             f"gains {low:g} and {high:g} with a crossing at {crossing_rad_s:g} rad/s: "
@@ -73,13 +89,18 @@ def slope_weight(low: float, high: float, slope_end_rad_s: float) -> Weight:
     That is the zero of a weight falling from ``low`` to ``high``; of a rising one the slope's start is the
     zero too. Error: ValueError for a gain or rate not above 0.
     """
-    if not (low > 0.0 and high > 0.0 and slope_end_rad_s > 0.0):
-        raise ValueError(f"gains {low:g} and {high:g}, slope end {slope_end_rad_s:g}: all above 0 expected")
+    if not (low > 0.0 and slope_end_rad_s > 0.0):
+        raise ValueError(f"gain {low:g} at rest, slope end {slope_end_rad_s:g}: both above 0 expected (A3)")
     return Weight(high, slope_end_rad_s, slope_end_rad_s * high / low)
 
 
 def error_weight(crossing_rad_s: float, peak: float, static_error: float) -> Weight:
     """w1: 1/|w1| crosses 1 at ``crossing_rad_s``, ends at ``peak`` and starts at ``static_error``."""
+    if static_error <= 0.0:
+        raise ValueError(
+            f"static error {static_error:g} breaks A1: w1 would be an integrator, which nothing in the loop "
+            "can stabilise; ask for a small one above 0, 1e-4 say"
+        )
     return crossing_weight(1.0 / static_error, 1.0 / peak, crossing_rad_s)
 
 

@@ -20,6 +20,7 @@ from can.interfaces import BACKENDS
 
 from drivers.errors import MISSING, BadInput, BenchError, BusDown
 from drivers.link import StampSource
+from drivers.slcan import LINE_BAUD, SlcanBus
 from drivers.socketcan import StampedSocketcanBus
 
 # python-can warns of every vendor driver that it looks for and does not find.
@@ -28,7 +29,8 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 SIMULATED = "simulated"
 HUB = "hub"
 SOCKETCAN = "socketcan"
-SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
+SLCAN = "slcan"
+SERIAL_INTERFACES = (SLCAN, "serial", "robotell", "seeedstudio")
 """Those whose channel is a serial port, which may bear a line speed."""
 BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """CiA 301 table 1, and 100 kbit/s, which many adapters have."""
@@ -36,7 +38,7 @@ BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 80
 _FOREIGN_NETWORK = ("udp_multicast",)
 """Interfaces that send bus traffic out of the machine to whoever listens."""
 _NUMBERED_CHANNELS = ("kvaser", "vector", "ixxat", "neovi", "canalystii", "cantact", "neousys")
-_MONOTONIC_STAMPS = (SIMULATED, HUB)
+_MONOTONIC_STAMPS = (SIMULATED, HUB, SLCAN)
 _WALL_CLOCK_STAMPS = (SOCKETCAN, "virtual")
 _OPENING_FAILURES = (
     can.CanError,
@@ -135,6 +137,9 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus") -> OpenBu
         raise BusDown(
             f"no driver for {spec} on this machine", str(error), "install the adapter's driver"
         ) from error
+    except (NameError, ImportError) as error:  # how some interfaces of python-can say so
+        evidence = f"the vendor's library is not installed: {error}"
+        raise BusDown(f"no driver for {spec} on this machine", evidence, "install it") from error
     except _OPENING_FAILURES as error:
         raise BusDown(f"cannot open {spec}", str(error), _remedy(spec, bitrate_bit_s, error)) from error
     if spec.interface in _MONOTONIC_STAMPS:
@@ -196,15 +201,13 @@ def _open_hub(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
     return can.Bus(interface=HUB, channel=spec.channel, bitrate=bitrate_bit_s, ignore_config=True)
 
 
+def _open_slcan(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
+    return SlcanBus(spec.channel, bitrate=bitrate_bit_s, tty_baudrate=spec.line_baud or LINE_BAUD)
+
+
 def _open_serial(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
-    options: dict[str, Any] = {"bitrate": bitrate_bit_s}
-    if spec.interface == "slcan":
-        # The adapter's own pause after opening is for boards that reset on it; the first request is repeated.
-        options["sleep_after_open"] = 0
-        if spec.line_baud is not None:
-            options["tty_baudrate"] = spec.line_baud
-    elif spec.line_baud is not None:
-        options = {"baudrate": spec.line_baud}
+    baud = spec.line_baud
+    options: dict[str, Any] = {"bitrate": bitrate_bit_s} if baud is None else {"baudrate": baud}
     return can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **options)
 
 
@@ -219,6 +222,7 @@ _OPENERS: dict[str, Callable[[BusSpec, int], can.BusABC]] = {
     SOCKETCAN: _open_socketcan,
     HUB: _open_hub,
     **dict.fromkeys(SERIAL_INTERFACES, _open_serial),
+    SLCAN: _open_slcan,
 }
 
 

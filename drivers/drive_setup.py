@@ -4,13 +4,15 @@ Objects that a drive need not have degrade one by one: each that is missing, ref
 a note. What the bench cannot do without raises.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from drivers.errors import PeerFault, TransferAborted
 from drivers.objects import RemoteObjects, SettingRefused
 from drivers.objects402 import Object
 from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoPlan, write_plan
+from drivers.pdo_capability import PdoCapability, capability_of_drive
+from drivers.pdo_planner import PlanImpossible, PlanWish, plan_pdos
 from drivers.pdo_plans import mode_plan
 from drivers.profile402 import (
     AbortConnectionOption,
@@ -20,6 +22,7 @@ from drivers.profile402 import (
     QuickStopOption,
     ShutdownOption,
 )
+from drivers.quirks import apply_quirks, quirks_for
 from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
 from drivers.sdo import object_name
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
@@ -54,7 +57,9 @@ class DriveSettings:
 
     sync_period_ns: Duration
     plan: PdoPlan | None = None
-    """None: :func:`drivers.pdo_plans.mode_plan`, with the drive's time stamp if it has one."""
+    """None: one for :attr:`capability`, else :func:`drivers.pdo_plans.mode_plan`."""
+    capability: PdoCapability | None = None
+    """What the drive's dictionary says of its PDOs; None if there is no dictionary."""
     mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
     """The mode to begin with."""
     synchronous_command: bool = False
@@ -67,6 +72,8 @@ class DriveSettings:
     host_heartbeat_ms: int = 50
     host_heartbeat_timeout_ms: int = 150
     """A drive that does not hear the host for this long stops by itself."""
+    unwatched: bool = False
+    """Bear a drive that has no 1016h, or no 1017h: then one side does not notice that the other is gone."""
     torque_max_nm: float | None = None
     speed_max_rad_s: float | None = None
     quick_stop_deceleration_rad_s2: float | None = None
@@ -123,20 +130,73 @@ def read_identity(objects: RemoteObjects) -> Identity:
 
 
 def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
-    """The drive's units, from those of the factor objects that it has."""
+    """The drive's units, from those of the factor objects that it has, and from what is known of its make."""
     values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
-    return scaling_from(values, override)
+    vendor, product = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2))
+    quirks = quirks_for(vendor, product, objects.read_text(DEVICE_NAME))
+    known = apply_quirks(quirks, values, override, objects.read_if_there)
+    scaling = scaling_from(known.values, known.override)
+    notes = (*known.notes, *_polarity_notes(objects.read_if_there(Object.POLARITY, 0, "B") or 0))
+    return replace(scaling, sources={**scaling.sources, **known.sources}, notes=notes)
 
 
-def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> int:
-    """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19); returns the entry's sub-index.
+def _polarity_notes(polarity: int) -> list[str]:
+    """0x607E turns positions (bit 7) and velocities (bit 6), and leaves torque as it is."""
+    turned = [name for bit, name in ((0x80, "positions"), (0x40, "velocities")) if polarity & bit]
+    if not turned:
+        return []
+    return [f"607Eh turns the sign of {' and '.join(turned)}, not of torque: see that the loop pushes back"]
 
-    Both are needed: raises SettingRefused or TransferAborted if the drive does not take them.
+
+class Heartbeats(NamedTuple):
+    """Who watches whom."""
+
+    consumer_entry: int
+    """Sub-index of 0x1016 in which the drive watches the host; 0 if it cannot."""
+    produced: bool
+    """The drive sends a heartbeat."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What is not watched."""
+        found = []
+        if not self.consumer_entry:
+            found.append("1016h is missing or not taken: the drive does not notice that the host is gone")
+        if not self.produced:
+            found.append("1017h is missing: the host does not notice that the drive is gone")
+        return found
+
+
+def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> Heartbeats:
+    """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19).
+
+    Both are needed, unless the settings bear an unwatched drive: raises SettingRefused or TransferAborted if
+    the drive has them not, or does not take them.
     """
-    objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", settings.drive_heartbeat_ms)
-    host = objects.network.node_id
-    word = host << 16 | settings.host_heartbeat_timeout_ms
+    produced = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H") is not None
+    watched = objects.read_if_there(CONSUMER_HEARTBEAT_TIME, 0, "B") is not None
+    if not (produced and watched) and not settings.unwatched:
+        raise SettingRefused(
+            f"node {objects.node_id} has no {'1017h' if watched else '1016h'}",
+            "; ".join(Heartbeats(int(watched), produced).notes),
+            "if somebody can stop it by hand, say so: unwatched = true",
+        )
+    if produced:
+        objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", settings.drive_heartbeat_ms)
+    if not watched:
+        return Heartbeats(0, produced)
+    try:
+        return Heartbeats(_watch_host(objects, settings), produced)
+    except (SettingRefused, TransferAborted):
+        if settings.unwatched:
+            return Heartbeats(0, produced)
+        raise
+
+
+def _watch_host(objects: RemoteObjects, settings: DriveSettings) -> int:
+    """Have the drive watch the host; the sub-index of 0x1016 that does."""
     entry = consumer_entry(objects)
+    word = objects.network.node_id << 16 | settings.host_heartbeat_timeout_ms
     objects.write_verified(CONSUMER_HEARTBEAT_TIME, entry, "I", word)
     return entry
 
@@ -224,12 +284,22 @@ def write_optional(
     return []
 
 
-def choose_plan(objects: RemoteObjects, settings: DriveSettings) -> PdoPlan:
-    """The plan of the settings, or the standard one for what this drive can map."""
+def choose_plan(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
+    """The plan of the settings; else one for the drive's dictionary; else the standard one. And notes.
+
+    Raises PlanImpossible if the dictionary leaves no way.
+    """
     if settings.plan is not None:
-        return settings.plan
+        return settings.plan, []
+    if settings.capability is not None:
+        result = plan_pdos(settings.capability, objects.node_id, _wish(settings))
+        return result.plan, list(result.notes)
     stamped = objects.read_if_there(HIGH_RESOLUTION_TIME_STAMP) is not None
-    return _standard_plan(objects, settings, stamped)
+    return _standard_plan(objects, settings, stamped), []
+
+
+def _wish(settings: DriveSettings) -> PlanWish:
+    return PlanWish(settings.mode, settings.synchronous_command, settings.position_every_cycles)
 
 
 def _standard_plan(objects: RemoteObjects, settings: DriveSettings, stamped: bool) -> PdoPlan:
@@ -243,13 +313,39 @@ def _standard_plan(objects: RemoteObjects, settings: DriveSettings, stamped: boo
 
 
 def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
-    """Write the plan. A drive that has 0x1013 but will not map it is served without."""
-    plan = choose_plan(objects, settings)
+    """Write the plan. Raises TransferAborted, SettingRefused or PlanImpossible.
+
+    A drive that has 0x1013 but will not map it is served without; one that will not have its mappings
+    changed, by those that it has, if they carry what is needed.
+    """
+    plan, notes = choose_plan(objects, settings)
     try:
-        return plan, write_plan(objects, plan)
+        return plan, notes + write_plan(objects, plan)
     except (TransferAborted, SettingRefused) as error:
-        if settings.plan is not None or plan.tpdos[1].place_of(HIGH_RESOLUTION_TIME_STAMP) is None:
+        if settings.plan is not None:
             raise
         refusal = error
-    plan = _standard_plan(objects, settings, stamped=False)
-    return plan, [f"1013h is not mapped: {refusal.evidence}", *write_plan(objects, plan)]
+    if any(pdo.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None for pdo in plan.tpdos):
+        plan = _standard_plan(objects, settings, stamped=False)
+        try:
+            notes = [f"1013h is not mapped: {refusal.evidence}", *write_plan(objects, plan)]
+        except (TransferAborted, SettingRefused) as error:
+            refusal = error
+        else:
+            return plan, notes
+    return _map_as_held(objects, settings, refusal)
+
+
+def _map_as_held(
+    objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
+) -> tuple[PdoPlan, list[str]]:
+    """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
+    standard = _standard_plan(objects, settings, stamped=True)
+    pdos = (*standard.tpdos, *standard.rpdos)
+    wanted = {(entry.index, entry.sub): entry.code for pdo in pdos for entry in pdo.entries}
+    try:
+        result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))
+    except PlanImpossible:
+        raise refusal from None
+    notes = [f"mappings are used as the drive has them: {refusal.evidence}", *result.notes]
+    return result.plan, notes + write_plan(objects, result.plan)

@@ -1,6 +1,8 @@
-"""What passes between a drive and a loop in one cycle, in SI units."""
+"""What passes between a drive and a loop in one cycle, in SI units, and who they are to each other."""
 
 from typing import NamedTuple
+
+from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Instant
 
@@ -31,3 +33,41 @@ class Command(NamedTuple):
     """When it is meant to act on the drive."""
     expires_at: Instant
     """After this it must not be sent."""
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Drive:
+    """What an axis of the loop needs of a drive, simulated or real. Override all."""
+
+    def take_readings(self) -> list[Reading]:
+        """The complete readings since the last call, oldest first."""
+        raise NotImplementedError
+
+    def write(self, command: Command) -> Instant:
+        """Send a set-point; when it was handed to the bus."""
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """Raises PeerFault if the drive is not enabled any more, reports a fault or was lost."""
+        raise NotImplementedError
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Master:
+    """What the loop needs of the CANopen master. Override all methods."""
+
+    def __init__(self) -> None:
+        self.sync_count = 0
+        """SYNCs sent."""
+
+    def send_sync(self) -> Instant:
+        """Send a SYNC; when it was handed to the bus."""
+        raise NotImplementedError
+
+    def pump(self, until: Instant) -> None:
+        """Handle frames until an instant."""
+        raise NotImplementedError
+
+    def pump_one(self, until: Instant) -> bool:
+        """Handle one frame; False if none came until then."""
+        raise NotImplementedError

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
+from drivers.exchange import Master
 from drivers.link import BusLink
 from drivers.timebase import Clock, Instant
 
@@ -13,7 +14,7 @@ Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""
 
 
-class FramePump:
+class FramePump(Master):
     """Lets time pass on ``link`` and hands out what comes.
 
     ``others(can_id, data, at)`` gets the frames that no entry of ``handlers`` takes; ``keep_house(now)``
@@ -27,12 +28,11 @@ class FramePump:
         others: Callable[[int, bytes, Instant], None],
         keep_house: Callable[[Instant], None],
     ) -> None:
-        self.sync_count = 0
-        """SYNCs sent."""
+        super().__init__()
         self.handlers: dict[int, Handler] = {}
         self.housekeeping_at: Instant = NEVER
         self._link = link
-        self._clock = clock
+        self._now = clock.now
         self._others = others
         self._keep_house = keep_house
 
@@ -46,22 +46,22 @@ class FramePump:
 
     def pump_one(self, until: Instant) -> bool:
         """Handle the next frame and return True; False once ``until`` has come without one."""
+        link = self._link
         while True:
             due = self.housekeeping_at
-            received = self._link.recv(until if until < due else due)
-            if received is not None:
-                can_id, data, at = received
-                handler = self.handlers.get(can_id)
+            if link.fetch(until if until < due else due):
+                at = link.last_at
+                handler = self.handlers.get(link.last_id)
                 if handler is not None:
-                    handler(data, at)
+                    handler(link.last_data, at)
                 else:
-                    self._others(can_id, data, at)
+                    self._others(link.last_id, link.last_data, at)
                 if at >= self.housekeeping_at:
                     self._keep_house(at)
                 return True
             if due > until:
                 return False
-            now = self._clock.now()
+            now = self._now()
             self._keep_house(now if now > due else due)
 
     def send_sync(self) -> Instant:

@@ -3,19 +3,17 @@
 The lean path of a bus (:mod:`drivers.lean_bus`) is used where it is there.
 """
 
-from collections.abc import Callable
 from enum import Enum
-from typing import Final, Literal, NoReturn
+from typing import Final, NoReturn
 
 import can
 
 from drivers.errors import BusDown
-from drivers.lean_bus import LeanBus, WireFrame
+from drivers.frame_port import CallbackTap, FramePort, FrameTap
+from drivers.frame_port import Direction as Direction
+from drivers.frame_port import Tap as Tap
+from drivers.lean_bus import LeanBus, PortOfLeanBus, WireFrame
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, wall_clock_offset
-
-Direction = Literal["tx", "rx"]
-Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
-"""Sees every frame: direction, identifier, data, extended, remote, instant."""
 
 Received = tuple[int, bytes, Instant]
 """Identifier, data, and the bus's stamp of the frame."""
@@ -58,80 +56,92 @@ class BusLink:
         self.received_frames = 0
         self.ignored_frames = 0
         self.error_frames = 0
-        self._clock = clock
+        self.last_id = 0
+        """Identifier of the frame that was last fetched; ``last_data`` and ``last_at`` are its own too."""
+        self.last_data = b""
+        self.last_at = Instant(0)
+        self._now = clock.now
         self._stamps = stamps
-        self._taps: tuple[Tap, ...] = ()
+        self._taps: list[FrameTap] = []
         self._offset_ns = Duration(0)
         self._offset_expires_at = Instant(-1)
-        self._lean = isinstance(bus, LeanBus)
-        if isinstance(bus, LeanBus):
-            self._recv_frame, self._send_frame = bus.recv_frame, bus.send_frame
+        self._port: FramePort | None = getattr(bus, "frame_port", None)
+        if self._port is None and isinstance(bus, LeanBus):
+            self._port = PortOfLeanBus(bus)
 
-    def tap(self, callback: Tap) -> None:
-        """Have ``callback`` see every frame from now on."""
-        self._taps = (*self._taps, callback)
+    def tap(self, tap: Tap | FrameTap) -> None:
+        """Have ``tap`` see every frame from now on."""
+        self._taps.append(tap if isinstance(tap, FrameTap) else CallbackTap(tap))
 
     def recv(self, until: Instant) -> Received | None:
         """The next data frame, or None once ``until`` has come and nothing is waiting.
 
         Lets time pass. Raises BusDown if the bus is gone.
         """
-        return self._recv_lean(until) if self._lean else self._recv_message(until)
+        return (self.last_id, self.last_data, self.last_at) if self.fetch(until) else None
+
+    def fetch(self, until: Instant) -> bool:
+        """As :meth:`recv`, but leaves the frame in ``last_id``, ``last_data`` and ``last_at``; whether one
+        came."""
+        port = self._port
+        return self._fetch_message(until) if port is None else self._fetch_frame(port, until)
 
     def send(self, can_id: int, data: bytes) -> Instant:
         """Queue a frame; returns the instant just before the bus was given it.
 
         Raises BusDown if the bus is gone or its transmit queue is full.
         """
-        return self._send_lean(can_id, data) if self._lean else self._send_message(can_id, data)
-
-    def _send_lean(self, can_id: int, data: bytes) -> Instant:
-        at = self._clock.now()
+        port = self._port
+        if port is None:
+            return self._send_message(can_id, data)
+        at = self._now()
         try:
-            self._send_frame(_new(_WIRE_FRAME, (can_id, data, False, False, 0)))
+            port.transmit(_new(_WIRE_FRAME, (can_id, data, False, False, 0)))
         except (can.CanError, OSError) as error:
             self._fail("send on", error)
         self.sent_frames += 1
         for tap in self._taps:
-            tap("tx", can_id, data, False, False, at)
+            tap.frame("tx", can_id, data, False, False, at)
         return at
 
-    def _recv_lean(self, until: Instant) -> Received | None:
+    def _fetch_frame(self, port: FramePort, until: Instant) -> bool:
         while True:
             try:
-                item = self._recv_frame(until)
+                item = port.receive(until)
             except (can.CanError, OSError) as error:
                 self._fail("receive from", error)
             if item is None:
-                return None
-            (can_id, data, extended, remote, _), at = item
+                return False
+            can_id, data, extended, remote, _ = item
+            at = port.came_at
             self.received_frames += 1
             for tap in self._taps:
-                tap("rx", can_id, data, extended, remote, at)
+                tap.frame("rx", can_id, data, extended, remote, at)
             if not (extended or remote):
-                return can_id, data, at
+                self.last_id, self.last_data, self.last_at = can_id, data, at
+                return True
             self.ignored_frames += 1
 
     def _send_message(self, can_id: int, data: bytes) -> Instant:
-        at = self._clock.now()
+        at = self._now()
         try:
             self.bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
         except (can.CanError, OSError) as error:
             self._fail("send on", error)
         self.sent_frames += 1
         for tap in self._taps:
-            tap("tx", can_id, data, False, False, at)
+            tap.frame("tx", can_id, data, False, False, at)
         return at
 
-    def _recv_message(self, until: Instant) -> Received | None:
+    def _fetch_message(self, until: Instant) -> bool:
         while True:
-            wait_s = max(0, until - self._clock.now()) / NS_PER_S
+            wait_s = max(0, until - self._now()) / NS_PER_S
             try:
                 message = self.bus.recv(wait_s)
             except (can.CanError, OSError) as error:
                 self._fail("receive from", error)
             if message is None:
-                return None
+                return False
             if message.is_error_frame:
                 self.error_frames += 1
                 continue
@@ -139,14 +149,15 @@ class BusLink:
             can_id, data = message.arbitration_id, bytes(message.data)
             at = self._stamp(message.timestamp)
             for tap in self._taps:
-                tap("rx", can_id, data, message.is_extended_id, message.is_remote_frame, at)
+                tap.frame("rx", can_id, data, message.is_extended_id, message.is_remote_frame, at)
             if not (message.is_extended_id or message.is_remote_frame):
-                return can_id, data, at
+                self.last_id, self.last_data, self.last_at = can_id, data, at
+                return True
             self.ignored_frames += 1
 
     def _stamp(self, timestamp_s: float) -> Instant:
         """A message's stamp on the bench's axis; never later than now, even if the wall clock was stepped."""
-        now = self._clock.now()
+        now = self._now()
         if self._stamps is StampSource.RECEIPT:
             return now
         stamp_ns = round(timestamp_s * NS_PER_S)

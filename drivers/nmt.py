@@ -4,7 +4,7 @@ from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
-from drivers.profile402 import error_text
+from drivers.error_codes import error_text, fault_text, register_text
 from drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
@@ -45,9 +45,14 @@ class Emergency(NamedTuple):
         """The standard's text for the code."""
         return error_text(self.code)
 
+    def told(self, vendor: int = 0, device_name: str = "") -> str:
+        """In words, with those of the drive's maker."""
+        kinds = f"register {self.register:02X}h ({register_text(self.register)})"
+        detail = f"{kinds}, manufacturer {self.manufacturer.hex()}"
+        return f"EMCY {self.code:04X}h ({fault_text(self.code, vendor, device_name)}), {detail}"
+
     def __str__(self) -> str:
-        detail = f"register {self.register:02X}h, manufacturer {self.manufacturer.hex()}"
-        return f"EMCY {self.code:04X}h ({self.text}), {detail}"
+        return self.told()
 
 
 def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:

@@ -79,7 +79,13 @@ class Object(IntEnum):
     VELOCITY_ENCODER_RESOLUTION = 0x6090
     GEAR_RATIO = 0x6091
     FEED_CONSTANT = 0x6092
+    POSITION_FACTOR = 0x6093
+    """Encoder increments per user position unit, of DSP 402 version 2."""
+    VELOCITY_ENCODER_FACTOR = 0x6094
+    """Encoder increments per second per user velocity unit, of DSP 402 version 2."""
     VELOCITY_FACTOR = 0x6096
+    ACCELERATION_FACTOR = 0x6097
+    """Acceleration units per position unit and second squared; otherwise in DSP 402 version 2."""
     HOMING_METHOD = 0x6098
     HOMING_SPEEDS = 0x6099
     """Sub 1 while searching for the switch, sub 2 for the zero."""
@@ -113,6 +119,8 @@ class Unit(IntEnum):
     DEGREE = 0x41
     MINUTE = 0x47
     HOUR = 0x48
+    SQUARE_SECOND = 0x57
+    CUBIC_SECOND = 0xA0
     REVOLUTION = 0xB4
     INCREMENT = 0xB5
     REVOLUTION_PER_MINUTE = 0xC0

@@ -5,6 +5,7 @@ may change only while the PDO does not exist (bit 31 of its COB-ID), with sub 0 
 """
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from struct import Struct
@@ -58,11 +59,11 @@ class PdoEntry:
     index: int
     sub: int
     code: str
-    """``struct`` character of its type."""
+    """``struct`` character of its type; ``3s`` and the like for octets that nobody here reads."""
 
     @property
     def bits(self) -> int:
-        return _BITS[self.code]
+        return 8 * int(self.code[:-1]) if self.code[-1] == "s" else _BITS[self.code]
 
     @property
     def mapping_word(self) -> int:
@@ -171,12 +172,14 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
     for direction, wanted in ((PdoDirection.TRANSMIT, plan.tpdos), (PdoDirection.RECEIVE, plan.rpdos)):
         used = {pdo.number for pdo in wanted}
         for number in range(1, _PDOS_LOOKED_AT + 1):
-            if number not in used and _switch_off(objects, direction.value + number - 1):
-                notes.append(f"{direction.letter}PDO{number} switched off")
+            if number not in used:
+                notes += _switch_off_unused(objects, direction, number)
         # All are switched off before one is moved: two PDOs may swap identifiers.
         for pdo in wanted:
             if differences(objects, pdo):
-                _switch_off(objects, pdo.communication_index)
+                # With a read-only COB-ID it stays on; its transmission type may be writable.
+                with suppress(TransferAborted):
+                    _switch_off(objects, pdo.communication_index)
         for pdo in wanted:
             if differences(objects, pdo):
                 _write_pdo(objects, pdo)
@@ -206,8 +209,8 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
         found.append(f"{pdo.name} is switched off")
     if cob_id & _COB_ID != pdo.cob_id:
         found.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
-    kind = objects.read(pdo.communication_index, 2, "B")
-    if kind != pdo.transmission_type:
+    kind = objects.read_if_there(pdo.communication_index, 2, "B")
+    if kind not in (None, pdo.transmission_type):
         found.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
     held = _held_mapping(objects, pdo.mapping_index)
     wanted = [entry.mapping_word for entry in pdo.entries]
@@ -227,6 +230,14 @@ def _mapping_text(words: list[int]) -> str:
     return " ".join(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in words)
 
 
+def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: int) -> list[str]:
+    name = f"{direction.letter}PDO{number}"
+    try:
+        return [f"{name} switched off"] if _switch_off(objects, direction.value + number - 1) else []
+    except TransferAborted as error:
+        return [f"{name} is not used and cannot be switched off: {error.evidence}"]
+
+
 def _switch_off(objects: RemoteObjects, communication_index: int) -> bool:
     """True if the PDO existed and exists no more."""
     cob_id = objects.read_if_there(communication_index, 1)
@@ -241,7 +252,9 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
     held = objects.read(pdo.communication_index, 1)
     # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
     remote = held & _NO_REMOTE if pdo.direction is PdoDirection.TRANSMIT else 0
-    objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
+    kind = objects.read_if_there(pdo.communication_index, 2, "B")
+    if kind not in (None, pdo.transmission_type):
+        objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
     for sub, code in ((3, "H"), (5, "H")):
         _write_zero_if_there(objects, pdo.communication_index, sub, code)
     if _held_mapping(objects, pdo.mapping_index) != [entry.mapping_word for entry in pdo.entries]:
@@ -249,7 +262,8 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
         for sub, entry in enumerate(pdo.entries, start=1):
             objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
         objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
-    objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
+    if held & (_NOT_VALID | _COB_ID) != pdo.cob_id:
+        objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
 
 
 def _write_zero_if_there(objects: RemoteObjects, index: int, sub: int, code: str) -> None:

@@ -1,8 +1,8 @@
-"""CiA 402 vocabulary: the state machine and its words as tables, modes, option codes, error codes.
+"""CiA 402 vocabulary: the state machine and its words as tables, modes, option codes.
 
 Shared by the drive client and by the simulated drive, so that both read one table.
 Source: CiA 402-2 (operation modes and application data), also published as IEC 61800-7-201.
-Object indices are in :mod:`drivers.objects402`.
+Object indices are in :mod:`drivers.objects402`, error codes in :mod:`drivers.error_codes`.
 
     power on --0--> NOT_READY --1--> SWITCH_ON_DISABLED <--15-- FAULT <--14-- FAULT_REACTION <--13-- any
     SWITCH_ON_DISABLED --2--> READY --3--> SWITCHED_ON --4--> OPERATION_ENABLED --11--> QUICK_STOP
@@ -12,6 +12,9 @@ Object indices are in :mod:`drivers.objects402`.
 from collections import deque
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
+
+from drivers.error_codes import ERROR_TEXTS as ERROR_TEXTS
+from drivers.error_codes import error_text as error_text
 
 
 class State(Enum):
@@ -301,62 +304,3 @@ class FaultReactionOption(IntEnum):
     QUICK_STOP_RAMP = 2
     CURRENT_LIMIT = 3
     VOLTAGE_LIMIT = 4
-
-
-ERROR_TEXTS: dict[int, str] = {
-    0x0000: "no error",
-    0x1000: "generic error",
-    0x2300: "current, device output side",
-    0x2310: "continuous over-current",
-    0x2320: "short circuit or earth leakage",
-    0x2330: "earth leakage",
-    0x2350: "load level fault, thermal state (I2t)",
-    0x3110: "mains over-voltage",
-    0x3120: "mains under-voltage",
-    0x3210: "DC link over-voltage",
-    0x3220: "DC link under-voltage",
-    0x4210: "excess temperature of the device",
-    0x4310: "excess temperature of the drive",
-    0x5100: "supply",
-    0x5400: "power section",
-    0x5530: "non-volatile data memory",
-    0x6010: "software reset (watchdog)",
-    0x6320: "parameter error",
-    0x7120: "motor",
-    0x7121: "motor blocked",
-    0x7122: "motor error or commutation malfunction",
-    0x7300: "sensor",
-    0x7305: "incremental sensor 1",
-    0x7306: "incremental sensor 2",
-    0x7500: "communication",
-    0x8100: "communication",
-    0x8110: "CAN overrun, objects lost",
-    0x8120: "CAN in error passive mode",
-    0x8130: "life guard or heartbeat error",
-    0x8140: "recovered from bus-off",
-    0x8150: "transmit COB-ID collision",
-    0x8200: "protocol error",
-    0x8210: "PDO not processed because of its length",
-    0x8220: "PDO length exceeded",
-    0x8240: "unexpected SYNC data length",
-    0x8250: "RPDO time-out",
-    0x8300: "torque control",
-    0x8311: "excess torque",
-    0x8400: "velocity control",
-    0x8500: "position control",
-    0x8600: "positioning controller",
-    0x8611: "following error",
-    0x8612: "reference limit",
-    0xF000: "additional functions",
-    0xFF00: "manufacturer-specific",
-}
-"""Error codes of 0x603F and of EMCY, CiA 402-1 (error codes) and CiA 301 table 26."""
-
-
-def error_text(code: int) -> str:
-    """The text of an error code, or that of the narrowest class that holds it: 0x83FF is "torque control"."""
-    for digits in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
-        text = ERROR_TEXTS.get(code & digits)
-        if text is not None and (code & digits or not code):
-            return text
-    return "unknown error class"

@@ -152,6 +152,11 @@ class ReadingAssembler:
             Object.VELOCITY_ACTUAL_VALUE,
             Object.TORQUE_ACTUAL_VALUE,
         )
+        if (Object.TORQUE_ACTUAL_VALUE, 0) not in places:
+            # The current stands for it, in thousandths of its own rating; without that it reads as 0.
+            spare = places.get((Object.CURRENT_ACTUAL_VALUE, 0), len(self._values))
+            places[Object.TORQUE_ACTUAL_VALUE, 0] = spare
+            self._values.append(0)
         missing = [f"{index:04X}h" for index in wanted if (index, 0) not in places]
         if missing:
             raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
@@ -235,7 +240,6 @@ class _Inlet:
     __slots__ = (
         "_assembler",
         "_bit",
-        "_high",
         "_low",
         "_position",
         "_size",
@@ -255,7 +259,6 @@ class _Inlet:
         self._size = codec.size
         self._values = values
         self._low = low
-        self._high = low + len(pdo.entries)
         self._bit = bit
         self._told = told
         status, position = pdo.place_of(Object.STATUSWORD), pdo.place_of(Object.POSITION_ACTUAL_VALUE)
@@ -267,7 +270,10 @@ class _Inlet:
             self._assembler.malformed += 1
             return
         fields = self._unpack(data)
-        self._values[self._low : self._high] = fields
+        place, values = self._low, self._values
+        for value in fields:
+            values[place] = value
+            place += 1
         if self._status >= 0:
             self._told.statusword = fields[self._status]
         if self._bit != _SELDOM:

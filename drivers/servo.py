@@ -14,7 +14,7 @@ from drivers.drive_setup import (
     write_reactions,
 )
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command, Drive, Reading
 from drivers.mode_control import MODE_BITS, ModeControl
 from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
@@ -37,6 +37,7 @@ RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
 _CONNECT_TRY_S: Final = 0.1
+_SETTLE_NS: Final = 50 * NS_PER_MS
 
 
 class Release(NamedTuple):
@@ -48,7 +49,7 @@ class Release(NamedTuple):
     """What went wrong on the way; empty if nothing did."""
 
 
-class ServoDrive:
+class ServoDrive(Drive):
     """One drive: connect, configure, enable, exchange, stop, release.
 
         drive = ServoDrive(network, node_id=1, name="axis1")
@@ -64,6 +65,7 @@ class ServoDrive:
     def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
         self.network = network
         self._clock = network.clock
+        self._now = network.clock.now
         self.node_id = node_id
         self.name = name or f"node {node_id}"
         self.objects = RemoteObjects(network, node_id)
@@ -83,6 +85,7 @@ class ServoDrive:
         self._enabled = False
         self._boot_ups = 0
         self._consumer_entry = 0
+        self._beats = True
 
     # ---- set-up ---------------------------------------------------------------------------------------
 
@@ -96,8 +99,9 @@ class ServoDrive:
             except NoAnswer as error:
                 if clock.now() >= deadline:
                     raise nobody_there(self.network, self.node_id, self.control.title) from error
-        self.identity = read_identity(self.objects)
-        return self.identity
+        self.identity = identity = read_identity(self.objects)
+        self.control.make = (identity.vendor, identity.device_name)
+        return identity
 
     def configure(self, settings: DriveSettings) -> list[str]:
         """Write PDO plan, heartbeats, reactions, limits and mode, and start the node (NMT operational).
@@ -108,11 +112,14 @@ class ServoDrive:
         network = self.network
         if not network.produces_heartbeat:
             network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
-        self._consumer_entry = write_heartbeats(self.objects, settings)
-        network.watch(self.node_id, Duration(settings.drive_heartbeat_timeout_ms * NS_PER_MS))
+        beats = write_heartbeats(self.objects, settings)
+        self._consumer_entry, self._beats = beats.consumer_entry, beats.produced
+        watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
+        network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
         scaling = read_scaling(self.objects, settings.scale)
-        notes = write_reactions(self.objects) + write_limits(self.objects, settings, scaling)
+        notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
+        notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
         self._assembler.anchor_position(self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i"))
@@ -237,7 +244,7 @@ class ServoDrive:
             raise DriveInFault(
                 f"{self.control.title} restarted", f"{status.boot_ups - self._boot_ups} boot-up message"
             )
-        if status.state is not NmtState.OPERATIONAL:
+        if self._beats and status.state is not NmtState.OPERATIONAL:
             self._enabled = False
             left = "an unknown NMT state" if status.state is None else status.state.name
             raise DriveInFault(f"{self.control.title} fell back to {left}", self.control.evidence())
@@ -326,12 +333,16 @@ class ServoDrive:
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _expired(self, expires_at: Instant) -> bool:
-        if self._clock.now() <= expires_at:
+        if self._now() <= expires_at:
             return False
         self.unsent_commands += 1
         return True
 
     def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
+        if not self._beats:
+            # Nobody tells what became of the command: give the drive its time.
+            self.network.pump(Instant(self.network.command(command, self.node_id) + _SETTLE_NS))
+            return
         heartbeat = Duration(settings.drive_heartbeat_ms * NS_PER_MS)
         change_nmt(self.network, self.node_id, self.control.title, command, wanted, heartbeat)
 

@@ -27,7 +27,7 @@ class _Carrier:
     def __init__(self, pdo: PdoMap) -> None:
         self.cob_id = pdo.cob_id
         self.pack: Callable[..., bytes] = pdo.codec().pack
-        self.values: list[Any] = [0] * len(pdo.entries)
+        self.values: list[Any] = [b"" if entry.code[-1] == "s" else 0 for entry in pdo.entries]
 
 
 class _Place:

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 
+from drivers.error_codes import fault_text, register_text
 from drivers.errors import DriveInFault, PeerFault
 from drivers.nmt import Emergency
 from drivers.objects import RemoteObjects
@@ -12,13 +13,13 @@ from drivers.profile402 import (
     DriveCommand,
     State,
     command_path,
-    error_text,
     state_of,
 )
 from drivers.readings import Seen
 from drivers.setpoint import SetPoint
 from drivers.timebase import NS_PER_MS, Instant
 
+ERROR_REGISTER, ERROR_HISTORY = 0x1001, 0x1003
 NONE_SENT = -1
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
@@ -40,6 +41,8 @@ class StateControl:
         """What carries the controlword by RPDO; None before the PDOs are mapped."""
         self.controlword = NONE_SENT
         """What is in force: the last one sent."""
+        self.make = (0, "")
+        """Vendor and device name, for the words of its maker; nothing before they are read."""
         self._told = told
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
         self.network.on_emergency(self._on_emergency)
@@ -128,12 +131,26 @@ class StateControl:
         parts = []
         try:
             parts.append(f"statusword {self.objects.read(Object.STATUSWORD, 0, 'H'):04X}h")
-            code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
-            if code is not None:
-                parts.append(f"error code {code:04X}h ({error_text(code)})")
+            parts += self._told_of_the_fault()
         except PeerFault as error:
             parts.append(str(error))
-        return ", ".join([*parts, *map(str, list(self.emergencies)[-_EMERGENCIES_SHOWN:])])
+        now = self.network.clock.now()
+        last = list(self.emergencies)[-_EMERGENCIES_SHOWN:]
+        parts += [f"{each.told(*self.make)}, {(now - each.at) / NS_PER_MS:.0f} ms ago" for each in last]
+        return ", ".join(parts)
+
+    def _told_of_the_fault(self) -> list[str]:
+        """0x603F, or in its place the newest entry of 0x1003; and 0x1001."""
+        parts = []
+        code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
+        if code is None and self.objects.read_if_there(ERROR_HISTORY, 0, "B"):
+            code = (self.objects.read_if_there(ERROR_HISTORY, 1) or 0) & 0xFFFF
+        if code is not None:
+            parts.append(f"error code {code:04X}h ({fault_text(code, *self.make)})")
+        register = self.objects.read_if_there(ERROR_REGISTER, 0, "B")
+        if register:
+            parts.append(f"error register {register:02X}h ({register_text(register)})")
+        return parts
 
     def in_fault(self) -> DriveInFault:
         """The error for a drive that reports a fault."""

@@ -1,7 +1,10 @@
 """From a checked bench file to the parts of a run."""
 
+from collections.abc import Callable
+
+from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.axis import Axis, AxisParts, Drive, LoadMachine
+from hil.axis import Axis, AxisParts, LoadMachine
 from hil.clock_map import ClockMap
 from hil.compensation import Arrival, Compensator, Stamp
 from hil.configuration.config import BenchConfig
@@ -16,9 +19,10 @@ from hil.configuration.config_axis import (
 from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
-from hil.recording.recorder import Recorder
 from hil.safety import SafetyGuard, SafetyLimits
+from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from hil.world import SegmentPlan
 from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
 from virtual_bus.frame import Frame
 
@@ -28,8 +32,12 @@ COMMAND_FRAME = Frame(0x201, bytes(4))
 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:
-    """The loop's times; the latencies are those of an idle bus at the bench's bit rate."""
-    bitrate = config.bus.bitrate_bit_s
+    """The loop's times; the latencies are those of the first segment while it is idle."""
+    return timing_at(config, config.bus.bitrate_bit_s)
+
+
+def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
+    """The loop's times with the latencies of an idle segment of that bit rate, bit/s."""
     return LoopTiming(
         period=config.loop.period,
         decide_after=config.loop.decide_after,
@@ -37,6 +45,19 @@ def loop_timing(config: BenchConfig) -> LoopTiming:
         actuation=Actuation(config.loop.actuation),
         sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
         command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+    )
+
+
+def segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
+    """The further segments of the simulated bus."""
+    return tuple(
+        SegmentPlan(
+            each.name,
+            each.bitrate_bit_s,
+            frozenset(config.drive[axis].node for axis in config.axes_on(each.name)),
+            tuple(entry.stream for entry in each.background),
+        )
+        for each in config.bus.segment
     )
 
 
@@ -68,7 +89,11 @@ def controller(drive: DriveConfig, period_s: float) -> Controller:
         return Pid(gains, period_s)
     motor = drive.motor.parameters
     return StateFeedback(
-        wanted.gain, motor.torque_constant_nm_a, motor.viscous_friction_nm_s, wanted.feedforward_load_nm
+        wanted.gain,
+        motor.torque_constant_nm_a,
+        motor.viscous_friction_nm_s,
+        wanted.feedforward_load_nm,
+        period_s,
     )
 
 
@@ -86,12 +111,17 @@ def axis(
     drive: Drive,
     load_machine: LoadMachine | None,
     timing: LoopTiming,
-    recorder: Recorder,
+    record: Callable[[CycleRecord], None],
+    own_controller: Controller | None = None,
 ) -> Axis:
-    """The ``number``-th axis of the bench, on ``drive``."""
+    """The ``number``-th axis of the bench, on ``drive``; ``own_controller``: in place of the bench's."""
     name = config.axes[number]
     wanted = config.drive[name]
     period_s = timing.period / NS_PER_S
+    own = timing_at(config, config.bitrate_of(name))
+    later = own.sync_latency - timing.sync_latency
+    if timing.actuation is Actuation.ON_ARRIVAL:
+        later = own.command_latency - timing.command_latency
     limits = SafetyLimits(
         torque_max_nm=wanted.limits.torque_max_nm,
         speed_max_rad_s=wanted.limits.speed_max_rad_s,
@@ -101,13 +131,13 @@ def axis(
     parts = AxisParts(
         name=name,
         drive=drive,
-        controller=controller(wanted, period_s),
+        controller=own_controller or controller(wanted, period_s),
         compensator=compensator(wanted),
         guard=SafetyGuard(limits, period_s),
         reference=speed_profile(config.reference.get(name, ())),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
         load_machine=load_machine,
-        clock_map=ClockMap(timing.sync_latency),
+        clock_map=ClockMap(own.sync_latency),
         meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
     )
-    return Axis(number, parts, timing.period, timing.sync_latency, recorder.record)
+    return Axis(number, parts, timing.period, own.sync_latency, record, Duration(later))

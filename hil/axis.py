@@ -1,12 +1,11 @@
 """One axis of the loop: from its drive's readings to its next command, and the record of both."""
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command, Drive, Reading
 from drivers.timebase import Duration, Instant
 from hil.clock_map import ClockMap
 from hil.compensation import Compensator
@@ -23,24 +22,7 @@ _new: Final = tuple.__new__
 _COMMAND: Final = Command
 _RECORD: Final = CycleRecord
 _SAMPLE: Final = Sample
-_reversed: Final = reversed
 """``_new(_SAMPLE, values)`` takes a third of the time of ``Sample(*values)``, for the path of every cycle."""
-
-
-class Drive(Protocol):
-    """What an axis needs of a drive, simulated or real."""
-
-    def take_readings(self) -> list[Reading]:
-        """The complete readings since the last call, oldest first."""
-        ...
-
-    def write(self, command: Command) -> Instant:
-        """Send a set-point; when it was handed to the bus."""
-        ...
-
-    def check(self) -> None:
-        """Raises PeerFault if the drive is not enabled any more, reports a fault or was lost."""
-        ...
 
 
 class LoadMachine(Protocol):
@@ -115,21 +97,29 @@ class Axis:
         period: Duration,
         sync_latency: Duration,
         record: Callable[[CycleRecord], None],
+        acts_later: Duration = Duration(0),  # noqa: B008 - an int
     ) -> None:
+        """``acts_later``: a command takes so much longer on this axis's segment than the loop reckons."""
         self.parts = parts
         self.meter = parts.meter
         self._number = number
         self._period = period
         self._sync_latency = sync_latency
         self._record = record
-        self._syncs: deque[tuple[int, Instant]] = deque(maxlen=SYNCS_REMEMBERED)
-        self._decisions: deque[Decision] = deque()
+        self._acts_later = acts_later
+        self._drive = parts.drive
+        self._output = parts.controller.output
+        self._update = parts.controller.update
+        self._receive = parts.compensator.receive
+        self._estimate = parts.compensator.estimate
+        self._syncs: list[Tick] = []
+        self._decisions: list[Decision] = []
         self._fresh = False
         self._load_nm = 0.0
 
     def calibrate(self, sync_sent_at: Instant) -> bool:
         """Take readings that can only answer the SYNC sent at ``sync_sent_at``; whether one came."""
-        readings = self.parts.drive.take_readings()
+        readings = self._drive.take_readings()
         for reading in readings:
             if reading.device_time_ns is not None:
                 self.parts.clock_map.observe(sync_sent_at, reading.device_time_ns, reading.received_at)
@@ -139,18 +129,21 @@ class Axis:
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out."""
-        self._syncs.append((tick.sequence, tick.sync_sent_at))
+        syncs = self._syncs
+        syncs.append(tick)
+        if len(syncs) > SYNCS_REMEMBERED:
+            syncs.pop(0)
         self.meter.sync_sent(tick.sequence, tick.due_at)
 
     def collect(self) -> None:
         """Take in what has arrived."""
-        for reading in self.parts.drive.take_readings():
+        for reading in self._drive.take_readings():
             sample = self._place(reading)
             if sample is None:
                 self.meter.unmatched += 1
             elif self.meter.arrived(sample):
                 self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
-                self.parts.compensator.receive(sample)
+                self._receive(sample)
                 self._fresh = True
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
@@ -165,17 +158,18 @@ class Axis:
     def decide(self, tick: Tick, apply_at: Instant) -> None:
         """Compute, limit and send the command of this cycle."""
         parts = self.parts
+        apply_at = Instant(apply_at + self._acts_later)
         reference = parts.reference.value(tick.time_s)
         self._apply_load(parts.load.value(tick.time_s))
-        estimate = parts.compensator.estimate(apply_at)
-        demand_nm = parts.controller.output(estimate, reference)
+        estimate = self._estimate(apply_at)
+        demand_nm = self._output(estimate, reference)
         torque_nm = parts.guard.limit(demand_nm)
         command = _new(_COMMAND, (tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period)))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
-        parts.drive.check()
-        sent_at = parts.drive.write(command)
-        parts.controller.update(estimate, command)
+        self._drive.check()
+        sent_at = self._drive.write(command)
+        self._update(estimate, command)
         self._decisions.append(Decision(tick, estimate, reference, self._load_nm, command, sent_at))
 
     def settle(self) -> None:
@@ -190,7 +184,7 @@ class Axis:
                 self._finish(fate)
 
     def _finish(self, fate: Fate) -> None:
-        decision = self._decisions.popleft()
+        decision = self._decisions.pop(0)
         tick = decision.tick
         self._record(
             _new(
@@ -219,12 +213,13 @@ class Axis:
         sampled_at, error_ns = self.parts.clock_map.place(reading.device_time_ns)
         # A SYNC may be a quarter of a period late by the map's error or early by queueing.
         latest_sent_at = sampled_at + self._period // 4
-        for sequence, sent_at in _reversed(self._syncs):
+        for tick in reversed(self._syncs):
+            sent_at = tick.sync_sent_at
             if sent_at <= latest_sent_at:
                 if sampled_at - sent_at > self._period:
                     return None
                 self.parts.clock_map.observe(sent_at, reading.device_time_ns, reading.received_at)
-                return _new(_SAMPLE, (sequence, reading, sampled_at, error_ns))
+                return _new(_SAMPLE, (tick.sequence, reading, sampled_at, error_ns))
         return None
 
     def _place_by_arrival(self, reading: Reading) -> Sample | None:
@@ -236,7 +231,8 @@ class Axis:
         usual = self.meter.typical_delay + self._sync_latency
         newest = self.meter.newest
         best_sequence, best_sent_at, best_miss = 0, Instant(0), -1
-        for sequence, sent_at in reversed(self._syncs):
+        for tick in reversed(self._syncs):
+            sequence, sent_at = tick.sequence, tick.sync_sent_at
             age = reading.received_at - sent_at
             if age < 0:
                 continue

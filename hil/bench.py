@@ -1,31 +1,41 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from drivers.adapters import parse_bus_spec
-from drivers.drive_setup import DriveSettings
+from drivers.dictionary import LoadedDictionary
 from drivers.errors import BenchError, PeerFault
 from drivers.network import CanopenNetwork
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
+from hil.commissioned_drive import as_the_loop_counts, write_commissioned
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import RampReference, Reference, StepReference
-from hil.figures.summary import RunOutcome, Summary, VerdictLimits
-from hil.load_machine import ObjectLoadMachine, find_load_machine
+from hil.configuration.config_errors import raise_all
+from hil.configuration.network_file import load_network
+from hil.connecting import connect
+from hil.controllers import Controller
+from hil.drive_settings import data_sheets, drive_settings, identity_notes
+from hil.figures.summary import RunOutcome, Summary
+from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import StopRequest, stop_signals
+from hil.network_guard import NetworkGuard, allowed, made_for, static_faults
+from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.samples import CycleRecord
+from hil.segments import masters, record_frames
 from hil.simulated_drives import simulated_drives
 from hil.terminal.progress import Progress
 from hil.world import World, WorldPlan, check_time, open_world
 from virtual_bus.fault_injection.fault_log import FaultLog
+from virtual_bus.servo import SimulatedServo
 
 ENABLE_TIMEOUT_S = 2.0
 RUNS_FOLDER = Path("runs")
@@ -39,6 +49,7 @@ class BenchResult:
     """What ``hil run --json`` prints."""
     passed: bool
     interrupted: bool
+    """A stop signal cut it short."""
     recording: Path | None
 
 
@@ -51,20 +62,36 @@ def run_bench(
     record: Path | None,
     view: bool,
     progress: Progress,
+    controllers: Mapping[str, Controller] | None = None,
+    network: Path | None = None,
+    allow_worse_network: bool = False,
+    privileged: bool = True,
 ) -> BenchResult:
     """Run a bench and review it.
 
-    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. Raises BadInput
-    before anything moves, PeerFault if bus or drive failed; in every case the drives are brought to
-    rest and the recording is closed first.
+    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
+    axis, what a caller puts in place of the file's. ``network``: file of one measured before, that must be
+    no worse than the controllers were made for; nor may the run's own, unless ``allow_worse_network``.
+    ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
+    Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
+    brought to rest and the recording is closed first.
     """
+    sheets = data_sheets(config)
+    worse = _worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     paced = check_time(spec, time)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
     background = tuple(entry.stream for entry in config.bus.background)
     world_plan = WorldPlan(
-        spec, config.bus.bitrate_bit_s, paced, config.fault_plan, seed, fault_log=log, background=background
+        spec,
+        config.bus.bitrate_bit_s,
+        paced,
+        config.fault_plan,
+        seed,
+        fault_log=log,
+        background=background,
+        segments=assembly.segment_plans(config),
     )
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
@@ -73,9 +100,27 @@ def run_bench(
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
-        run = _Run(config, world, recorder, stop, progress)
-        summary = run.to_the_end()
-    return BenchResult(summary.as_json(), summary.verdict.passed, bool(stop), folder)
+        run = _Run(config, world, recorder, stop, progress, controllers or {}, worse, devices, sheets)
+        with _timing_conditions(world.real_time and privileged) as refused:
+            try:
+                summary = run.to_the_end(refused)
+            except PeerFault as error:
+                run.write_fault_report(folder, str(error))
+                raise
+    interrupted = stop() and not summary.verdict.completed
+    return BenchResult(summary.as_json(), summary.verdict.passed, interrupted, folder)
+
+
+@contextmanager
+def _timing_conditions(privileged: bool) -> Iterator[Sequence[str]]:
+    """What the kernel refused. Before any drive is told to listen for the host's heartbeat: to lock a large
+    memory takes up to a second."""
+    if privileged:
+        with realtime_process() as refused:
+            yield refused
+    else:
+        with quiet_garbage_collector():
+            yield ()
 
 
 def _recording_plan(
@@ -93,11 +138,13 @@ def _recording_plan(
         bus=bus,
         real_time=world.real_time,
         deadline=config.loop.deadline,
-        review=ReviewPlan(axes, VerdictLimits(**config.verdict.model_dump())),
+        review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,
+        segments=tuple(segment.name for segment in config.bus.segment),
         faults=config.faults is not None,
+        period_us=config.loop.period_us,
         view=view,
         notes={
             "motor": first.motor.motor.name,
@@ -112,22 +159,42 @@ class _Run:
     """One run in its world, from connecting to the drives to closing the recording."""
 
     def __init__(
-        self, config: BenchConfig, world: World, recorder: Recorder, stop: StopRequest, progress: Progress
+        self,
+        config: BenchConfig,
+        world: World,
+        recorder: Recorder,
+        stop: StopRequest,
+        progress: Progress,
+        controllers: Mapping[str, Controller],
+        worse: "_WorseNetwork",
+        servos: Sequence[SimulatedServo],
+        sheets: Mapping[str, LoadedDictionary],
     ) -> None:
         self._config = config
         self._world = world
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
+        self._controllers = controllers
+        self._worse = worse
+        self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
-        self._drives = [ServoDrive(self._network, config.drive[name].node, name) for name in config.axes]
-        self._load_machines: list[ObjectLoadMachine] = []
+        networks, self._master = masters(self._network, world)
+        self._drives = [
+            ServoDrive(networks[config.drive[name].segment], config.drive[name].node, name)
+            for name in config.axes
+        ]
+        self._load = LoadMachines(config, self._network, recorder, servos)
         if config.recording.frames:
-            world.link.tap(recorder.frame)
-            world.tap_errors(recorder.frame)
+            record_frames(world, recorder.tap)
 
-    def to_the_end(self) -> Summary:
-        """Run, bring the drives to rest, close the recording; errors pass through afterwards."""
+    def to_the_end(self, refused: Sequence[str]) -> Summary:
+        """Run, bring the drives to rest, close the recording; errors pass through afterwards.
+
+        ``refused``: what the kernel did not grant, in words.
+        """
+        for request in refused:
+            self._say(f"not granted by the kernel: {request}", "WARN")
         outcome = _cut_short("it ended by a defect of this program")
         try:
             outcome = self._run_and_release()
@@ -141,6 +208,12 @@ class _Run:
             summary = self._recorder.close(outcome)
         return summary
 
+    def write_fault_report(self, folder: Path, error: str) -> None:
+        """Beside the recording, which is closed: what was seen before the end."""
+        makes = {drive.node_id: drive.control.make for drive in self._drives}
+        told = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
+        write_fault_report(folder, error, told, makes, self._world.clock.now())
+
     def _run_and_release(self) -> RunOutcome:
         try:
             return self._run()
@@ -152,10 +225,19 @@ class _Run:
         timing = assembly.loop_timing(config)
         self._prepare(timing)
         axes = [
-            assembly.axis(config, number, drive, self._load_machine(drive), timing, self._recorder)
+            assembly.axis(
+                config,
+                number,
+                as_the_loop_counts(drive, config.drive[drive.name].commissioned),
+                self._load.find(drive, self._say),
+                timing,
+                self._watched(drive),
+                own,
+            )
             for number, drive in enumerate(self._drives)
+            for own in [self._controllers.get(drive.name)]
         ]
-        loop = Loop(self._network.frame_pump, world.clock, axes, timing)
+        loop = Loop(self._master, world.clock, axes, timing, self._load.chore)
         self._enter("enabling")
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
@@ -164,59 +246,35 @@ class _Run:
         loop.calibrate()
         self._stop.check()
         self._enter("running")
-        with self._timing_conditions():
-            wall = MonotonicClock()
-            began = wall.now()
-            ended = self._cycles(loop, timing)
-            took = Duration(wall.now() - began)
+        wall = MonotonicClock()
+        began = wall.now()
+        ended = self._cycles(loop, timing)
+        took = Duration(wall.now() - began)
         return self._outcome(ended, took)
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
+        for note in self._worse.notes:
+            self._say(note, "WARN")
         self._enter("connecting")
         for drive in self._drives:
-            identity = drive.connect(self._deadline(host.connect_timeout_s))
+            identity = connect(drive, host.connect_timeout_s, self._stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
+            if (sheet := self._sheets.get(drive.name)) is not None:
+                for note in identity_notes(identity, sheet, drive.node_id):
+                    self._say(f"{drive.name}: {note}", "WARN")
             self._stop.check()
         self._enter("configuring")
         for drive in self._drives:
-            wanted = self._config.drive[drive.name]
-            limits = wanted.limits
-            settings = DriveSettings(
-                sync_period_ns=timing.period,
-                synchronous_command=timing.actuation.value == "on_sync",
-                position_every_cycles=self._config.loop.position_every_cycles,
-                drive_heartbeat_ms=wanted.heartbeat_ms,
-                drive_heartbeat_timeout_ms=wanted.heartbeat_timeout_ms,
-                host_heartbeat_ms=host.heartbeat_ms,
-                host_heartbeat_timeout_ms=host.heartbeat_timeout_ms,
-                torque_max_nm=limits.torque_max_nm,
-                speed_max_rad_s=limits.speed_max_rad_s,
-                quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
-            )
+            sheet = self._sheets.get(drive.name)
+            settings = drive_settings(self._config, drive.name, timing, sheet)
+            commissioned = self._config.drive[drive.name].commissioned
+            if commissioned is not None:
+                write_commissioned(drive, commissioned)
             for note in drive.configure(settings):
                 self._say(f"{drive.name}: {note}", "WARN")
             self._note_state(drive)
             self._stop.check()
-
-    def _load_machine(self, drive: ServoDrive) -> ObjectLoadMachine | None:
-        wanted = bool(self._config.load.get(drive.name))
-        machine = find_load_machine(self._network, drive.node_id, self._config.source, drive.name, wanted)
-        if machine is not None:
-            machine.take_off()
-            self._load_machines.append(machine)
-        return machine
-
-    @contextmanager
-    def _timing_conditions(self) -> Iterator[None]:
-        if not self._world.real_time:
-            with quiet_garbage_collector():
-                yield
-            return
-        with realtime_process() as refused:
-            for request in refused:
-                self._say(f"not granted by the kernel: {request}", "WARN")
-            yield
 
     def _cycles(self, loop: Loop, timing: LoopTiming) -> LoopOutcome:
         period_s = timing.period / NS_PER_S
@@ -230,6 +288,7 @@ class _Run:
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
         self._recorder.begin(at)
+        self._load.begin(at)
         if self._world.faults is not None:
             self._world.faults.start(at)
         for name in self._config.axes:
@@ -247,13 +306,39 @@ class _Run:
             realtime_factor=bench_time / max(took, 1),
             completed=not ended.interrupted,
             reason=f"ended by {self._stop.signal_name}" if ended.interrupted else "",
+            network_notes=self._worse.notes,
+            load_machine=self._load.figures(),
         )
+
+    def _watched(self, drive: ServoDrive) -> Callable[[CycleRecord], None]:
+        """Where the records of an axis go: past a guard, if its controller was made for a network."""
+        wanted = made_for(self._config.drive[drive.name])
+        if wanted is None or drive.name in self._controllers:
+            return self._recorder.record
+        period = self._config.loop.period
+        limits = allowed(wanted, period)
+        return NetworkGuard(
+            drive.name,
+            limits,
+            period,
+            self._recorder.record,
+            self._worse.refuse,
+            self._note_network,
+            self._stop,
+        )
+
+    def _note_network(self, text: str) -> None:
+        self._worse.notes.append(text)
+        self._say(text, "WARN")
 
     def _release(self) -> None:
         """Every way out of a run leads through here."""
         self._enter("stopping")
+        self._load.let_go(self._say)
         if errors := self._world.error_frames():
             self._say(f"{errors} error frames on the bus", "WARN")
+        if trouble := self._world.trouble():
+            self._say(trouble, "WARN")
         if self._world.faults is not None:
             self._world.faults.stop()
         for drive in self._drives:
@@ -261,11 +346,7 @@ class _Run:
             self._note_state(drive)
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
-        for machine in self._load_machines:
-            try:
-                machine.take_off()
-            except PeerFault as error:
-                self._say(f"the load may still be on: {error}", "ERROR")
+        self._load.take_off(self._say)
         self._progress("stopped", self._config.bench.duration_s)
 
     def _deadline(self, timeout_s: float) -> Instant:
@@ -284,21 +365,30 @@ class _Run:
         self._recorder.event(self._world.clock.now(), level, text)
 
 
+@dataclass(slots=True)
+class _WorseNetwork:
+    """What is done about a network worse than a controller was made for, and what was seen of it."""
+
+    refuse: bool
+    notes: list[str] = field(default_factory=list)
+
+
+def _worse_network(
+    config: BenchConfig, network: Path | None, allow: bool, replaced: set[str]
+) -> _WorseNetwork:
+    """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
+    measured = {} if network is None else {f"--network {network}": load_network(network)}
+    faults = static_faults(config, measured, replaced)
+    if faults and not allow:
+        raise_all(faults)
+    return _WorseNetwork(not allow, [str(fault) for fault in faults])
+
+
 def _cut_short(reason: str) -> RunOutcome:
     return RunOutcome(bus_load_percent=0.0, realtime_factor=0.0, completed=False, reason=reason)
 
 
 def _planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
-    events = [
-        (segment.at_s, f"reference {_described(segment)}") for segment in config.reference.get(axis, ())
-    ]
+    events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
     events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
     return sorted(events)
-
-
-def _described(segment: Reference) -> str:
-    if isinstance(segment, StepReference):
-        return f"step to {segment.speed_rpm:g} r/min"
-    if isinstance(segment, RampReference):
-        return f"ramp to {segment.speed_rpm:g} r/min over {segment.over_s:g} s"
-    return f"sine of {segment.amplitude_rpm:g} r/min at {segment.frequency_hz:g} Hz"

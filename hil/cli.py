@@ -13,8 +13,14 @@ import typer
 
 from drivers.errors import BadInput
 from hil.machine.compiled import require_fresh
-from hil.terminal.exit_status import ExitStatus, complain, reported_errors
-from hil.terminal.groups import design, reproduce
+from hil.terminal.adapter import adapter
+from hil.terminal.commission import commission, rehearse, restore
+from hil.terminal.eds import eds
+from hil.terminal.exit_status import complain, reported_errors, status_of_run
+from hil.terminal.fault import fault
+from hil.terminal.groups import analyse, design, reproduce
+from hil.terminal.scan import scan
+from hil.terminal.simulate import simulate
 
 app = typer.Typer(
     name="hil",
@@ -23,7 +29,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
-for group in (reproduce, design):
+app.command()(adapter)
+app.command()(scan)
+app.command()(simulate)
+app.command()(eds)
+app.command()(fault)
+app.command()(commission)
+app.command()(restore)
+app.command()(rehearse)
+for group in (reproduce, analyse, design):
     app.add_typer(group)
 
 
@@ -47,6 +61,28 @@ JsonOption = Annotated[
 ]
 SeedOption = Annotated[
     int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
+]
+
+ReplayOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--replay-faults", metavar="FILE", help="faults.jsonl of a run; instead of the bench's own faults."
+    ),
+]
+NetworkOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--network",
+        metavar="NETWORK.toml",
+        help="A network measured before; refused if a controller was made for a better one.",
+    ),
+]
+WorseNetworkOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-worse-network",
+        help="Warn, instead of stopping, where the network is worse than a controller was made for.",
+    ),
 ]
 
 
@@ -78,22 +114,17 @@ def run(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
-    replay_faults: Annotated[
-        Path | None,
-        typer.Option(
-            "--replay-faults",
-            metavar="FILE",
-            help="faults.jsonl of a run; instead of the bench's own faults.",
-        ),
-    ] = None,
+    replay_faults: ReplayOption = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
     ] = False,
+    network: NetworkOption = None,
+    allow_worse_network: WorseNetworkOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
 
-    Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault.
+    Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     with reported_errors():
         from hil.configuration.bench_file import load_bench, load_faults
@@ -117,6 +148,8 @@ def run(
                 record=record,
                 view=view,
                 progress=progress,
+                network=network,
+                allow_worse_network=allow_worse_network,
             )
         finally:
             progress.clear()
@@ -126,74 +159,7 @@ def run(
             from hil.terminal.report import print_run
 
             print_run(config, outcome.summary, outcome.recording, bus_spec=bus)
-        raise typer.Exit(ExitStatus.PASSED if outcome.passed else ExitStatus.FAILED)
-
-
-@app.command()
-def simulate(
-    bus: Annotated[
-        str, typer.Option("--bus", metavar="SPEC", help="A real-time bus: hub:NAME, socketcan:vcan0, ...")
-    ],
-    node: Annotated[
-        list[str],
-        typer.Option(
-            "--node",
-            metavar="N...",
-            help="Node ids: 1, or 1,2, or 1-3, or unconfigured (LSS gives one); may be repeated.",
-        ),
-    ],
-    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
-    motor: Annotated[
-        Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
-    ] = None,
-    faults: Annotated[
-        Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
-    ] = None,
-    eds: Annotated[
-        Path | None,
-        typer.Option("--eds", metavar="FILE", help="EDS or DCF of the device to rehearse: its dictionary."),
-    ] = None,
-    store: Annotated[
-        Path | None,
-        typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
-    ] = None,
-    background: Annotated[
-        Path | None,
-        typer.Option("--background", metavar="FILE", help="Other nodes' traffic: tables [[background]]."),
-    ] = None,
-    bitrate: Annotated[
-        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
-    ] = 1_000_000,
-    seed: SeedOption = None,
-) -> None:
-    """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
-    with reported_errors():
-        from hil.configuration.background import load_background
-        from hil.configuration.bench_file import load_faults
-        from hil.configuration.config_files import NamedBy
-        from hil.configuration.motor_file import LING2012, load_motor
-        from hil.terminal.node_list import node_ids
-
-        nodes = node_ids([*node, *(more_nodes or [])])
-        motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
-        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
-        named_by = NamedBy("--background", "", str(background))
-        others = load_background(background, named_by) if background else ()
-
-        from hil.device_files import DeviceFiles
-        from hil.simulated_drives import simulate as simulate_drives
-
-        simulate_drives(
-            bus_spec=bus,
-            nodes=nodes,
-            motor=motor_file.parameters,
-            faults=plan,
-            bitrate_bit_s=bitrate,
-            seed=seed or 0,
-            announce=lambda text: print(text, file=sys.stderr, flush=True),
-            files=DeviceFiles(eds, store),
-            background=others,
-        )
+        raise typer.Exit(status_of_run(passed=outcome.passed, interrupted=outcome.interrupted))
 
 
 @app.command()

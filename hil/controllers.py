@@ -100,17 +100,25 @@ class StateFeedback:
     ``gain``: K = [K1 (A/A), K2 (A s/rad)]. The reference current i_q* = i_qr* carries the
     friction at the reference speed and a known load:
     K_t i_q* = feedforward_load_nm + viscous_friction omega*. A step of the
-    reference therefore needs no integral action, a step of the load leaves an error.
+    reference therefore needs no integral action, a step of the load leaves an error. K3 (A/rad), if
+    there is one, acts on the integral of the speed error, summed once a period, and not while a
+    limit cuts the torque off.
     """
 
     def __init__(
         self,
-        gain: tuple[float, float],
+        gain: tuple[float, ...],
         torque_constant_nm_a: float,
         viscous_friction_nm_s: float,
         feedforward_load_nm: float = 0.0,
+        period_s: float = 0.0,
     ) -> None:
-        self._gain = gain
+        self._gain = (gain[0], gain[1])
+        self._integral_gain_a_rad = gain[2] if len(gain) == 3 else 0.0
+        self._period_s = period_s
+        self._integral_rad = 0.0
+        self._error_rad_s = 0.0
+        self._demand_nm = 0.0
         self._torque_constant_nm_a = torque_constant_nm_a
         self._viscous_friction_nm_s = viscous_friction_nm_s
         self._feedforward_load_nm = feedforward_load_nm
@@ -121,7 +129,14 @@ class StateFeedback:
         current_error_a = (steady_nm - estimate.torque_nm) / constant
         speed_error_rad_s = reference_rad_s - estimate.velocity_rad_s
         correction_a = self._gain[0] * current_error_a + self._gain[1] * speed_error_rad_s
-        return steady_nm - constant * correction_a
+        if self._integral_gain_a_rad == 0.0:
+            return steady_nm - constant * correction_a
+        correction_a += self._integral_gain_a_rad * self._integral_rad
+        self._error_rad_s = speed_error_rad_s
+        self._demand_nm = steady_nm - constant * correction_a
+        return self._demand_nm
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:
-        """Static: nothing to advance."""
+    def update(self, estimate: StateEstimate, command: Command) -> None:  # noqa: ARG002
+        """Advance the integral; without one there is nothing to advance."""
+        if self._integral_gain_a_rad != 0.0 and command.torque_nm == self._demand_nm:
+            self._integral_rad += self._period_s * self._error_rad_s

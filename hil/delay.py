@@ -8,7 +8,6 @@ A sequence keeps its place until its reading has come or the horizon has passed;
 fates are handed out in order of sequence.
 """
 
-from collections import deque
 from typing import Final
 
 from drivers.timebase import Duration, Instant
@@ -47,7 +46,7 @@ class DelayMeter:
         """``deadline``: oldest usable age on arrival; ``horizon``: SYNCs after which one is lost."""
         self._deadline = deadline
         self._horizon = horizon
-        self._outstanding: deque[_Outstanding] = deque()
+        self._outstanding: list[_Outstanding] = []
         self._newest = 0
         self._typical_ns = 0.0
         self.unmatched = 0
@@ -99,7 +98,7 @@ class DelayMeter:
                     break
                 fate = self._lost(outstanding[0])
             fates.append(fate)
-            outstanding.popleft()
+            outstanding.pop(0)
         return fates
 
     def settle_all(self) -> list[Fate]:

@@ -1,17 +1,21 @@
 """The files of a simulated device on the command line: its data sheet and its memory."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from canopen import ObjectDictionary as VendorDictionary
+
 from drivers.dictionary import load_dictionary
+from drivers.eds.information import Commissioning
 from drivers.errors import BadInput
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
 from virtual_bus.canopen_device.parameter_store import FileStore
 from virtual_bus.canopen_device.vendor_dictionary import BASE_NODE_ID, overlay
 
 REPAIRS_SHOWN = 5
+IDENTITY, SERIAL_NUMBER = 0x1018, 4
 
 
 class DeviceFiles(NamedTuple):
@@ -22,19 +26,32 @@ class DeviceFiles(NamedTuple):
     store: Path | None = None
     """Where 1010h and LSS store, over the end of the process."""
 
-    def vendor(self, announce: Callable[[str], None]) -> Callable[[ObjectDictionary], None] | None:
-        """What lays the data sheet over a device's dictionary; ``announce`` hears what had to be mended.
+    def commissioned_node(self) -> int | None:
+        """The node-ID that a DCF was made for; None if there is none. Raises BadInput."""
+        if self.eds is None:
+            return None
+        commissioning = load_dictionary(self.eds).commissioning
+        return None if commissioning is None else commissioning.node_id
+
+    def vendor(
+        self, announce: Callable[[str], None], nodes: Sequence[int] = (), bitrate_bit_s: int | None = None
+    ) -> Callable[[ObjectDictionary], None] | None:
+        """What lays the data sheet over a device's dictionary; ``announce`` hears what had to be mended, and
+        where a DCF was made for others than ``nodes`` and ``bitrate_bit_s``.
 
         Raises BadInput if the file cannot be read.
         """
         if self.eds is None:
             return None
         loaded = load_dictionary(self.eds, BASE_NODE_ID)
+        commissioning = loaded.commissioning or Commissioning()
+        for difference in _differences(commissioning, nodes, bitrate_bit_s):
+            announce(f"{self.eds}: {difference}")
         for repair in loaded.repairs[:REPAIRS_SHOWN]:
             announce(f"{self.eds}: {repair}")
         if len(loaded.repairs) > REPAIRS_SHOWN:
             announce(f"{self.eds}: and {len(loaded.repairs) - REPAIRS_SHOWN} more repairs of that kind")
-        return partial(overlay, vendor=loaded.dictionary)
+        return partial(_lay_over, vendor=loaded.dictionary, serial_number=commissioning.serial_number)
 
     def memory(self, nodes: Sequence[int]) -> FileStore | None:
         """The store of the one device in ``nodes``. Raises BadInput for several, or for a foreign file."""
@@ -51,3 +68,19 @@ class DeviceFiles(NamedTuple):
         store = FileStore(self.store)
         store.load()
         return store
+
+
+def _lay_over(dictionary: ObjectDictionary, vendor: VendorDictionary, serial_number: int | None) -> None:
+    """The data sheet, and LSS_SerialNumber of a DCF as 1018h:4 (CiA 306-1, DeviceComissioning)."""
+    overlay(dictionary, vendor)
+    variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
+    if serial_number is not None and variable is not None:
+        variable.default = variable.value = serial_number
+
+
+def _differences(made_for: Commissioning, nodes: Sequence[int], bitrate_bit_s: int | None) -> Iterator[str]:
+    if made_for.node_id is not None and nodes and made_for.node_id not in nodes:
+        yield f"made for node {made_for.node_id}, simulated as {', '.join(map(str, nodes))}"
+    rate = made_for.bit_rate_kbit_s
+    if rate is not None and bitrate_bit_s is not None and rate * 1000 != bitrate_bit_s:
+        yield f"made for {rate} kbit/s, the bus runs at {bitrate_bit_s / 1000:.0f} kbit/s"

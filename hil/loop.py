@@ -12,9 +12,10 @@ loop cannot tell which.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final
 
 from drivers.errors import NoAnswer
+from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
 from hil.ticker import next_tick
@@ -28,25 +29,6 @@ class Actuation(Enum):
 
     ON_ARRIVAL = "on_arrival"
     ON_SYNC = "on_sync"
-
-
-class Master(Protocol):
-    """What the loop needs of the CANopen master."""
-
-    sync_count: int
-    """SYNCs sent."""
-
-    def send_sync(self) -> Instant:
-        """Send a SYNC; when it was handed to the bus."""
-        ...
-
-    def pump(self, until: Instant) -> None:
-        """Handle frames until an instant."""
-        ...
-
-    def pump_one(self, until: Instant) -> bool:
-        """Handle one frame; False if none came until then."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +61,20 @@ class LoopOutcome:
 class Loop:
     """Runs axes on one bus."""
 
-    def __init__(self, network: Master, clock: Clock, axes: Sequence[Axis], timing: LoopTiming) -> None:
+    def __init__(
+        self,
+        network: Master,
+        clock: Clock,
+        axes: Sequence[Axis],
+        timing: LoopTiming,
+        chore: Callable[[Instant], None] | None = None,
+    ) -> None:
+        """``chore``: done at the end of each cycle, when the commands are out; it must not wait."""
         self._network = network
-        self._clock = clock
+        self._now = clock.now
         self._axes = tuple(axes)
         self._timing = timing
+        self._chore = chore
         self._started_at = Instant(0)
 
     def calibrate(self) -> None:
@@ -117,7 +108,7 @@ class Loop:
         """
         timing = self._timing
         period = timing.period
-        due = Instant(self._clock.now() + period)
+        due = Instant(self._now() + period)
         end = Instant(due + duration)
         self._started_at = due
         on_start(due)
@@ -132,9 +123,9 @@ class Loop:
                 cycles += 1
                 if cycles % PROGRESS_EVERY_CYCLES == 0:
                     progress(cycles)
-                due, missed = next_tick(due, period, self._clock.now())
+                due, missed = next_tick(due, period, self._now())
                 ticks_missed += missed
-            ended_at = self._clock.now()
+            ended_at = self._now()
             self._drain(interrupted)
         finally:
             for axis in self._axes:
@@ -142,9 +133,9 @@ class Loop:
         return LoopOutcome(cycles, ticks_missed, self._started_at, ended_at, interrupted)
 
     def _cycle(self, due: Instant) -> None:
-        network, clock, axes = self._network, self._clock, self._axes
+        network, axes = self._network, self._axes
         network.pump(due)
-        woke_at = clock.now()
+        woke_at = self._now()
         sync_sent_at = network.send_sync()
         tick = Tick(network.sync_count, due, woke_at, sync_sent_at, (due - self._started_at) / NS_PER_S)
         for axis in axes:
@@ -154,6 +145,8 @@ class Loop:
             axis.decide(tick, self._apply_at(due))
         for axis in axes:
             axis.settle()
+        if self._chore is not None:
+            self._chore(self._now())
 
     def _await_readings(self, tick: Tick) -> None:
         network, axes, decide_after = self._network, self._axes, self._timing.decide_after
@@ -171,12 +164,12 @@ class Loop:
         timing = self._timing
         if timing.actuation is Actuation.ON_SYNC:
             return Instant(due + timing.period + timing.sync_latency)
-        return Instant(self._clock.now() + timing.command_latency)
+        return Instant(self._now() + timing.command_latency)
 
     def _drain(self, interrupted: bool) -> None:
         """Let the readings that are still on their way come in; not when the drives must stop at once."""
         if interrupted:
             return
-        self._network.pump(Instant(self._clock.now() + self._timing.settle))
+        self._network.pump(Instant(self._now() + self._timing.settle))
         for axis in self._axes:
             axis.collect()

@@ -1,16 +1,20 @@
 """Simulated drives as a bench or a command line asks for them."""
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
 
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.adapters import BusSpec, parse_bus_spec
 from drivers.errors import BadInput
 from hil.configuration.config import BenchConfig
-from hil.configuration.current_controller_file import CurrentController
+from hil.configuration.config_files import NamedBy
+from hil.configuration.current_controller_file import CurrentController, read_current_controller
 from hil.device_files import DeviceFiles
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
+from hil.simulated_load import SimulatedLoadMachine
 from hil.world import WorldPlan, open_world
 from virtual_bus.background import Stream, background_nodes
 from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
@@ -30,6 +34,7 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
         parameters = DriveParameters(
             inner_rate_hz=simulation.inner_rate_hz,
             encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
+            current_bandwidth_hz=simulation.current_bandwidth_hz,
             clock_drift_ppm=simulation.clock_drift_ppm,
             controller_q=_at_rate(wanted.current_control.controller, simulation.inner_rate_hz),
             controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
@@ -52,6 +57,20 @@ def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace |
         ) from None
 
 
+def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
+    """Of the drives of ``hil simulate``, with the current controllers in these files. Raises BadInput."""
+    found: dict[str, StateSpace | None] = {"q": None, "d": None}
+    rate_hz = DriveParameters().inner_rate_hz
+    for path in current_control:
+        controller = read_current_controller(path, NamedBy("--current-control", "", str(path)))
+        if found[controller.axis] is not None:
+            raise BadInput(
+                "--current-control", "", str(path), f"one controller for the {controller.axis} axis at most"
+            )
+        found[controller.axis] = _at_rate(controller, rate_hz)
+    return DriveParameters(controller_q=found["q"], controller_d=found["d"])
+
+
 def simulate(
     *,
     bus_spec: str,
@@ -63,6 +82,8 @@ def simulate(
     announce: Callable[[str], None],
     files: DeviceFiles,
     background: Sequence[Stream] = (),
+    current_control: Sequence[Path] = (),
+    load_machine: SimulatedLoadMachine | None = None,
 ) -> None:
     """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
 
@@ -78,8 +99,9 @@ def simulate(
             "a bus that other processes can join",
             "use hub:NAME, or run the bench itself with --bus simulated",
         )
-    vendor, store = files.vendor(announce), files.memory(nodes)
-    devices = [SimulatedServo(node, motor, seed=seed, store=store, vendor=vendor) for node in nodes]
+    vendor, store = files.vendor(announce, nodes, bitrate_bit_s), files.memory(nodes)
+    drive = drive_parameters(current_control)
+    devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         hosted: list[Device] = list(devices)
@@ -87,9 +109,11 @@ def simulate(
             hosted = [world.faults.wrap(device) for device in devices]
             world.faults.start(world.clock.now())
         hosted += background_nodes(background, seed)
-        with realtime_process() as refused:
+        with ExitStack() as leaving, realtime_process() as refused:
             for request in refused:
                 announce(f"not granted by the kernel: {request}")
+            if load_machine is not None:
+                hosted.append(leaving.enter_context(load_machine.coupled_to(devices[0], seed, announce)))
             announce(_announcement(spec, nodes, motor))
             serve(hosted, world.link.bus, world.clock, stop)
 

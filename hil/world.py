@@ -35,38 +35,67 @@ class World:
     """Whether time passes by itself: a full recording ring then loses rows instead of waiting."""
     faults: "WorldFaults | None"
     load_percent: Callable[[Instant, Instant], float]
-    """Bus load between two instants, percent: exact on a simulated segment, else from the frames seen."""
+    """Bus load between two instants, percent: exact on a simulated segment, the busiest if there are several;
+    else from the frames seen."""
     wall_offset: Duration
     """Wall clock minus the world's clock; 0 in simulated time."""
     error_frames: Callable[[], int]
     """How many error frames there were on the bus so far, as far as they can be seen."""
     tap_errors: Callable[[Tap], None]
     """Show error frames to a tap, as extended frames with CAN_ERR_FLAG; nothing where none can be seen."""
+    further: "tuple[FurtherSegment, ...]" = ()
+    """The segments beside the first one, in the order of the plan."""
+    wait: Callable[[Instant], object] = bool
+    """Where there are some: let time pass until a frame for the host is there on any, or until an instant."""
+    trouble: Callable[[], str] = str
+    """What the adapter counted of lost frames and the like, in words; empty if there is nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherSegment:
+    """One of them."""
+
+    name: str
+    link: BusLink
+    tap_errors: Callable[[Tap], None]
 
 
 class WorldFaults:
     """The faults of a world as a whole, and the bus that wears those of frames."""
 
-    def __init__(self, injection: Injection, bus: FaultyBus | None) -> None:
-        self._injection = injection
-        self._bus = bus
-        self.wrap = injection.wrap
+    def __init__(self, parts: Sequence[tuple[Injection, FaultyBus | None]]) -> None:
+        """``parts``: of each segment."""
+        self._parts = parts
+        self.wrap = parts[0][0].wrap
 
     def start(self, now: Instant) -> None:
         """Time zero of the plan is ``now``."""
-        if self._bus is not None:
-            self._bus.start(now)
-        self._injection.start(now)
+        for injection, bus in self._parts:
+            if bus is not None:
+                bus.start(now)
+            injection.start(now)
 
     def stop(self) -> None:
         """Nothing new happens from here on."""
-        if self._bus is not None:
-            self._bus.stop()
-        self._injection.stop()
+        for injection, bus in self._parts:
+            if bus is not None:
+                bus.stop()
+            injection.stop()
 
     def finish(self) -> None:
         """Let the log have what it has not got yet."""
-        self._injection.finish()
+        for injection, _ in self._parts:
+            injection.finish()
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentPlan:
+    """A segment of a simulated bus, and which nodes are on it."""
+
+    name: str
+    bitrate_bit_s: int
+    nodes: frozenset[int]
+    background: tuple[Stream, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +113,8 @@ class WorldPlan:
     """Takes what is injected, for a recording."""
     background: tuple[Stream, ...] = ()
     """Other nodes' traffic on a simulated segment."""
+    segments: tuple[SegmentPlan, ...] = ()
+    """Of a simulated bus beside the first one; the nodes that none of them names are on that."""
 
 
 def check_time(spec: BusSpec, time: str | None) -> bool:
@@ -107,49 +138,94 @@ def open_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> Iterator[Wo
     try:
         yield world
     finally:
-        world.link.bus.shutdown()
+        for link in (world.link, *[segment.link for segment in world.further]):
+            link.bus.shutdown()
+
+
+class _SimulatedSegment:
+    """A segment with what is on it, and the host's link to it."""
+
+    def __init__(
+        self, plan: WorldPlan, own: SegmentPlan, devices: Sequence[SimulatedNode], timeline: Timeline
+    ) -> None:
+        self.segment = segment = Segment(timeline, own.bitrate_bit_s)
+        self.bus = bus = SimulatedBus(segment=segment)
+        clock = SimulatedClock(timeline)
+        self.injection: Injection | None = None
+        self.faulty: FaultyBus | None = None
+        if plan.faults is not None:
+            self.injection = Injection(
+                plan.faults,
+                plan.seed,
+                plan.fault_log,
+                True,
+                bus.host_port.port.name.__eq__,
+                own.name or "bus",
+            )
+            if self.injection.disturber is not None:
+                segment.set_disturb(self.injection.disturber.disturb)
+            if self.injection.fates is not None:
+                self.faulty = FaultyBus(bus, self.injection.fates, clock, plan.side, Duration(0))
+        for device in devices:
+            self._attach(device)
+        for other in background_nodes(own.background, plan.seed):
+            attach_to_segment(other, segment, timeline, f"background 0x{other.stream.can_id:X}")
+        name = own.name or str(plan.spec)
+        self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name)
+
+    def _attach(self, device: SimulatedNode) -> None:
+        injection, segment = self.injection, self.segment
+        node = device if injection is None else injection.wrap(device)
+        attached = attach_to_segment(node, segment, segment.timeline)
+        if injection is not None and isinstance(node, FaultyDevice):
+            node.controller = attached.port
+            injection.on_start(attached.wake_now)
+
+    def tap_errors(self, tap: Tap) -> None:
+        """Show error frames to ``tap``."""
+
+        def show(error: BusError) -> None:
+            can_id, data, *_ = error_frame_of(error, self.bus.port.controller)
+            tap("rx", can_id, data, True, False, error.at)
+
+        self.segment.add_error_monitor(show)
+
+
+class _Inboxes:
+    """What waits for the host on any of several segments."""
+
+    def __init__(self, segments: Sequence[_SimulatedSegment]) -> None:
+        self._inboxes = [each.bus.host_port.received for each in segments]
+
+    def __len__(self) -> int:
+        return sum(map(len, self._inboxes))
 
 
 def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World:
     timeline = PacedTimeline(MonotonicClock()) if plan.paced else Timeline()
-    segment = Segment(timeline, plan.bitrate_bit_s)
-    bus = SimulatedBus(segment=segment)
-    clock = SimulatedClock(timeline)
-    injection = None
-    faulty = None
-    if plan.faults is not None:
-        injection = Injection(plan.faults, plan.seed, plan.fault_log, True, bus.host_port.port.name.__eq__)
-        if injection.disturber is not None:
-            segment.set_disturb(injection.disturber.disturb)
-        if injection.fates is not None:
-            faulty = FaultyBus(bus, injection.fates, clock, plan.side, Duration(0))
-    for device in devices:
-        node = device if injection is None else injection.wrap(device)
-        attached = attach_to_segment(node, segment, timeline)
-        if injection is not None and isinstance(node, FaultyDevice):
-            node.controller = attached.port
-            injection.on_start(attached.wake_now)
-    for other in background_nodes(plan.background, plan.seed):
-        attach_to_segment(other, segment, timeline, f"background 0x{other.stream.can_id:X}")
-    link = BusLink(faulty or bus, clock, StampSource.MONOTONIC, str(plan.spec))
-    faults = None if injection is None else WorldFaults(injection, faulty)
-
-    def tap_errors(tap: Tap) -> None:
-        def show(error: BusError) -> None:
-            can_id, data, *_ = error_frame_of(error, bus.port.controller)
-            tap("rx", can_id, data, True, False, error.at)
-
-        segment.add_error_monitor(show)
-
+    elsewhere = frozenset[int]().union(*(each.nodes for each in plan.segments))
+    nodes = frozenset(device.node_id for device in devices) - elsewhere
+    first = SegmentPlan("", plan.bitrate_bit_s, nodes, plan.background)
+    made = [
+        _SimulatedSegment(plan, own, [device for device in devices if device.node_id in own.nodes], timeline)
+        for own in (first, *plan.segments)
+    ]
+    inboxes = _Inboxes(made)
+    parts = [(each.injection, each.faulty) for each in made if each.injection is not None]
     return World(
-        link,
-        clock,
+        made[0].link,
+        SimulatedClock(timeline),
         plan.paced,
-        faults,
-        segment.load_percent,
+        WorldFaults(parts) if parts else None,
+        lambda since, until: max(each.segment.load_percent(since, until) for each in made),
         Duration(0),
-        lambda: segment.errors,
-        tap_errors,
+        lambda: sum(each.segment.errors for each in made),
+        made[0].tap_errors,
+        tuple(
+            FurtherSegment(own.name, each.link, each.tap_errors)
+            for own, each in zip(plan.segments, made[1:], strict=True)
+        ),
+        lambda until: timeline.run_until_filled(until, inboxes),
     )
 
 
@@ -170,6 +246,10 @@ def _real_world(plan: WorldPlan) -> World:
             "the bus 'simulated', which the bench makes itself",
             "send it from another process: hil simulate --background FILE",
         )
+    if plan.segments:
+        raise BadInput(
+            "bus.segment", "", f"the bus {plan.spec}", "the bus 'simulated', which the bench makes itself"
+        )
     clock = MonotonicClock()
     opened = open_bus(plan.spec, plan.bitrate_bit_s)
     wall_offset = wall_clock_offset()
@@ -181,7 +261,7 @@ def _real_world(plan: WorldPlan) -> World:
     link = BusLink(faulty or opened.bus, clock, opened.stamps, str(plan.spec))
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)
-    faults = None if injection is None else WorldFaults(injection, faulty)
+    faults = None if injection is None else WorldFaults([(injection, faulty)])
     return World(
         link,
         clock,
@@ -191,6 +271,7 @@ def _real_world(plan: WorldPlan) -> World:
         wall_offset,
         lambda: link.error_frames,
         lambda _tap: None,
+        trouble=getattr(opened.bus, "trouble", str),
     )
 
 

@@ -162,7 +162,8 @@ def test_the_lock_files_pin_what_the_project_asks_for() -> None:
     runtime = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
 
     assert unmet(runtime, "requirements.lock") == []
-    assert unmet(project["dependency-groups"]["dev"], "requirements-dev.lock") == []
+    for group, lock in (("dev", "requirements-dev.lock"), ("bench", "requirements-bench.lock")):
+        assert unmet(project["dependency-groups"][group], lock) == []
     assert unmet(["numpy<1", "not-in-there>=1"], "requirements.lock") == ["numpy<1", "not-in-there>=1"]
 
 
@@ -178,7 +179,7 @@ def test_tools_and_runtime_agree_where_both_pin_a_package() -> None:
     assert differing == set()
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-dev.lock"])
+@pytest.mark.parametrize("lock", sorted(path.name for path in ROOT.glob("requirements*.lock")))
 def test_every_pin_is_exact_and_hashed(lock: str) -> None:
     entries = re.split(r"\n(?=[A-Za-z0-9])", (ROOT / lock).read_text(encoding="utf-8"))[1:]
     assert len(entries) == sum(map(len, pins(lock).values()))

@@ -129,11 +129,15 @@ class CanopenDevice:
         """See :class:`virtual_bus.canopen_device.application.DeviceServices`."""
         self._pdos.notify(variable)
 
+    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
+        """Have LSS set the bit rate, bit/s, of the controller that the device is behind."""
+        self._lss.follow_bit_rate(set_bit_rate)
+
     @property
     def wake_at(self) -> Instant | None:
         """The earliest timer of the device or wish of its application; now, if frames are waiting."""
         station = self._station
-        if station.out:
+        if station.out and not station.mute:
             return station.now
         due = station.timers.next
         wish = self._application.wake_at
@@ -191,10 +195,11 @@ class CanopenDevice:
         return self._take_frames()
 
     def _take_frames(self) -> Sequence[Frame]:
-        frames = self._station.out
-        if not frames:
+        station = self._station
+        frames = station.out
+        if not frames or station.mute:
             return _NOTHING
-        self._station.out = []
+        station.out = []
         return frames
 
     def _reset_node(self, now: Instant) -> None:

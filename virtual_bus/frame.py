@@ -1,22 +1,13 @@
 """The frame and the device, as the simulated world sees them."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
+from drivers.frame_port import WireFrame
 from drivers.timebase import Instant
 
-
-class Frame(NamedTuple):
-    """A classical CAN data or remote frame."""
-
-    can_id: int
-    """11 bits, or 29 if ``extended``."""
-    data: bytes = b""
-    """0..8 bytes; empty for a remote frame."""
-    extended: bool = False
-    remote: bool = False
-    remote_length: int = 0
-    """DLC of a remote frame; not used for a data frame."""
+Frame = WireFrame
+"""One class on both sides of the wire."""
 
 
 class Device(Protocol):

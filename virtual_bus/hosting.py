@@ -9,8 +9,11 @@ import can
 
 from drivers.errors import BusDown
 from drivers.timebase import NS_PER_S, Clock, Instant
+from virtual_bus.can_bus.error_message import told_bus_off
 from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.can_bus.listener import Listener
 from virtual_bus.can_bus.message import frame_of, message_of
+from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
 from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
@@ -22,7 +25,17 @@ LOOPED_FRAMES_MAX: Final = 4096
 """Frames that devices of one host may send each other at one instant; more is a loop among them."""
 
 
-class AttachedDevice:
+class _Wake(Action):
+    """An instant at which a device may want to act."""
+
+    def __init__(self, attached: "AttachedDevice") -> None:
+        self._attached = attached
+
+    def happen(self, now: Instant) -> None:
+        self._attached._on_event(now)
+
+
+class AttachedDevice(Listener):
     """A device on a segment, woken by the segment's timeline.
 
     Events are never taken back: one that comes too early, because the device has put its deadline
@@ -35,11 +48,15 @@ class AttachedDevice:
         """Frames that did not fit into the port's transmit queue."""
         self._timeline = timeline
         self._scheduled: Instant | None = None
-        self.port = segment.attach(name, self._on_frame)
+        self._wake = _Wake(self)
+        self.port = segment.attach(name, self)
         """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
         self.port.on_error_state = self._on_error_state
         self._off = False
         self._attached = True
+        follow = getattr(device, "follow_bit_rate", None)
+        if follow is not None:
+            follow(self.port.set_bitrate)
         self._send(device.start(timeline.now))
         self._schedule()
 
@@ -53,7 +70,7 @@ class AttachedDevice:
         self._send(self.device.wake(self._timeline.now))
         self._schedule()
 
-    def _on_frame(self, frame: Frame, now: Instant) -> None:
+    def on_frame(self, frame: Frame, now: Instant) -> None:
         frames = self.device.receive(frame, now)
         if frames:
             self._send(frames)
@@ -86,7 +103,7 @@ class AttachedDevice:
         due = self.device.wake_at
         if due is not None and (self._scheduled is None or due < self._scheduled):
             self._scheduled = due
-            self._timeline.post(due, self._on_event)
+            self._timeline.enter(due, self._wake)
 
     def _on_event(self, now: Instant) -> None:
         if self._scheduled is None or now < self._scheduled or not self._attached:
@@ -108,11 +125,16 @@ def attach_to_segment(
 
 
 class RealTimeHost:
-    """Devices of one process on one bus: single-threaded, time passes only in ``bus.recv``."""
+    """Devices of one process on one bus: single-threaded, time passes only in ``bus.recv``.
+
+    That the adapter is bus-off is known from the bus's ``state`` or from an error frame (SocketCAN); that it
+    is back, from either of them or from any frame that it receives.
+    """
 
     def __init__(self, devices: Sequence[Device], bus: can.BusABC, clock: Clock) -> None:
         self.frames_lost = 0
-        """Frames that the adapter had no room for."""
+        """Frames that the adapter had no room for, or that were to be sent while it was bus-off."""
+        self._off = self._off_by_state = False
         self._devices = devices
         self._bus = bus
         self._clock = clock
@@ -138,6 +160,10 @@ class RealTimeHost:
     def _turn(self) -> None:
         message = self._bus.recv(self._patience_s())
         now = self._clock.now()
+        off = self._is_off(message)
+        if off != self._off:
+            self._off = off
+            self._tell_state(off, now)
         if message is not None and not message.is_error_frame and not message.is_fd:
             frame = frame_of(message)
             for device in self._devices:
@@ -146,6 +172,22 @@ class RealTimeHost:
             due = device.wake_at
             if due is not None and due <= now:
                 self._distribute(device, device.wake(now), now)
+
+    def _is_off(self, message: can.Message | None) -> bool:
+        knew, self._off_by_state = self._off_by_state, self._bus.state is can.BusState.ERROR
+        if self._off_by_state or knew:
+            return self._off_by_state
+        if message is None:
+            return self._off
+        told = told_bus_off(message.arbitration_id) if message.is_error_frame else False
+        return self._off if told is None else told
+
+    def _tell_state(self, off: bool, now: Instant) -> None:
+        """Tell the devices that want to know that their controller is bus-off, or back."""
+        for device in self._devices:
+            tell = getattr(device, "bus_off" if off else "bus_recovered", None)
+            if tell is not None:
+                self._distribute(device, tell(now) or (), now)
 
     def _patience_s(self) -> float:
         dues = [device.wake_at for device in self._devices]
@@ -169,6 +211,9 @@ class RealTimeHost:
                     queue.extend((device, answer) for answer in device.receive(frame, now))
 
     def _send(self, frame: Frame) -> None:
+        if self._off:
+            self.frames_lost += 1
+            return
         try:
             self._bus.send(message_of(frame, Instant(0)))
         except can.CanOperationError as error:

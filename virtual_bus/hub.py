@@ -4,6 +4,7 @@
 the hub's broker (virtual_bus.can_bus.hub_broker), which leaves after the last one.
 """
 
+import errno
 import select
 from collections import deque
 from typing import NoReturn
@@ -80,7 +81,7 @@ class HubBus(can.BusABC):
         try:
             self._socket.send(encode_frame(frame))
         except BlockingIOError:
-            raise can.CanOperationError(f"{self.channel_info}: transmit queue is full") from None
+            raise self._full() from None
         except OSError as error:
             self._lost(error)
         self._check_state()
@@ -144,7 +145,7 @@ class HubBus(can.BusABC):
                 self._socket.send(packet)
             except BlockingIOError:
                 if not self._wait_for_room(deadline):
-                    raise can.CanOperationError(f"{self.channel_info}: transmit queue is full") from None
+                    raise self._full() from None
             except OSError as error:
                 self._lost(error)
             else:
@@ -225,6 +226,9 @@ class HubBus(can.BusABC):
         """Raises can.CanOperationError if the controller is bus-off, as asked again once it was."""
         if self._error_state is ErrorState.BUS_OFF and self.status().error_state is ErrorState.BUS_OFF:
             raise can.CanOperationError(f"{self.channel_info}: the controller is bus-off")
+
+    def _full(self) -> can.CanOperationError:
+        return can.CanOperationError(f"{self.channel_info}: transmit queue is full", errno.ENOBUFS)
 
     def _wait_for_room(self, deadline: Instant) -> bool:
         remaining_ns = deadline - self._clock.now()

@@ -12,9 +12,8 @@ instant, takes part in the arbitration. So a frame costs one event, and the outc
 not depend on the order of events within an instant.
 """
 
-from collections import deque
+import errno
 from collections.abc import Callable
-from heapq import heappop, heappush
 from typing import Final
 
 import can
@@ -27,45 +26,38 @@ from virtual_bus.can_bus.controller import Controller
 from virtual_bus.can_bus.disturbance import Disturb, OnError
 from virtual_bus.can_bus.error_handling import ErrorHandling
 from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.can_bus.listener import NOBODY, Listener, OnFrame, listener_of
+from virtual_bus.event_heap import Action
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
-_push: Final = heappush
-_pop: Final = heappop
-
-OnFrame = Callable[[Frame, Instant], None]
 OnErrorState = Callable[[ErrorState, Instant], None]
 
 TRANSMIT_QUEUE_MAX: Final = 256
 """Frames that a port holds for the bus; one more is refused."""
 
 
-def _ignore(_frame: Frame, _at: Instant) -> None:
-    """What a detached port does with a frame."""
-
-
-_IGNORE: Final = _ignore
-
-
 class Port:
-    """A node's connection to a segment: a first-in first-out transmit queue and a callback."""
+    """A node's connection to a segment: a first-in first-out transmit queue and a listener."""
 
     __slots__ = (
+        "_key",
         "_queue",
         "_rank",
         "_room",
         "_segment",
         "controller",
+        "listener",
         "name",
         "on_error_state",
-        "on_frame",
         "on_sent",
         "recover_after_ns",
     )
 
-    def __init__(self, segment: "Segment", rank: int, name: str, on_frame: OnFrame) -> None:
+    def __init__(self, segment: "Segment", rank: int, name: str, listener: Listener) -> None:
         self.name = name
-        self.on_frame = on_frame
+        self.listener = listener
+        """Gets every other port's frame."""
         self.on_sent: OnFrame | None = None
         self.on_error_state: OnErrorState | None = None
         """Told when the controller gets error active, error passive or bus-off."""
@@ -74,7 +66,9 @@ class Port:
         self.controller = Controller(segment.bitrate_bit_s)
         self._segment = segment
         self._rank = rank
-        self._queue: deque[tuple[int, Frame]] = deque()
+        self._queue: list[Frame] = []
+        self._key = 0
+        """Arbitration key of the frame at the head of the queue."""
         self._room = TRANSMIT_QUEUE_MAX
 
     @property
@@ -115,17 +109,16 @@ class Port:
     def send(self, frame: Frame) -> None:
         """Queue ``frame``. Raises can.CanOperationError if the queue is full, or the port off or detached."""
         queue = self._queue
-        if len(queue) >= self._room or self.on_frame is _IGNORE:
+        if len(queue) >= self._room or self.listener is NOBODY:
             raise self._refusal()
-        can_id, _, extended, remote, _ = frame
-        key = arbitration_key(frame) if extended or remote else can_id << 21
-        queue.append((key, frame))
+        queue.append(frame)
         if len(queue) == 1:
-            self._segment._contend(key, self)
+            self._key = arbitration_key(frame)
+            self._segment._contend(self)
 
     def detach(self) -> None:
         """Receive no more and accept no more; what was queued still goes out, as from a controller."""
-        self.on_frame = _ignore
+        self.listener = NOBODY
         self.on_sent = None
         self._segment._forget(self)
 
@@ -163,6 +156,8 @@ class Port:
         """
         if bitrate_bit_s <= 0:
             raise ValueError(f"bitrate {bitrate_bit_s} bit/s: it must be positive")
+        if bitrate_bit_s == self.controller.bitrate_bit_s:
+            return
         handling = self._segment._handled()
         self.controller.bitrate_bit_s = bitrate_bit_s
         handling.choose()
@@ -174,9 +169,20 @@ class Port:
     def _refusal(self) -> can.CanOperationError:
         if self._room == 0:
             return can.CanOperationError(f"{self.name}: the controller is bus-off")
-        if self.on_frame is _ignore:
+        if self.listener is NOBODY:
             return can.CanOperationError(f"{self.name}: the port is detached from its segment")
-        return can.CanOperationError(f"{self.name}: transmit queue is full ({TRANSMIT_QUEUE_MAX} frames)")
+        full = f"{self.name}: transmit queue is full ({TRANSMIT_QUEUE_MAX} frames)"
+        return can.CanOperationError(full, errno.ENOBUFS)
+
+
+class _EndOfFrame(Action):
+    """The last bit of the frame under way."""
+
+    def __init__(self, segment: "Segment") -> None:
+        self._segment = segment
+
+    def happen(self, now: Instant) -> None:
+        self._segment._finish(now)
 
 
 class Segment:
@@ -193,7 +199,6 @@ class Segment:
         "_handling",
         "_intermission",
         "_judge",
-        "_key",
         "_load",
         "_monitors",
         "_on_end",
@@ -223,14 +228,13 @@ class Segment:
         self._ports: tuple[Port, ...] = ()
         self._attached = 0
         self._monitors: tuple[OnFrame, ...] = ()
-        self._contenders: list[tuple[int, int, Port]] = []  # heads of queues, but for the sender's
+        self._contenders: list[Port] = []  # those that wait, but for the sender
         self._sender: Port | None = None
-        self._key = 0
         self._start_at = Instant(0)
         self._end_at = Instant(0)
         self._free_at = Instant(0)
         self._delivering = False
-        self._on_end = self._finish
+        self._on_end = _EndOfFrame(self)
         self._judge: Disturb | None = None
         self._error_monitors: tuple[OnError, ...] = ()
         self._handling: ErrorHandling | None = None
@@ -246,10 +250,10 @@ class Segment:
         """Share of [since, until] that completed frames and intermissions took, percent."""
         return self._load.percent(since, until)
 
-    def attach(self, name: str, on_frame: OnFrame) -> Port:
-        """A port whose ``on_frame(frame, at)`` gets every other port's frame at its end of frame."""
+    def attach(self, name: str, owner: Listener | OnFrame) -> Port:
+        """A port whose ``owner`` gets every other port's frame at its end of frame."""
         self._attached += 1
-        port = Port(self, self._attached, name, on_frame)
+        port = Port(self, self._attached, name, listener_of(owner))
         self._ports = (*self._ports, port)
         return port
 
@@ -301,39 +305,33 @@ class Segment:
             self._handling.left(port)
         self._ports = tuple(other for other in self._ports if other is not port)
 
-    def _contend(self, key: int, port: Port) -> None:
-        """``port`` has a frame at the head of its queue, of arbitration key ``key``."""
+    def _contend(self, port: Port) -> None:
+        """``port`` has a frame at the head of its queue."""
         if self._handling is not None:
             self._handling.choose()
             return
         sender = self._sender
         if sender is None and not self._delivering:
-            self._begin(key, port)
-            return
-        if (
-            sender is not None
-            and self.timeline.now <= self._start_at
-            and (key, port._rank) < (self._key, sender._rank)
-        ):  # the frame chosen before has not begun and loses
-            _push(self._contenders, (self._key, sender._rank, sender))
-            self._begin(key, port)
-            return
-        _push(self._contenders, (key, port._rank, port))
+            self._begin(port)
+        elif sender is not None and self.timeline.now <= self._start_at and _wins(port, sender):
+            self._contenders.append(sender)  # the frame chosen before has not begun and loses
+            self._begin(port)
+        else:
+            self._contenders.append(port)
 
-    def _begin(self, key: int, port: Port) -> None:
+    def _begin(self, port: Port) -> None:
         """Let ``port`` send the head of its queue as soon as the bus is free."""
         timeline = self.timeline
         start = self._free_at
         if timeline.now > start:
             start = timeline.now
-        _, data, _, remote, remote_length = port._queue[0][1]
+        _, data, _, remote, remote_length = port._queue[0]
         dlc = remote_length if remote else len(data)
-        bits = wire_bits(key << 4 | dlc, data)
+        bits = wire_bits(port._key << 4 | dlc, data)
         self._sender = port
-        self._key = key
         self._start_at = start
         self._end_at = end = Instant(start + self._durations[bits])
-        timeline.post(end, self._on_end)
+        timeline.enter(end, self._on_end)
 
     def _finish(self, now: Instant) -> None:
         """The last bit of end of frame has passed: deliver, and choose the next frame."""
@@ -341,27 +339,41 @@ class Segment:
         if sender is None or now != self._end_at:
             return  # the end of a frame that lost the arbitration before its start
         queue = sender._queue
-        frame = queue.popleft()[1]
+        frame = queue.pop(0)
         self._sender = None
         self._free_at = free_at = Instant(now + self._intermission)
         self.frames += 1
         self._load.add(free_at - self._start_at, free_at)
-        contenders = self._contenders
         if queue:
-            _push(contenders, (queue[0][0], sender._rank, sender))
+            sender._key = arbitration_key(queue[0])
+            self._contenders.append(sender)
         self._delivering = True
         try:
             for monitor in self._monitors:
                 monitor(frame, now)
             for port in self._ports:
                 if port is not sender:
-                    port.on_frame(frame, now)
+                    port.listener.on_frame(frame, now)
             if sender.on_sent is not None:
                 sender.on_sent(frame, now)
         finally:
             self._delivering = False
             if self._handling is not None:
                 self._handling.choose()
-            elif contenders:
-                key, _, port = _pop(contenders)
-                self._begin(key, port)
+            elif self._contenders:
+                self._begin(self._take_winner())
+
+    def _take_winner(self) -> Port:
+        """The contender that wins the arbitration."""
+        contenders = self._contenders
+        winner = contenders[0]
+        for port in contenders:
+            if _wins(port, winner):
+                winner = port
+        contenders.remove(winner)
+        return winner
+
+
+def _wins(port: Port, other: Port) -> bool:
+    """Whether ``port`` wins the arbitration against ``other``."""
+    return port._key < other._key or (port._key == other._key and port._rank < other._rank)

@@ -7,7 +7,7 @@ CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may
 
 import math
 from collections.abc import Callable
-from typing import Final, cast
+from typing import Final
 
 from design.motor import PmsmParameters
 from drivers.objects402 import Object
@@ -31,8 +31,10 @@ from virtual_bus.canopen_device.application import (
 from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
 from virtual_bus.canopen_device.parameter_store import ParameterStore
 from virtual_bus.device import CanopenDevice
+from virtual_bus.servo_drive.actual_values import ActualValues
 from virtual_bus.servo_drive.axis import REST_S, Axis
 from virtual_bus.servo_drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
+from virtual_bus.servo_drive.failures import Failures
 from virtual_bus.servo_drive.firmware import Firmware, InnerControl
 from virtual_bus.servo_drive.machine import SimulatedMachine
 from virtual_bus.servo_drive.motion_objects import MotionObjects
@@ -42,10 +44,8 @@ from virtual_bus.servo_drive.motor_kernel import (
     D_SPEED_MAX,
     D_TORQUE_MAX,
     S_COUNT,
-    S_LIMITED,
-    S_SPEED_MEASURED,
-    S_TORQUE_MEASURED,
 )
+from virtual_bus.servo_drive.open_defaults import OpenDefaults
 from virtual_bus.servo_drive.operation_mode import OperationMode
 from virtual_bus.servo_drive.operation_modes import MODES
 from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
@@ -55,7 +55,7 @@ from virtual_bus.servo_drive.servo_parameters import (
     DriveParameters,
     device_options,
 )
-from virtual_bus.servo_drive.slow_values import LOAD_NM, clipped, provide_slow_values
+from virtual_bus.servo_drive.slow_values import LOAD_NM, provide_slow_values
 from virtual_bus.servo_drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
@@ -63,14 +63,6 @@ _WAKE_NS: Final = 20 * NS_PER_MS
 """Without frames the motor is still carried along, so that none finds a long way to go."""
 
 INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
-
-_COUNT: Final = int(S_COUNT)
-_SPEED: Final = int(S_SPEED_MEASURED)
-_TORQUE: Final = int(S_TORQUE_MEASURED)
-_LIMITED: Final = int(S_LIMITED)
-_INT32_MAX: Final = 2147483647.0
-_round: Final = round
-"""As constants of this module: found without a look-up where it is compiled."""
 
 _BASE_STATUS: dict[State, int] = {
     state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
@@ -84,21 +76,17 @@ class ServoApplication(Application):
         self.motor = motor
         self.drive = drive
         self.firmware = Firmware(motor, drive)
-        # gives plain floats, which an array does not; numpy's stubs call every buffer one of integers
-        self._state = cast("memoryview[float]", self.firmware.state.data)
         self._demand = self.firmware.demand
         self.wake_at = Instant(0)
         self._powered = False
         self._motion = Motion.OFF
         self._revision = -1
         self._base_status = 0
-        self._failures: set[int] = set()
         self._controlword = 0
         self._task: OperationMode | None = None
         """The mode, if it is followed and runs once per motion period."""
-        self._plain = True
-        self._origin = 0
-        self._velocity_per_rad_s = 1.0
+        self._switches_fitted = False
+        self._inputs = 0
 
     def attach(self, services: DeviceServices) -> None:
         self._services = services
@@ -106,14 +94,14 @@ class ServoApplication(Application):
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
+        self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
         self.units = UserUnits(dictionary, counts, self._may_change_units)
         self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
         self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
-        self._cyclic = objects.position, objects.velocity, objects.torque, objects.statusword
-        self._torque_unit_nm = objects.rated_torque.default * 1e-6
+        self._actual = ActualValues(self.firmware, objects, self.units)
         objects.controlword.on_write = self._on_controlword
         objects.mode.on_write = self._on_mode
         objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
@@ -121,25 +109,34 @@ class ServoApplication(Application):
         motion.target_position.on_write = motion.position_offset.on_write = self._on_position
         for variable in (objects.max_torque, objects.max_current, objects.max_motor_speed):
             variable.on_write = lambda _value: self._take_limits()
+        for variable in (objects.rated_torque, objects.rated_current):
+            variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
         objects.load_torque.on_write = self._on_load
-        self.units.on_change(self._take_units)
+        for variable in (motion.position_min, motion.position_max, motion.home_offset):
+            variable.on_write = lambda _value: self._take_guards()
+        self.units.on_change(self._actual.take_units)
         self.machine.on_change(self._on_inputs)
         provide_slow_values(self.axis)
+        self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
 
     def on_reset(self, now: Instant) -> None:
         """Power-on, or reset of the node: the power stage goes off; shaft, encoder and load stay."""
         if not self._powered:
             self._powered = True
             self.firmware.start(now)
+            self._open_defaults.fill_in(self._services.node_id)
         self.wake_at = Instant(now + _WAKE_NS)
-        self._failures.clear()
+        self._failures.forget()
         self.power.restart()
-        self._mode = self._modes.get(self.objects.mode.value, self._mode)
+        mode = self.objects.mode.value
+        if mode in self._modes:
+            self._mode = self._modes[mode]
+            self.objects.mode_display.value = mode
+        self.axis.take_guards()
         self._controlword = 0
         self.units.origin = 0.0
         self.units.take()
-        self._take_units()
-        self._take_limits()
+        self._take_rating()
         self._act()
         self._refresh()
 
@@ -184,22 +181,10 @@ class ServoApplication(Application):
 
     def _refresh(self) -> None:
         """The cyclic values as of the last inner tick."""
-        state = self._state
-        position, velocity, torque, statusword = self._cyclic
-        if self._plain:
-            count = int(state[_COUNT]) - self._origin
-            position.value = (count + 0x8000_0000 & 0xFFFF_FFFF) - 0x8000_0000
-        else:
-            position.value = self.units.position_of(state[_COUNT])
-        speed = state[_SPEED] * self._velocity_per_rad_s
-        velocity.value = _round(speed) if -_INT32_MAX < speed < _INT32_MAX else clipped(speed, 32)
-        torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
-        status = self._base_status
-        if state[_LIMITED] != 0.0:
-            status |= INTERNAL_LIMIT_ACTIVE
-        if status != statusword.value:
-            statusword.value = status
-            self._services.notify(statusword)
+        if self._actual.refresh(self._base_status):
+            self._services.notify(self._actual.statusword)
+        if self._switches_fitted:
+            self._show_inputs()
 
     def _act(self) -> None:
         """Let the inner loops and the statusword follow the state machine."""
@@ -211,10 +196,11 @@ class ServoApplication(Application):
             self._motion = power.motion
             self._move(power.motion)
         status = _BASE_STATUS[power.state]
-        self._task = None
+        self._choose_task()
         if power.motion is Motion.FOLLOW:
             status |= self._mode.status_bits()
-            self._task = self._mode if self._mode.periodic else None
+        elif self._failures.following and self._mode.has_following_error:
+            status |= Status.MODE_13
         if power.torque_off:
             status &= ~Status.VOLTAGE_ENABLED
         if power.at_rest:
@@ -222,6 +208,11 @@ class ServoApplication(Application):
         self._base_status = status
         if power.stopping or self._task is not None:
             self.wake_at = Instant(self._services.now + _WAKE_WHILE_STOPPING_NS)
+
+    def _choose_task(self) -> None:
+        mode = self._mode
+        follows = self._motion is Motion.FOLLOW and (mode.periodic or self.axis.guarded)
+        self._task = mode if follows else None
 
     def _move(self, motion: Motion) -> None:
         if motion is Motion.OFF:
@@ -252,10 +243,7 @@ class ServoApplication(Application):
             self._refresh()
 
     def _leave_fault(self) -> None:
-        if self.objects.error_code.value and self.power.state is State.SWITCH_ON_DISABLED:
-            self.objects.error_code.value = 0
-            for code in sorted(self._failures):
-                self._services.clear_error(code)
+        if self.power.state is State.SWITCH_ON_DISABLED:
             self._failures.clear()
 
     def _on_mode(self, mode: int) -> None:
@@ -266,7 +254,7 @@ class ServoApplication(Application):
         self.objects.mode_display.value = mode
         if self._motion is Motion.FOLLOW:
             self._mode.begin(self._controlword)
-            self._task = self._mode if self._mode.periodic else None
+            self._choose_task()
             self._show_mode()
             self._refresh()
 
@@ -284,25 +272,44 @@ class ServoApplication(Application):
 
     def _take_limits(self) -> None:
         objects, demand = self.objects, self._demand
-        demand[D_TORQUE_MAX] = objects.max_torque.value * self._torque_unit_nm
-        demand[D_CURRENT_MAX] = objects.max_current.value * self.motor.rated_current_a / 1000.0
+        demand[D_TORQUE_MAX] = min(
+            objects.max_torque.value * objects.torque_unit_nm, self.motor.torque_max_nm
+        )
+        demand[D_CURRENT_MAX] = min(
+            objects.max_current.value * objects.current_unit_a, self.motor.current_max_a
+        )
         demand[D_SPEED_MAX] = objects.max_motor_speed.value * RPM
 
+    def _take_rating(self) -> None:
+        self.axis.take_rating()
+        self._actual.take_units()
+        self._take_limits()
+
     def _encoder_count(self) -> float:
-        return self._state[S_COUNT]
+        return float(self.firmware.state[S_COUNT])
 
     def _may_change_units(self) -> bool:
         return self._motion is Motion.OFF
 
-    def _take_units(self) -> None:
-        """For the cyclic path, which asks for them thousands of times a second."""
-        units = self.units
-        self._origin = int(units.origin)
-        self._plain = units.plain and units.origin == self._origin
-        self._velocity_per_rad_s = units.velocity_per_rad_s
+    def _take_guards(self) -> None:
+        """A mode that acts on its set-points alone runs by periods while the axis has an end."""
+        guarded = self.axis.guarded
+        self.axis.take_guards()
+        if guarded != self.axis.guarded and self._motion is Motion.FOLLOW and not self._mode.periodic:
+            self._mode.begin(self._controlword)
+            self._choose_task()
+            self._show_mode()
+
+    def _show_inputs(self) -> None:
+        bits = self.machine.input_bits()
+        if bits != self._inputs:
+            self._inputs = bits
+            self._services.notify(self.machine.inputs)
 
     def _on_inputs(self) -> None:
         """Safe torque off acts at once; the switches are read when a mode asks for them."""
+        self._switches_fitted = self.machine.fitted != 0
+        self._take_guards()
         power = self.power
         if self.machine.sto != power.torque_off:
             power.torque_off = self.machine.sto
@@ -311,7 +318,7 @@ class ServoApplication(Application):
             power.revision += 1
             self._act()
             self._refresh()
-        self._services.notify(self.machine.inputs)
+        self._show_inputs()
 
     def _fail_following(self) -> None:
         self.fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)
@@ -321,8 +328,7 @@ class ServoApplication(Application):
 
         A further fault while one is there adds its EMCY and leaves 603Fh and the state as they are.
         """
-        self._failures.add(code)
-        self._services.raise_error(code, register)
+        self._failures.add(code, register)
         self._signal_fault(code)
 
     def hold_encoder(self, held: bool) -> None:
@@ -332,7 +338,7 @@ class ServoApplication(Application):
     def _signal_fault(self, code: int) -> None:
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return
-        self.objects.error_code.value = code
+        self._failures.show(code)
         self.power.signal(Event.FAULT_DETECTED)
         self._act()
         self._refresh()
@@ -389,8 +395,3 @@ class SimulatedServo(CanopenDevice):
     def drive_state(self) -> State:
         """State of the CiA 402 state machine."""
         return self.drive.power.state
-
-
-def _int16(value: float) -> int:
-    """``value`` rounded into INTEGER16."""
-    return min(max(_round(value), -0x8000), 0x7FFF)

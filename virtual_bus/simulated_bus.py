@@ -45,8 +45,10 @@ class SimulatedBus(can.BusABC):
         self.host_port = host_port = HostPort(self.segment, channel or "host")
         self.recv_frame: Callable[[Instant], Entry | None] = host_port.recv_frame
         """The lean path, without python-can: see :meth:`HostPort.recv_frame`."""
-        self.send_frame: Callable[[Frame], None] = host_port.send_frame
-        """See :meth:`HostPort.send_frame`."""
+        self.send_frame: Callable[[Frame], None] = host_port.transmit
+        """See :meth:`HostPort.transmit`."""
+        self.frame_port = host_port
+        """The same, for a link."""
         if receive_own_messages:
             host_port.hear_itself()
         if receive_error_frames:

@@ -6,19 +6,26 @@ on nothing but its input.
 """
 
 from collections.abc import Callable, Sized
-from heapq import heappop, heappush
-from typing import Final
 
 from drivers.timebase import Instant
+from virtual_bus.event_heap import Action, Entry, pop, push
 
 Callback = Callable[[Instant], object]
 
-_push: Final = heappush
-_pop: Final = heappop
-"""As constants of this module: found without a look-up where it is compiled."""
+
+class _Call(Action):
+    """A callback as an action."""
+
+    __slots__ = ("_callback",)
+
+    def __init__(self, callback: Callback) -> None:
+        self._callback = callback
+
+    def happen(self, now: Instant) -> None:
+        self._callback(now)
 
 
-class Event:
+class Event(Action):
     """An entry of a timeline that can be taken back; it runs once or never."""
 
     __slots__ = ("_callback",)
@@ -35,8 +42,11 @@ class Event:
         """Whether the event is still to run."""
         return self._callback is not None
 
-    def __call__(self, now: Instant) -> None:
-        """Run, as the timeline does at the event's instant."""
+    @property
+    def wanted(self) -> bool:
+        return self._callback is not None
+
+    def happen(self, now: Instant) -> None:
         callback, self._callback = self._callback, None
         if callback is not None:
             callback(now)
@@ -49,46 +59,50 @@ class Timeline:
 
     def __init__(self) -> None:
         self.now = Instant(0)
-        self._heap: list[tuple[Instant, int, Callback]] = []
+        self._heap: list[Entry] = []
         self._entered = 0
 
     def call_at(self, when: Instant, callback: Callback) -> Event:
         """Run ``callback(now)`` at ``when``; an instant that has passed means: at once, at ``now``."""
         event = Event(callback)
-        self.post(when, event)
+        self.enter(when, event)
         return event
 
     def post(self, when: Instant, callback: Callback) -> None:
-        """As ``call_at``, for what is never taken back: cheaper."""
+        """As ``call_at``, for what is never taken back."""
+        self.enter(when, _Call(callback))
+
+    def enter(self, when: Instant, action: Action) -> None:
+        """Let ``action`` happen at ``when``; it may be entered several times. The cheapest way."""
         self._entered = entered = self._entered + 1
-        _push(self._heap, (when if when > self.now else self.now, entered, callback))
+        push(self._heap, Entry(when if when > self.now else self.now, entered, action))
 
     def next_at(self) -> Instant | None:
         """The instant of the next event; None if there is none left."""
         heap = self._heap
         while heap:
-            when, _, callback = heap[0]
-            if not isinstance(callback, Event) or callback.pending:
-                return when
-            _pop(heap)
+            first = heap[0]
+            if first.action.wanted:
+                return first.when
+            pop(heap)
         return None
 
     def step(self) -> bool:
         """Go to the next event and run it; False if there is none left."""
         if self.next_at() is None:
             return False
-        when, _, callback = heappop(self._heap)
-        self.now = when
-        callback(when)
+        entry = pop(self._heap)
+        self.now = entry.when
+        entry.action.happen(entry.when)
         return True
 
     def run_until(self, when: Instant) -> None:
         """Run every event up to and including ``when``, then stand at ``when``."""
         heap = self._heap
-        while heap and heap[0][0] <= when:
-            due, _, callback = _pop(heap)
-            self.now = due
-            callback(due)
+        while heap and heap[0].when <= when:
+            entry = pop(heap)
+            self.now = entry.when
+            entry.action.happen(entry.when)
         if when > self.now:
             self.now = when
 
@@ -100,13 +114,13 @@ class Timeline:
         """
         heap = self._heap
         while not inbox:
-            if not heap or heap[0][0] > when:
+            if not heap or heap[0].when > when:
                 if when > self.now:
                     self.now = when
                 return False
-            due, _, callback = _pop(heap)
-            self.now = due
-            callback(due)
+            entry = pop(heap)
+            self.now = entry.when
+            entry.action.happen(entry.when)
         return True
 
 

@@ -9,11 +9,12 @@ from pydantic import ValidationError
 
 from drivers.errors import BadInput, BenchError
 from hil.configuration.config import BenchConfig, Faults
-from hil.configuration.config_axis import Controller, ControllerFile
+from hil.configuration.config_axis import Controller, ControllerFile, StateFeedbackController
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
 from hil.configuration.config_files import NamedBy, read_toml, require_file
 from hil.configuration.current_controller_file import load_current_controller
+from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
 from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, read_fault_plan
@@ -70,6 +71,29 @@ def load_controller(path: Path, named_by: NamedBy | None = None) -> Controller:
         raise_all(translate(error, str(path), tables, ControllerFile))
 
 
+def strategy_of(
+    controller: Mapping[str, Any] | StateFeedbackController, source: str
+) -> dict[str, Any] | None:
+    """The compensator that a controller was made for; None if it does not say. Raises BadInput.
+
+    A table that is at fault elsewhere says nothing either: its own errors are found later.
+    """
+    if isinstance(controller, Mapping):
+        try:
+            controller = StateFeedbackController.model_validate(controller)
+        except ValidationError:
+            return None
+    made_for = controller.made_for
+    if made_for is None or made_for.strategy is None:
+        return None
+    if made_for.strategy == "history":
+        expected = "arrival or stamp: a reading on the bus carries one sample, history needs several"
+        raise BadInput(source, "controller.made_for.strategy", made_for.strategy, expected)
+    if made_for.strategy == "arrival":
+        return {"kind": "arrival"}
+    return {"kind": "stamp", "delay_us": made_for.agreed_delay_us}
+
+
 class _Expansion:
     """Puts what the paths of a bench file name into its tables, and collects what fails."""
 
@@ -100,12 +124,22 @@ class _Expansion:
         readers: dict[str, Callable[[Path, NamedBy], Any]] = {
             "motor": load_motor,
             "controller": load_controller,
+            "commissioned": load_drive_file,
         }
         for part, read in readers.items():
             value = tables.get(part)
             if isinstance(value, str):
                 named_by = NamedBy(self._source, f"drive.{name}.{part}", value)
                 tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
+        if isinstance(tables.get("eds"), str):
+            tables["eds"] = str(self._folder / tables["eds"])
+        controller = tables.get("controller")
+        if "compensator" not in tables and isinstance(controller, Mapping | StateFeedbackController):
+            made_for = self._attempt(
+                f"drive.{name}.controller", partial(strategy_of, controller, self._source)
+            )
+            if made_for is not None:
+                tables["compensator"] = made_for
         control = tables.get("current_control")
         if isinstance(control, Mapping):
             tables["current_control"] = self._current_control(name, control)

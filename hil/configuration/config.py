@@ -13,7 +13,9 @@ from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import Drive, LoadStep, Reference
 from hil.configuration.config_files import Section
+from hil.configuration.config_load_machine import LoadMachine
 from hil.configuration.toml_text import toml_text
+from hil.figures.summary import VerdictLimits
 from virtual_bus.fault_injection.injection import Faults as InjectedFaults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
@@ -31,6 +33,15 @@ class Bench(Section):
     """Seeds every random stream of the run."""
 
 
+class BusSegment(Section):
+    """``[[bus.segment]]``: one more segment of the bus ``simulated``, with a port of the host on it."""
+
+    name: AxisName = Field(description="a name by which drives say that they are on it")
+    bitrate_bit_s: BitRate = 1_000_000
+    background: BackgroundTables = ()
+    """Other nodes' traffic on this segment."""
+
+
 class Bus(Section):
     """``[bus]``"""
 
@@ -39,6 +50,8 @@ class Bus(Section):
     bitrate_bit_s: BitRate = 1_000_000
     background: BackgroundTables = ()
     """Other nodes' traffic, on the bus ``simulated`` that the bench makes itself."""
+    segment: Annotated[tuple[BusSegment, ...], Field(strict=False)] = ()
+    """Further segments beside the one that these keys describe."""
 
 
 class Host(Section):
@@ -72,7 +85,8 @@ class Loop(Section):
     """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""
     position_every_cycles: int = Field(default=1, ge=1, le=240)
     """1: position and the drive's time stamp come with every reading. More: the position comes once in so
-    many cycles and is carried along by the speed in between, without a stamp; three drives then fit a bus."""
+    many cycles and is carried along by the speed in between, without a stamp; three drives then fit a bus.
+    Without stamps a delay that jumps by more than half a period is taken for whole periods more or less."""
 
     @property
     def period(self) -> Duration:
@@ -104,6 +118,18 @@ class Verdict(Section):
     dropouts_percent_max: float | None = Field(default=None, ge=0, le=100)
     delay_p99_us_max: float | None = Field(default=None, gt=0)
     bus_load_percent_max: float | None = Field(default=None, gt=0, le=100)
+    settling_ms: int = Field(default=250, ge=0, le=3_600_000)
+    """After a reference step the speed error is not counted for so long."""
+
+    @property
+    def settling(self) -> Duration:
+        """``settling_ms`` in ns."""
+        return Duration(self.settling_ms * NS_PER_MS)
+
+    @property
+    def limits(self) -> VerdictLimits:
+        """The limits alone."""
+        return VerdictLimits(**self.model_dump(exclude={"settling_ms"}))
 
 
 class Recording(Section):
@@ -131,6 +157,8 @@ class BenchConfig(Section):
     drive: dict[AxisName, Drive] = Field(min_length=1, description="at least one table [drive.NAME]")
     reference: dict[str, Annotated[tuple[Reference, ...], Field(strict=False)]] = Field(default_factory=dict)
     load: dict[str, Annotated[tuple[LoadStep, ...], Field(strict=False)]] = Field(default_factory=dict)
+    load_machine: LoadMachine | None = None
+    """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
     faults: Faults | None = None
     verdict: Verdict = Verdict()
     recording: Recording = Recording()
@@ -151,6 +179,22 @@ class BenchConfig(Section):
     def axes(self) -> tuple[str, ...]:
         """Names of the axes, in the order in which the loop serves them."""
         return tuple(sorted(self.drive))
+
+    @property
+    def load_machine_axis(self) -> str | None:
+        """On whose shaft the load machine is; None: there is none."""
+        return None if self.load_machine is None else self.load_machine.axis or self.axes[0]
+
+    def axes_on(self, segment: str | None) -> tuple[str, ...]:
+        """The axes whose drives are on a segment; None: the first one."""
+        return tuple(axis for axis in self.axes if self.drive[axis].segment == segment)
+
+    def bitrate_of(self, axis: str) -> int:
+        """Bit rate of the segment that the drive of ``axis`` is on, bit/s."""
+        name = self.drive[axis].segment
+        return next(
+            (each.bitrate_bit_s for each in self.bus.segment if each.name == name), self.bus.bitrate_bit_s
+        )
 
     @property
     def fault_plan(self) -> InjectedFaults | None:

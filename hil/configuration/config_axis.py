@@ -6,7 +6,9 @@ from pydantic import Field
 
 from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
+from hil.configuration.drive_file import DriveFile
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
+from hil.configuration.speed_controller_file import Certificate, MadeFor
 
 
 class Simulation(Section):
@@ -21,6 +23,8 @@ class Simulation(Section):
     """The simulated motor's resistance beside the motor file's, by which its drive was set."""
     inductance_factor: float = Field(default=1.0, gt=0, le=10)
     """The same for both inductances."""
+    current_bandwidth_hz: float | None = Field(default=None, gt=0)
+    """Of the PI current loops; a twentieth of the inner rate if absent."""
 
 
 class Limits(Section):
@@ -73,16 +77,22 @@ class PidController(Section):
     """Torque per reference speed, usually the viscous friction."""
 
 
-Gain = Annotated[tuple[float, float], Field(strict=False)]
+Gain = Annotated[tuple[float, ...], Field(strict=False, min_length=2, max_length=3)]
 
 
 class StateFeedbackController(Section):
-    """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14)."""
+    """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14).
+
+    A third gain acts on the integral of the speed error.
+    """
 
     kind: Literal["state_feedback"]
-    gain: Gain = Field(description="K as a list of two numbers: [K1 in A/A, K2 in A s/rad]")
+    gain: Gain = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
     feedforward_load_nm: float = 0.0
     """Load torque that the nominal current carries beside the friction."""
+    made_for: MadeFor | None = None
+    """The network that it was designed for; ``hil run`` refuses a worse one."""
+    certificate: Certificate | None = None
 
 
 Compensator = Annotated[ArrivalCompensator | StampCompensator, Field(discriminator="kind")]
@@ -93,9 +103,15 @@ class Drive(Section):
     """One axis: where its drive is, what turns on it, and who commands it."""
 
     node: int = Field(ge=1, le=127, description="the drive's CANopen node id, 1..127")
+    segment: str | None = None
+    """Name of the ``[[bus.segment]]`` that the drive is on; None: the first one."""
     motor: MotorFile = Field(description="the path of a motor file, or its tables inline")
     eds: str | None = None
-    """Electronic data sheet of a real drive, relative to the bench file."""
+    """Data sheet (EDS or DCF) of the drive, relative to the bench file: its PDO plan is made for that."""
+    commissioned: DriveFile | None = None
+    """What ``hil commission`` found of the drive: the path of its drive.toml, or the tables inline."""
+    unwatched: bool = False
+    """Bear a drive without 1016h or 1017h: then one side does not notice that the other is gone."""
     heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
     """Period of the drive's own heartbeat (0x1017)."""
     heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)

@@ -1,10 +1,10 @@
 """What no single key of a bench file can tell: values that do not go together."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from drivers.adapters import parse_bus_spec
-from drivers.errors import BadInput
+from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
 from drivers.pdo_plans import torque_plan
 from hil.configuration.config import BenchConfig
@@ -13,6 +13,8 @@ from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47
 """Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
+STUFFED_BITS_WITHOUT_DATA = 34
+"""Of those, the bits from the start of the frame to its CRC; each four after the first five may add one."""
 _BROADCASTS = (0x000, 0x080, 0x100, 0x7E4, 0x7E5)
 """NMT, SYNC, TIME and LSS (CiA 301, 7.3.5)."""
 TOLERANCE = 1.0 + 1e-9
@@ -23,7 +25,7 @@ def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
     """Every value that does not agree with another one; empty for a bench that can be run."""
     errors = [
         BadInput(source, key, value, expected, remedy)
-        for check in (_nodes, _times, _bus, _background, _limits, _profiles)
+        for check in (_nodes, _segments, _times, _bus, _background, _limits, _profiles, _load_machine)
         for key, value, expected, remedy in check(config)
     ]
     try:
@@ -44,6 +46,21 @@ def _nodes(config: BenchConfig) -> Iterator[Fault]:
         if node in taken:
             yield key, node, f"a node id of its own; {taken[node]} is {node} too", ""
         taken.setdefault(node, key)
+
+
+def _segments(config: BenchConfig) -> Iterator[Fault]:
+    names = [segment.name for segment in config.bus.segment]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield f"bus.segment[{index}].name", name, "a name of its own", ""
+    if names and config.bus.spec != "simulated":
+        expected = "no further segments: they are made on the bus 'simulated' only"
+        yield "bus.segment", f"{len(names)} on {config.bus.spec}", expected, "a bench has one real bus"
+    for axis in config.axes:
+        segment = config.drive[axis].segment
+        if segment is not None and segment not in names:
+            expected = f"one of the bus.segment: {', '.join(names) or 'there is none'}"
+            yield f"drive.{axis}.segment", segment, expected, "leave it out for the first segment"
 
 
 def _times(config: BenchConfig) -> Iterator[Fault]:
@@ -74,35 +91,50 @@ def _times(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _bus(config: BenchConfig) -> Iterator[Fault]:
-    """The frames of a cycle must fit into it, if only just: stuff bits and other traffic come on top."""
+    """The frames of a cycle must fit into it whatever their data are; other traffic comes on top."""
+    buses: list[tuple[str | None, str, int]] = [(None, "bus.bitrate_bit_s", config.bus.bitrate_bit_s)]
+    for index, each in enumerate(config.bus.segment):
+        buses.append((each.name, f"bus.segment[{index}].bitrate_bit_s", each.bitrate_bit_s))
+    for segment, key, bitrate_bit_s in buses:
+        yield from _cycle_fits(config, config.axes_on(segment), key, bitrate_bit_s)
+
+
+def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:
     every = config.loop.position_every_cycles
     plans = [
-        torque_plan(config.drive[axis].node, device_stamp=True, position_every_cycles=every)
-        for axis in config.axes
+        torque_plan(config.drive[axis].node, device_stamp=True, position_every_cycles=every) for axis in axes
     ]
     frames = [(0, 1.0), *(frame for plan in plans for frame in plan.frames_a_cycle)]
-    bits = sum(share * (FRAME_BITS_WITHOUT_DATA + 8 * length) for length, share in frames)
-    least_us = math.ceil(bits * 1e6 / config.bus.bitrate_bit_s)
+    bits = sum(share * frame_bits_max(length) for length, share in frames)
+    least_us = math.ceil(bits * 1e6 / bitrate_bit_s)
     if config.loop.period_us < least_us:
-        expected = (
-            f"at least {least_us}, which {len(plans)} drive(s) take at {config.bus.bitrate_bit_s} bit/s"
-        )
-        remedy = "raise loop.period_us or bus.bitrate_bit_s"
+        expected = f"at least {least_us}, which {len(plans)} drive(s) may take at {bitrate_bit_s} bit/s"
+        remedy = f"raise loop.period_us or {key}"
         if every == 1:
             remedy += ", or set loop.position_every_cycles = 10"
         yield "loop.period_us", config.loop.period_us, expected, remedy
 
 
+def frame_bits_max(length: int) -> int:
+    """Of a data frame with ``length`` bytes in the worst case, stuff bits and interframe space included."""
+    stuffed = STUFFED_BITS_WITHOUT_DATA + 8 * length
+    return FRAME_BITS_WITHOUT_DATA + 8 * length + (stuffed - 1) // 4
+
+
 def _background(config: BenchConfig) -> Iterator[Fault]:
     """Other nodes' frames must not be taken for those of the bench and its drives."""
     nodes = {config.host.node, *(drive.node for drive in config.drive.values())}
-    for index, entry in enumerate(config.bus.background):
-        taken = entry.can_id in _BROADCASTS or (entry.can_id > 0x80 and entry.can_id & 0x7F in nodes)
-        if taken and not entry.extended:
-            expected = (
-                "an identifier that CiA 301 gives neither to the whole network nor to a node of the bench"
-            )
-            yield f"bus.background[{index}].can_id", f"0x{entry.can_id:X}", expected, ""
+    traffic = [("bus.background", config.bus.background)]
+    for place, segment in enumerate(config.bus.segment):
+        traffic.append((f"bus.segment[{place}].background", segment.background))
+    for key, entries in traffic:
+        for index, entry in enumerate(entries):
+            taken = entry.can_id in _BROADCASTS or (entry.can_id > 0x80 and entry.can_id & 0x7F in nodes)
+            if taken and not entry.extended:
+                expected = (
+                    "an identifier that CiA 301 gives neither to the whole network nor to a node of the bench"
+                )
+                yield f"{key}[{index}].can_id", f"0x{entry.can_id:X}", expected, ""
 
 
 def _limits(config: BenchConfig) -> Iterator[Fault]:
@@ -115,6 +147,11 @@ def _limits(config: BenchConfig) -> Iterator[Fault]:
                 f"at most {motor.torque_max_nm:.4g} N m, what {motor.name} gives at {motor.current_max_a:g} A"
             )
             yield f"{key}.torque_max_nm", drive.limits.torque_max_nm, expected, ""
+        simulation = drive.simulation
+        bandwidth_hz, fastest_hz = simulation.current_bandwidth_hz, simulation.inner_rate_hz / 8
+        if bandwidth_hz is not None and bandwidth_hz > fastest_hz:
+            expected = f"at most {fastest_hz:g}, an eighth of inner_rate_hz"
+            yield f"drive.{axis}.simulation.current_bandwidth_hz", bandwidth_hz, expected, ""
         speed = speed_max_rpm(motor)
         if drive.limits.speed_max_rpm > speed * TOLERANCE:
             expected = (
@@ -134,6 +171,26 @@ def _profiles(config: BenchConfig) -> Iterator[Fault]:
             yield from _order(key, [entry.at_s for entry in entries], config.bench.duration_s)
     for axis in config.axes:
         yield from _demands(axis, config.drive[axis], config)
+
+
+def _load_machine(config: BenchConfig) -> Iterator[Fault]:
+    machine = config.load_machine
+    if machine is None:
+        return
+    key = "load_machine"
+    if machine.axis is None and len(config.axes) > 1:
+        yield f"{key}.axis", MISSING, f"one of the axes: {', '.join(config.axes)}", ""
+    elif machine.axis is not None and machine.axis not in config.drive:
+        expected = f"one of the axes: {', '.join(config.axes)}"
+        yield f"{key}.axis", machine.axis, expected, _did_you_mean(machine.axis, config)
+    if machine.kind == "magtrol_dsp6001" and machine.channel != 1:
+        yield f"{key}.channel", machine.channel, "1, the only channel of a DSP6001", ""
+    for index, step in enumerate(config.load.get(config.load_machine_axis or "", ())):
+        place = f"load.{config.load_machine_axis}[{index}].torque_nm"
+        if step.torque_nm < 0.0:
+            yield place, step.torque_nm, "0 or more: a brake takes power and gives none", ""
+        if step.torque_nm > machine.torque_max_nm:
+            yield place, step.torque_nm, f"at most {key}.torque_max_nm = {machine.torque_max_nm:g}", ""
 
 
 def _did_you_mean(axis: str, config: BenchConfig) -> str:

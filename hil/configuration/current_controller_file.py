@@ -5,7 +5,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from design.current_loop import tustin
 from design.statespace import StateSpace, from_zpk
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
@@ -28,8 +27,13 @@ class ContinuousController(Section):
 
     def at_rate(self, rate_hz: int) -> StateSpace:
         """The sampled controller. Error: ValueError for roots without their conjugate or too low a rate."""
-        system = from_zpk(_numbers(self.zeros_rad_s), _numbers(self.poles_rad_s), self.gain)
-        return tustin(system, rate_hz, self.prewarp_rad_s)
+        from design.current_loop import tustin  # with scipy: a third of a second, for the bench that has one
+
+        return tustin(self.continuous(), rate_hz, self.prewarp_rad_s)
+
+    def continuous(self) -> StateSpace:
+        """The controller itself. Error: ValueError for roots without their conjugate."""
+        return from_zpk(_numbers(self.zeros_rad_s), _numbers(self.poles_rad_s), self.gain)
 
 
 class SampledController(Section):
@@ -47,6 +51,12 @@ class SampledController(Section):
         if rate_hz != self.sample_rate_hz:
             raise ValueError(f"made for {self.sample_rate_hz} Hz, the drive's inner rate is {rate_hz} Hz")
         return from_zpk(_numbers(self.zeros_z), _numbers(self.poles_z), self.gain, 1.0 / rate_hz)
+
+    def continuous(self) -> StateSpace:
+        """What Tustin's rule takes to this controller."""
+        from design.current_loop import to_bilinear
+
+        return to_bilinear(self.at_rate(self.sample_rate_hz))
 
 
 def _numbers(roots: tuple[tuple[float, float], ...]) -> list[complex]:
@@ -75,11 +85,7 @@ class CurrentControl(Section):
 
 def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> CurrentController:
     """The controller file at ``path``, made for ``axis``. Raises BadInput or BadInputs."""
-    tables: dict[str, Any] = read_toml(path, "current controller file", named_by)
-    try:
-        controller = CurrentControllerFile.model_validate(tables).current_controller
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, CurrentControllerFile))
+    controller = read_current_controller(path, named_by)
     if controller.axis != axis:
         raise BadInput(
             named_by.source,
@@ -87,6 +93,16 @@ def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> Current
             f"a controller for the {controller.axis} axis",
             f"one for the {axis} axis",
         )
+    return controller
+
+
+def read_current_controller(path: Path, named_by: NamedBy) -> CurrentController:
+    """The controller file at ``path``, whichever axis it is for. Raises BadInput or BadInputs."""
+    tables: dict[str, Any] = read_toml(path, "current controller file", named_by)
+    try:
+        controller = CurrentControllerFile.model_validate(tables).current_controller
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, CurrentControllerFile))
     try:
         controller.at_rate(controller.sample_rate_hz if controller.kind == "sampled" else 1_000_000)
     except ValueError as error:

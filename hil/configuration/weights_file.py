@@ -11,13 +11,23 @@ from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import NamedBy, Section, read_toml
 
 
+class WeightRefused(BadInput):
+    """A weight that breaks an assumption of the synthesis: its own words say which, and what to do."""
+
+    def __init__(self, source: str, key: str, reason: str) -> None:
+        super().__init__(source, key, reason, "a weight that keeps A1 to A4")
+
+    def __str__(self) -> str:
+        return f"{self.source}: {self.key}: {self.value}"
+
+
 class ZeroPole(Section):
     """high (s + zero)/(s + pole)."""
 
     kind: Literal["zero_pole"]
-    high: float = Field(gt=0, description="gain at high frequency")
-    zero_rad_s: float = Field(gt=0, description="the zero's rate, rad/s")
-    pole_rad_s: float = Field(gt=0, description="the pole's rate, rad/s")
+    high: float = Field(description="gain at high frequency")
+    zero_rad_s: float = Field(description="the zero's rate, rad/s")
+    pole_rad_s: float = Field(description="the pole's rate, rad/s")
 
     def weight(self) -> Weight:
         """The weight."""
@@ -29,7 +39,7 @@ class ByCrossing(Section):
 
     kind: Literal["crossing"]
     low: float = Field(gt=0, description="gain at rest")
-    high: float = Field(gt=0, description="gain at high frequency")
+    high: float = Field(description="gain at high frequency")
     crossing_rad_s: float = Field(gt=0, description="where the weight is 1, rad/s")
 
     def weight(self) -> Weight:
@@ -42,7 +52,7 @@ class BySlope(Section):
 
     kind: Literal["slope"]
     low: float = Field(gt=0, description="gain at rest")
-    high: float = Field(gt=0, description="gain at high frequency")
+    high: float = Field(description="gain at high frequency")
     slope_end_rad_s: float = Field(gt=0, description="the zero's rate, rad/s")
 
     def weight(self) -> Weight:
@@ -56,14 +66,25 @@ class ByError(Section):
     kind: Literal["error"]
     crossing_rad_s: float = Field(gt=0, description="where 1/|w1| is 1, rad/s")
     peak: float = Field(gt=1, description="1/|w1| at high frequency, above 1")
-    static_error: float = Field(gt=0, lt=1, description="1/|w1| at rest, below 1")
+    static_error: float = Field(lt=1, description="1/|w1| at rest, below 1")
 
     def weight(self) -> Weight:
         """The weight."""
         return error_weight(self.crossing_rad_s, self.peak, self.static_error)
 
 
-AnyWeight = Annotated[ZeroPole | ByCrossing | BySlope | ByError, Field(discriminator="kind")]
+class Constant(Section):
+    """The same gain at every frequency."""
+
+    kind: Literal["constant"]
+    gain: float = Field(description="the gain")
+
+    def weight(self) -> Weight:
+        """The weight; its pole and zero, at 1 rad/s, cancel."""
+        return Weight(self.gain, 1.0, 1.0)
+
+
+AnyWeight = Annotated[ZeroPole | ByCrossing | BySlope | ByError | Constant, Field(discriminator="kind")]
 
 
 class WeightsFile(Section):
@@ -86,5 +107,5 @@ def load_weights(path: Path) -> Weights:
         try:
             made.append(getattr(found, name).weight())
         except ValueError as error:
-            raise BadInput(str(path), name, str(error), "a stable weight of the gains asked for") from None
+            raise WeightRefused(str(path), name, str(error)) from None
     return Weights(*made)

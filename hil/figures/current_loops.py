@@ -12,6 +12,7 @@ from design.mixed_sensitivity import loop_functions
 from design.papers.azaiz2007 import DriveRun
 from design.statespace import series
 from design.step_response import step_response
+from drivers.errors import BadInput
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -19,21 +20,35 @@ import matplotlib.pyplot as plt
 _SIZE = (8.0, 5.0)
 
 
+_BOUNDED = ("S", "KS", "T")
+
+
 def draw_bounds(design: AxisDesign, path: Path) -> None:
-    """|S|, |KS| and |T| beside their bounds 1/|w|: Figs. 9 to 11."""
-    omega = np.logspace(-3, 7, 1500)
-    found = loop_functions(design.plant, design.controller, omega)
-    weights = {"S": design.weights.error, "KS": design.weights.control, "T": design.weights.output}
+    """|S|, |KS| and |T| beside their bounds 1/|w|, in one picture."""
     figure, axes = plt.subplots(1, 3, figsize=(12.0, 4.0), sharex=True, layout="constrained")
-    for axis, (name, gain) in zip(axes, found.items(), strict=True):
-        bound = 1.0 / np.abs(weights[name].system.response(omega)[:, 0, 0])
-        axis.semilogx(omega, _db(bound), "--", label="bound 1/|w|")
-        axis.semilogx(omega, _db(gain), label=f"|{name}|")
-        axis.set(title=f"|{name}|", xlabel="rad/s", ylabel="dB")
-        axis.set_ylim(bottom=max(-180.0, float(_db(gain).min()) - 5.0))
-        axis.grid(alpha=0.3)
-        axis.legend()
+    for axis, name in zip(axes, _BOUNDED, strict=True):
+        _bound_on(axis, design, name)
     _save(figure, path)
+
+
+def draw_bound(design: AxisDesign, name: str, path: Path) -> None:
+    """One of |S|, |KS| and |T| beside its bound: Fig. 9, 10 or 11."""
+    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
+    _bound_on(axis, design, name)
+    _save(figure, path)
+
+
+def _bound_on(axis: Any, design: AxisDesign, name: str) -> None:
+    omega = np.logspace(-3, 7, 1500)
+    gain = loop_functions(design.plant, design.controller, omega)[name]
+    weight = {"S": design.weights.error, "KS": design.weights.control, "T": design.weights.output}[name]
+    bound = 1.0 / np.abs(weight.system.response(omega)[:, 0, 0])
+    axis.semilogx(omega, _db(bound), "--", label="bound 1/|w|")
+    axis.semilogx(omega, _db(gain), label=f"|{name}|")
+    axis.set(title=f"|{name}|", xlabel="rad/s", ylabel="dB")
+    axis.set_ylim(bottom=max(-180.0, float(_db(gain).min()) - 5.0))
+    axis.grid(alpha=0.3)
+    axis.legend()
 
 
 def draw_open_loop(design: AxisDesign, path: Path) -> None:
@@ -90,15 +105,22 @@ def draw_paper(
     designs: Mapping[str, tuple[AxisDesign, AxisDesign]], runs: Mapping[str, DriveRun], folder: Path
 ) -> list[Path]:
     """Every figure of the paper into ``folder``; returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput("--figures", "", str(folder), f"a folder ({error.strerror})") from None
     q = designs["q"][0]
     files: dict[str, Callable[[Path], None]] = {
         "fig07-open-loop-q.png": lambda path: draw_open_loop(q, path),
         "fig08-step-q.png": lambda path: draw_step(q, path),
-        "fig09-11-bounds-q.png": lambda path: draw_bounds(q, path),
-        "bounds-d.png": lambda path: draw_bounds(designs["d"][0], path),
+        "fig09-sensitivity-q.png": lambda path: draw_bound(q, "S", path),
+        "fig10-control-q.png": lambda path: draw_bound(q, "KS", path),
+        "fig11-complementary-q.png": lambda path: draw_bound(q, "T", path),
         "fig12-nominal.png": lambda path: draw_runs({"nominal": runs["nominal"]}, path),
         "fig13-varied.png": lambda path: draw_runs(runs, path),
+        "open-loop-d.png": lambda path: draw_open_loop(designs["d"][0], path),
+        "step-d.png": lambda path: draw_step(designs["d"][0], path),
+        "bounds-d.png": lambda path: draw_bounds(designs["d"][0], path),
     }
     for name, draw in files.items():
         draw(folder / name)
@@ -110,5 +132,11 @@ def _db(values: Any) -> Any:
 
 
 def _save(figure: Any, path: Path) -> None:
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as error:
+        raise BadInput(
+            "picture", "", str(path), f"the path of a PNG file that can be written ({error})"
+        ) from None
+    finally:
+        plt.close(figure)

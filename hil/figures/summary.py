@@ -3,7 +3,7 @@
 The figures rest on the cycle records alone (see :mod:`hil.figures.review`), never on the telemetry.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -94,6 +94,10 @@ class RunOutcome:
     """False if the run was cut short; such a run never passes."""
     reason: str = ""
     """Why it was cut short."""
+    network_notes: Sequence[str] = ()
+    """In what the network was worse than a controller was made for; only where the run was to go on."""
+    load_machine: Mapping[str, Any] | None = None
+    """What the instrument that made the load came to, if there was one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,12 +162,17 @@ class Summary:
     digest: str
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
+    network_notes: tuple[str, ...] = ()
+    """In what the network was worse than a controller was made for."""
+    load_machine: Mapping[str, Any] | None = None
+    """Identity, tally, and for each load step the torque asked for and measured (:mod:`hil.instrument`)."""
 
     def as_json(self) -> dict[str, Any]:
-        """Plain dicts, lists, numbers, strings and None; ``recording_faults`` only if there are any."""
+        """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
         found = asdict(self)
-        if not self.recording_faults:
-            del found["recording_faults"]
+        for name in ("recording_faults", "network_notes", "load_machine"):
+            if not found[name]:
+                del found[name]
         return found
 
     @classmethod
@@ -177,7 +186,8 @@ class Summary:
         verdict = dict(values["verdict"])
         verdict["limits"] = tuple(Check(**check) for check in verdict["limits"])
         values["verdict"] = Verdict(**verdict)
-        values["recording_faults"] = tuple(values.get("recording_faults", ()))
+        for name in ("recording_faults", "network_notes"):
+            values[name] = tuple(values.get(name, ()))
         return cls(**values)
 
 
@@ -199,4 +209,6 @@ def summarise(
         recording=recording,
         seed=seed,
         recording_faults=recording_faults,
+        network_notes=tuple(outcome.network_notes),
+        load_machine=outcome.load_machine,
     )

@@ -5,6 +5,8 @@
 T was sent by the bench, R was received by it. The lines are made by columns, ~0.2 us each.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +20,13 @@ _SECONDS_DIGITS = 10
 _DIGIT_WEIGHTS = 10 ** np.arange(_SECONDS_DIGITS + 6 - 1, -1, -1, dtype=np.int64)
 
 
-def candump_lines(rows: NDArray[np.void], interface: str, wall_offset_ns: int) -> bytes:
-    """The lines of ``rows``: (n,) of FRAME_DTYPE. The stamp is ``at`` + ``wall_offset_ns``, to 1 us."""
+def candump_lines(
+    rows: NDArray[np.void], interface: str, wall_offset_ns: int, segments: Sequence[str] = ()
+) -> bytes:
+    """The lines of ``rows``: (n,) of FRAME_DTYPE. The stamp is ``at`` + ``wall_offset_ns``, to 1 us.
+
+    ``segments``: names of those after the first one, whose frames bear their own name for an interface.
+    """
     if not rows.size:
         return b""
     count = rows.size
@@ -28,16 +35,19 @@ def candump_lines(rows: NDArray[np.void], interface: str, wall_offset_ns: int) -
     always = np.ones((count, 1), bool)
     parts: list[tuple[NDArray[np.uint8], NDArray[np.bool_]]] = []
 
-    def text(letters: str) -> None:
+    def text(letters: str, where: NDArray[np.bool_] = always) -> None:
         block = np.broadcast_to(np.frombuffer(letters.encode(), np.uint8), (count, len(letters)))
-        parts.append((block, np.broadcast_to(always, block.shape)))
+        parts.append((block, np.broadcast_to(where, block.shape)))
 
     stamp = _decimal_digits((rows["at"] + wall_offset_ns) // NS_PER_US)
     text("(")
     parts.append((stamp[:, :_SECONDS_DIGITS], np.broadcast_to(always, (count, _SECONDS_DIGITS))))
     text(".")
     parts.append((stamp[:, _SECONDS_DIGITS:], np.broadcast_to(always, (count, 6))))
-    text(f") {interface} ")
+    text(") ")
+    for number, name in enumerate((interface, *segments)):
+        text(name, (rows["sent"] >> 1 == number)[:, None])
+    text(" ")
     identifier = _hex_digits(rows["can_id"] & _IDENTIFIER_MASK, 8)
     # a standard identifier has the last three digits, an extended one all eight
     parts.append(
@@ -49,7 +59,7 @@ def candump_lines(rows: NDArray[np.void], interface: str, wall_offset_ns: int) -
     present = np.repeat(np.arange(8) < rows["length"][:, None], 2, 1) & ~remote[:, None]
     parts.append((data, present))
     text(" ")
-    parts.append((np.where(rows["sent"] != 0, ord("T"), ord("R")).astype(np.uint8)[:, None], always))
+    parts.append((np.where(rows["sent"] & 1, ord("T"), ord("R")).astype(np.uint8)[:, None], always))
     text("\n")
     letters = np.concatenate([part for part, _ in parts], 1)
     lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()

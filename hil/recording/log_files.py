@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
 from hil.recording.candump import candump_lines
+from hil.recording.network_meter import NetworkKeeper
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import Rows
 from hil.recording.records_file import RECORDS_FILE, RecordsWriter
-from hil.recording.side_rows import BeginEvent, RunEvent, TextEvent
+from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 
-FRAMES_FILE, EVENTS_FILE = "frames.log", "events.jsonl"
 _BLOCK_ROWS = 8_192
 _LIVE_MEMORY = "256MiB"
 _LOOPBACK = "127.0.0.1"
@@ -121,10 +122,11 @@ class FramesKeeper:
     def __init__(self, plan: RecordingPlan) -> None:
         self._file = AppendFile(plan.folder / FRAMES_FILE)
         self._interface = plan.bus.rpartition(":")[2]
+        self._segments = plan.segments
         self._wall_offset = plan.wall_offset
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._file.write(candump_lines(frames, self._interface, self._wall_offset))
+        self._file.write(candump_lines(frames, self._interface, self._wall_offset, self._segments))
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -143,13 +145,40 @@ class EventsKeeper:
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         for event in events:
-            self._file.write((json.dumps(_event_json(event)) + "\n").encode())
+            if not isinstance(event, LoadEvent):
+                self._file.write((json.dumps(_event_json(event)) + "\n").encode())
 
     def flush(self) -> None:
         """Nothing is held back."""
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self._file.close()
+
+
+class LoadKeeper:
+    """load.csv, if there is a load machine that measures."""
+
+    name = LOAD_FILE
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / LOAD_FILE
+        self._file: AppendFile | None = None
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        for event in events:
+            if isinstance(event, LoadEvent):
+                if self._file is None:
+                    self._file = AppendFile(self._path)
+                    self._file.write(b"at_ns,axis,torque_nm,speed_rad_s\n")
+                line = f"{event.at},{event.axis},{event.torque_nm:.6g},{event.speed_rad_s:.6g}\n"
+                self._file.write(line.encode())
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        if self._file is not None:
+            self._file.close()
 
 
 class RerunKeeper:
@@ -215,10 +244,13 @@ def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
     keepers: list[Keeper] = [
         RecordsKeeper(plan.folder),
         EventsKeeper(plan.folder),
+        LoadKeeper(plan.folder),
         RerunKeeper(plan, recording_id, delay),
     ]
     if plan.frames:
         keepers.append(FramesKeeper(plan))
+    if plan.period_us:
+        keepers.append(NetworkKeeper(plan.folder, plan.period_us, len(plan.review.axes)))
     if plan.view and plan.real_time:
         keepers.append(LiveKeeper(plan, recording_id, delay))
     return keepers
@@ -244,7 +276,7 @@ def _free_port() -> int:
         return port
 
 
-def _event_json(event: RunEvent) -> dict[str, object]:
+def _event_json(event: TextEvent | StateEvent | BeginEvent) -> dict[str, object]:
     if isinstance(event, TextEvent):
         return {"at_ns": event.at, "level": event.level, "text": event.text}
     if isinstance(event, BeginEvent):

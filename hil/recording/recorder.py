@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.errors import BadInput, PeerFault
+from drivers.frame_port import FrameTap
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, Summary, summarise
@@ -26,6 +27,7 @@ from hil.recording.side_rows import (
     EVENT,
     FRAME,
     BeginEvent,
+    LoadEvent,
     StateEvent,
     TextEvent,
     event_fields,
@@ -54,6 +56,10 @@ class RecordingFailed(PeerFault):
 class Recorder(Protocol):
     """What a loop may do with a recording. No call waits in real time, except ``close``."""
 
+    def tap(self, segment: int = 0) -> FrameTap:
+        """What takes the raw frames of the link to a segment, the first or another one."""
+        ...
+
     def begin(self, at: Instant) -> None:
         """The run's time zero: the instant of the first cycle. Events before it get negative times."""
         ...
@@ -80,6 +86,10 @@ class Recorder(Protocol):
         """
         ...
 
+    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
+        """What the load machine of an axis measured; a few dozen times a second at most."""
+        ...
+
     def close(self, outcome: RunOutcome) -> Summary:
         """End the recording and return its summary. Error: RecordingFailed."""
         ...
@@ -89,11 +99,14 @@ class MemoryRecorder:
     """Keeps no files and no frames: reviews the records in this process."""
 
     def __init__(self, plan: ReviewPlan, seed: int = 0) -> None:
-        self.events: list[TextEvent | StateEvent] = []
+        self.events: list[TextEvent | StateEvent | LoadEvent] = []
         self._plan, self._seed = plan, seed
         self._review = Review(plan)
         self._rows = bytearray(1024 * ROW.size)
         self._filled = 0
+
+    def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
+        return FrameTap()
 
     def begin(self, at: Instant) -> None:
         """Nothing depends on it here."""
@@ -115,6 +128,9 @@ class MemoryRecorder:
     def state(self, at: Instant, track: str, label: str) -> None:
         self.events.append(StateEvent(at, track, label))
 
+    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
+        self.events.append(LoadEvent(at, axis, torque_nm, speed_rad_s))
+
     def close(self, outcome: RunOutcome) -> Summary:
         self._review_filled()
         return summarise(self._review.figures(), outcome, self._plan.limits, "", self._seed)
@@ -135,12 +151,16 @@ class FolderRecorder:
         self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
         self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
         self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
+        self._keep_frames = plan.frames
         writer = RowWriter(self._rows, self._frames, plan.frames)
         self.record: Callable[[CycleRecord], None] = writer.record
         """See :meth:`Recorder.record`."""
         self.frame: Callable[[str, int, bytes, bool, bool, Instant], None] = writer.frame
         """See :meth:`Recorder.frame`."""
         self._logger = self._start_logger(plan)
+
+    def tap(self, segment: int = 0) -> FrameTap:
+        return RowWriter(self._rows, self._frames, self._keep_frames, segment)
 
     def begin(self, at: Instant) -> None:
         self._events.push(*event_fields(BeginEvent(at)))
@@ -150,6 +170,9 @@ class FolderRecorder:
 
     def state(self, at: Instant, track: str, label: str) -> None:
         self._events.push(*event_fields(StateEvent(at, track, label)))
+
+    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
+        self._events.push(*event_fields(LoadEvent(at, axis, torque_nm, speed_rad_s)))
 
     def fault_block(self, length: int, block: bytes) -> None:
         """A block of entries, of which ``length`` bytes are filled; fits ``FaultLog.send_to``."""
@@ -260,4 +283,6 @@ def _outcome_json(outcome: RunOutcome) -> dict[str, object]:
         "realtime_factor": outcome.realtime_factor,
         "completed": outcome.completed,
         "reason": outcome.reason,
+        "network_notes": list(outcome.network_notes),
+        "load_machine": outcome.load_machine,
     }

@@ -9,6 +9,7 @@ from drivers.timebase import Duration
 from hil.figures.summary import VerdictLimits
 
 SETTLING = Duration(250_000_000)
+"""Default of ``verdict.settling_ms``."""
 NO_OFFSET = Duration(0)
 
 
@@ -54,10 +55,14 @@ class RecordingPlan:
     """Wall clock minus bench clock, for frames.log; 0 in simulated time."""
     frames: bool = True
     """Whether frames.log is kept."""
+    segments: tuple[str, ...] = ()
+    """Names of the bus's further segments, in frames.log in the place of the interface."""
     faults: bool = False
     """Whether faults.jsonl is kept: what was injected."""
     view: bool = False
     """Whether a Rerun viewer shows the run while it goes on."""
+    period_us: int = 0
+    """Of the loop, for network.toml; 0: none is written."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """Shown beside the verdict, e.g. {"controller": "pid"}."""
 
@@ -75,6 +80,7 @@ class RecordingPlan:
             **{
                 **found,
                 "folder": Path(found["folder"]),
+                "segments": tuple(found["segments"]),
                 "review": ReviewPlan(
                     tuple(AxisPlan(**axis) for axis in review["axes"]),
                     VerdictLimits(**review["limits"]),

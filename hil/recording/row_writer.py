@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.frame_port import FrameTap
 from drivers.timebase import Instant
 from hil.recording.records import store_record
 from hil.recording.ring import RingWriter
@@ -11,11 +12,13 @@ from hil.samples import CycleRecord
 _pack_frame: Final = FRAME.pack_into
 
 
-class RowWriter:
+class RowWriter(FrameTap):
     """The cyclic part of a recorder."""
 
-    def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool) -> None:
-        """``rows`` of :data:`~hil.recording.records.ROW`, ``frames`` of FRAME."""
+    def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool, segment: int = 0) -> None:
+        """``rows`` of :data:`~hil.recording.records.ROW`, ``frames`` of FRAME; ``segment``: its number."""
+        self._received = 2 * segment
+        self._sent = 2 * segment + 1
         self._rows = rows
         self._frames = frames
         self._keep_frames = keep_frames
@@ -41,5 +44,6 @@ class RowWriter:
         frames = self._frames
         place = frames.reserve()
         if place >= 0:
-            _pack_frame(frames.memory, place, at, can_id, len(data), direction == "tx", data)
+            sent = self._sent if direction == "tx" else self._received
+            _pack_frame(frames.memory, place, at, can_id, len(data), sent, data)
             frames.commit()

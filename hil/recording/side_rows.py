@@ -22,7 +22,8 @@ FRAME_DTYPE: Final = np.dtype(
         "itemsize": FRAME.size,
     }
 )
-"""``sent``: 1 for a frame that the bench sent, 0 for one that it received."""
+"""``sent``: bit 0 is 1 for a frame that the bench sent, 0 for one that it received; the bits above it are the
+number of the segment, 0 for the first."""
 
 
 class EventKind(IntEnum):
@@ -34,6 +35,8 @@ class EventKind(IntEnum):
     """Its text is a track and the state that the track is in from now on."""
     BEGIN = 2
     """Its instant is the run's time zero."""
+    LOAD = 3
+    """Its text is an axis and what its load machine measured."""
 
 
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
@@ -68,7 +71,16 @@ class BeginEvent(NamedTuple):
     at: Instant
 
 
-RunEvent = TextEvent | StateEvent | BeginEvent
+class LoadEvent(NamedTuple):
+    """A load machine measured."""
+
+    at: Instant
+    axis: str
+    torque_nm: float
+    speed_rad_s: float
+
+
+RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent
 
 
 def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
@@ -77,6 +89,9 @@ def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
         kind, level, text = EventKind.TEXT, LEVELS.index(event.level), event.text
     elif isinstance(event, StateEvent):
         kind, level, text = EventKind.STATE, 0, event.track + _SEPARATOR + event.label
+    elif isinstance(event, LoadEvent):
+        values = f"{event.torque_nm!r}{_SEPARATOR}{event.speed_rad_s!r}"
+        kind, level, text = EventKind.LOAD, 0, f"{event.axis}{_SEPARATOR}{values}"
     else:
         kind, level, text = EventKind.BEGIN, 0, ""
     encoded = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore").encode()
@@ -96,4 +111,7 @@ def _event_of(row: np.void) -> RunEvent:
     if kind is EventKind.STATE:
         track, _, label = text.partition(_SEPARATOR)
         return StateEvent(at, track, label)
+    if kind is EventKind.LOAD:
+        axis, torque_nm, speed_rad_s = text.split(_SEPARATOR)
+        return LoadEvent(at, axis, float(torque_nm), float(speed_rad_s))
     return BeginEvent(at)

@@ -19,7 +19,7 @@ from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, TIMELINE, VER
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import FATE_SAMPLE, Rows
 from hil.recording.row_states import LINK_DEGRADED, LINK_DOWN, LINK_OK, Change, DriveStates, LinkStates
-from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.verdict_text import verdict_markdown, verdict_word
 
 _RPM = 30.0 / math.pi
@@ -74,6 +74,7 @@ class Telemetry:
         self._links = [LinkStates() for _ in self._axes]
         self._labels: dict[str, str] = {}
         self._tracks: dict[str, str] = {}
+        self._load_paths: set[str] = set()
         self._name_series()
         self._name_tracks()
         self._show_verdict(None)
@@ -165,6 +166,15 @@ class Telemetry:
             )
         elif isinstance(event, StateEvent):
             self._show_changes(event.track, [Change(event.at, event.label)])
+        elif isinstance(event, LoadEvent):
+            self._show_load(event)
+
+    def _show_load(self, event: LoadEvent) -> None:
+        path = f"/{event.axis}/torque/brake"
+        if path not in self._load_paths:
+            self._load_paths.add(path)
+            self._line(path, ["load measured"], [_ORANGE], width=1.4)
+        self._plot(path, np.array([event.at]), np.array([event.torque_nm]))
 
     def _show_axis(self, number: int, name: str, rows: Rows) -> None:
         self._show_changes(f"{name} drive", self._drives[number].changes(rows))

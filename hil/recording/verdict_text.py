@@ -44,8 +44,21 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         f"| bus load | {summary.bus_load_percent:.1f} % |",
         f"| times real time | {summary.realtime_factor:.1f} |",
+        *_load(summary),
         *(f"| recording | {fault} |" for fault in summary.recording_faults),
     ]
+
+
+def _load(summary: Summary) -> list[str]:
+    """What the load machine was asked for and measured, step by step."""
+    found = summary.load_machine
+    if found is None:
+        return []
+    rows = []
+    for step in found["steps"]:
+        measured = "none" if step["measured_nm"] is None else f"{step['measured_nm']:.3g} N m"
+        rows.append(f"| load asked, measured | {step['asked_nm']:g} N m, {measured} |")
+    return [*rows, f"| load machine | {found['identity']}: {found['readings']} readings |"]
 
 
 def _times(times: Percentiles) -> str:

@@ -3,7 +3,7 @@
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,7 @@ from hil.terminal.exit_status import reported_errors
 
 if TYPE_CHECKING:
     from hil.current_control import CurrentResult
+    from hil.current_figures import OtherAxis
 
 
 class Axis(StrEnum):
@@ -26,7 +27,7 @@ class StructureName(StrEnum):
     FULL = "full"
     PI = "pi"
     PI_POLE = "pi+pole"
-    THIRD = "third"
+    THIRD = "third-order"
 
 
 class ReduceBy(StrEnum):
@@ -37,53 +38,83 @@ class ReduceBy(StrEnum):
     PAPER = "paper"
 
 
+WeightsOption = Annotated[
+    Path | None, typer.Option("--weights", metavar="FILE", help="Weights; the paper's rules if absent.")
+]
+GammaFactorOption = Annotated[
+    float | None, typer.Option("--gamma-factor", min=1.0, help="The norm as a multiple of gamma_min.")
+]
+ReduceOption = Annotated[int | None, typer.Option("--reduce", metavar="N", min=1, help="States to keep.")]
+RateOption = Annotated[
+    float | None, typer.Option("--sample-rate-hz", metavar="FS", min=1.0, help="Sample the controller.")
+]
+DelayOption = Annotated[
+    int, typer.Option("--delay-samples", metavar="N", min=0, max=10, help="Computation delay, periods.")
+]
+DirectOption = Annotated[
+    bool, typer.Option("--direct", help="Design for the sampled plant itself, instead of Tustin's rule.")
+]
+MarginOption = Annotated[
+    float | None,
+    typer.Option("--modulus-margin", min=0.01, max=1.0, help="Margin for the lowest rate recommended."),
+]
+OtherOption = Annotated[
+    Path | None,
+    typer.Option("--other", metavar="FILE", help="The other axis' controller; by the rules if absent."),
+]
+SpeedOption = Annotated[
+    float | None,
+    typer.Option("--speed-rpm", min=0.0, help="Both axes are looked at up to here; rated if absent."),
+]
+DecouplingOption = Annotated[
+    float,
+    typer.Option("--decoupling-factor", min=0.0, help="The drive's inductances beside the motor's."),
+]
+AdvanceOption = Annotated[
+    float | None,
+    typer.Option("--advance-periods", help="Angle advance; delay + 0.5 periods is right."),
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="The controller, for a bench file.")
+]
+PictureOption = Annotated[
+    Path | None, typer.Option("--picture", metavar="FILE.png", help="Weights against |S|, |KS|, |T|.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+]
+
+
 def current(
     motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
     axis: Annotated[Axis, typer.Option("--axis", help="The current to control.")],
-    weights: Annotated[
-        Path | None, typer.Option("--weights", metavar="FILE", help="Weights; the paper's rules if absent.")
-    ] = None,
+    weights: WeightsOption = None,
     gamma: Annotated[float | None, typer.Option("--gamma", min=1e-9, help="The norm to stay below.")] = None,
-    gamma_factor: Annotated[
-        float | None, typer.Option("--gamma-factor", min=1.0, help="The norm as a multiple of gamma_min.")
-    ] = None,
+    gamma_factor: GammaFactorOption = None,
     structure: Annotated[StructureName, typer.Option("--structure")] = StructureName.FULL,
-    reduce: Annotated[
-        int | None, typer.Option("--reduce", metavar="N", min=1, help="States to keep.")
-    ] = None,
+    reduce: ReduceOption = None,
     reduce_by: Annotated[ReduceBy, typer.Option("--reduce-by")] = ReduceBy.TRUNCATE,
-    sample_rate_hz: Annotated[
-        float | None, typer.Option("--sample-rate-hz", metavar="FS", min=1.0, help="Sample the controller.")
-    ] = None,
-    delay_samples: Annotated[
-        int, typer.Option("--delay-samples", metavar="N", min=0, max=10, help="Computation delay, periods.")
-    ] = 1,
-    direct: Annotated[
-        bool, typer.Option("--direct", help="Design for the sampled plant itself, instead of Tustin's rule.")
-    ] = False,
-    modulus_margin: Annotated[
-        float | None,
-        typer.Option("--modulus-margin", min=0.01, max=1.0, help="Margin for the lowest rate recommended."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The controller, for a bench file.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Weights against |S|, |KS|, |T|.")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    sample_rate_hz: RateOption = None,
+    delay_samples: DelayOption = 1,
+    direct: DirectOption = False,
+    modulus_margin: MarginOption = None,
+    other: OtherOption = None,
+    speed_rpm: SpeedOption = None,
+    decoupling_factor: DecouplingOption = 1.0,
+    advance_periods: AdvanceOption = None,
+    out: OutOption = None,
+    picture: PictureOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
     with reported_errors():
         from design.reduction import Method
         from drivers.errors import BadInput
         from hil.configuration.config_files import NamedBy
-        from hil.configuration.motor_file import load_motor
+        from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor
         from hil.configuration.weights_file import load_weights
-        from hil.current_control import CurrentRequest
-        from hil.terminal.design_errors import designed
+        from hil.current_control import CurrentRequest, design_current
+        from hil.terminal.design_errors import refused
 
         if gamma is not None and gamma_factor is not None:
             raise BadInput("--gamma-factor", "", gamma_factor, "either --gamma or --gamma-factor")
@@ -100,42 +131,44 @@ def current(
             delay_samples=delay_samples,
             direct=direct,
             modulus_margin=modulus_margin,
+            other=_other_axis(other, axis.value),
+            speed_max_rad_s=None if speed_rpm is None else speed_rpm * RAD_S_PER_RPM,
+            decoupling_factor=decoupling_factor,
+            advance_periods=advance_periods,
         )
-        _finish(designed(request), axis.value, out, picture, as_json)
+        with refused(f"axis {axis.value}"):
+            result = design_current(request)
+        _finish(result, axis.value, out, picture, as_json)
+
+
+def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
+    """The continuous controller in ``path``, made for the axis that is not designed."""
+    from hil.configuration.config_files import NamedBy
+    from hil.configuration.current_controller_file import load_current_controller
+    from hil.current_figures import OtherAxis
+
+    if path is None:
+        return None
+    found = load_current_controller(path, NamedBy("--other", "", str(path)), "d" if axis == "q" else "q")
+    return OtherAxis(found.continuous(), found.prewarp_rad_s if found.kind == "continuous" else 0.0)
 
 
 def _finish(
     result: "CurrentResult", axis: str, out: Path | None, picture: Path | None, as_json: bool
 ) -> None:
+    if as_json:
+        typer.echo(json.dumps(result.figures, allow_nan=False))
+    else:
+        from hil.terminal.current_report import print_result
+
+        print_result(result)
     if out is not None:
         from hil.current_control import write_controller
 
         write_controller(out, result, axis)
+        typer.echo(f"written {out}", err=True)
     if picture is not None:
         from hil.figures.current_loops import draw_bounds
 
         draw_bounds(result.chosen, picture)
-    if as_json:
-        typer.echo(json.dumps(result.figures, allow_nan=False))
-    else:
-        _print(result.figures)
-
-
-def _print(figures: dict[str, Any], indent: str = "") -> None:
-    for key, value in figures.items():
-        if isinstance(value, dict):
-            typer.echo(f"{indent}{key}")
-            _print(value, indent + "  ")
-        elif isinstance(value, float):
-            typer.echo(f"{indent}{key:<28} {value:.6g}")
-        elif isinstance(value, list):
-            texts = [_number(item) for item in value]
-            typer.echo(f"{indent}{key:<28} {'  '.join(texts)}")
-        else:
-            typer.echo(f"{indent}{key:<28} {value}")
-
-
-def _number(item: Any) -> str:
-    if isinstance(item, list):
-        return f"{item[0]:.6g}" if item[1] == 0.0 else f"{item[0]:.6g}{item[1]:+.6g}j"
-    return f"{item:.6g}"
+        typer.echo(f"written {picture}", err=True)

@@ -1,13 +1,22 @@
-"""A design that fails, as the bad input that it is for somebody who typed a command."""
+"""A design that cannot be had, as the bad input that it is for somebody who typed a command."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from design.errors import DesignError
-from drivers.errors import BadInput
-from hil.current_control import CurrentRequest, CurrentResult, design_current
+from drivers.errors import BenchError
 
 
-def designed(request: CurrentRequest) -> CurrentResult:
-    """The design. Raises BadInput, which carries the assumption or demand that failed and its remedy."""
+class DesignRefused(BenchError):
+    """The assumption or demand that failed, its figures, and what to do: in the design's own words."""
+
+    exit_status = 2
+
+
+@contextmanager
+def refused(about: str) -> Iterator[None]:
+    """Raises DesignRefused, which begins with ``about``, for a DesignError inside."""
     try:
-        return design_current(request)
+        yield
     except DesignError as error:
-        raise BadInput(f"axis {request.axis}", "", str(error), "a design that exists") from error
+        raise DesignRefused(f"{about}: {error}") from error

@@ -16,7 +16,7 @@ class ExitStatus(IntEnum):
 
     PASSED = 0
     FAILED = 1
-    """The run ended, or was cut short, and its verdict is not passed."""
+    """The run ended, and its verdict is not passed."""
     BAD_INPUT = 2
     """A file or an option cannot be used; nothing was started."""
     PEER_FAULT = 3
@@ -24,7 +24,14 @@ class ExitStatus(IntEnum):
     DEFECT = 70
     """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
     INTERRUPTED = 130
-    """Ctrl-C before there was anything to judge (128 + SIGINT)."""
+    """Ctrl-C, SIGTERM or SIGHUP: whatever was found until then is no verdict (128 + SIGINT)."""
+
+
+def status_of_run(*, passed: bool, interrupted: bool) -> ExitStatus:
+    """Of a run that has ended without an error."""
+    if interrupted:
+        return ExitStatus.INTERRUPTED
+    return ExitStatus.PASSED if passed else ExitStatus.FAILED
 
 
 @contextmanager

@@ -58,6 +58,7 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         "Lateness": _percentiles(found.lateness_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale",
+        **({"Load machine": _load_machine(found.load_machine)} if found.load_machine else {}),
         "Bus load": f"{_number(found.bus_load_percent)} %",
         "Pace": f"{_number(found.realtime_factor)} times real time",
         "Digest": found.digest,
@@ -69,6 +70,14 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         # Text, because a plain string's square brackets would be read as markup.
         table.add_row(title, Text(line))
     return table
+
+
+def _load_machine(found: Mapping[str, Any]) -> str:
+    steps = [
+        f"{step['asked_nm']:g} N m asked, {_number(step['measured_nm'])} measured" for step in found["steps"]
+    ]
+    counts = f"{found['readings']} readings, {found['late']} late, {found['spoilt']} spoilt"
+    return "; ".join([*steps, counts])
 
 
 def _verdict_table(found: Summary) -> Table | Text:
@@ -96,6 +105,7 @@ def _notes(found: Summary) -> list[Text]:
     notes = []
     if not found.verdict.completed:
         notes.append(Text(f"The run was cut short: {found.verdict.reason}", style="bold red"))
+    notes.extend(Text(note, style="bold yellow") for note in found.network_notes)
     notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in found.recording_faults)
     return notes
 

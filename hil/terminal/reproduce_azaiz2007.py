@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.terminal.exit_status import reported_errors
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def azaiz2007(
@@ -41,15 +44,9 @@ def _print(found: dict[str, Any]) -> None:
 
     console = Console()
     for axis in ("q", "d"):
-        table = Table(title=f"K_{axis}", title_justify="left")
-        for heading in ("figure", "published", "here"):
-            table.add_column(heading)
-        for key, value in found[axis].items():
-            if isinstance(value, float):
-                published = PUBLISHED[axis].get(key)
-                table.add_row(key, "" if published is None else f"{published:g}", f"{value:.6g}")
-        console.print(table)
-    table = Table(title="The drive of Fig. 4 (published peak torque: 14.3 N m)", title_justify="left")
+        console.print(_controller_table(axis, found[axis]))
+    peak = PUBLISHED["simulation"]["peak_torque_nm"]
+    table = Table(title=f"The drive of Fig. 4 (published peak torque: {peak:g} N m)", title_justify="left")
     table.add_column("figure")
     for name in found["simulation"]:
         table.add_column(name.replace("_", " "))
@@ -57,4 +54,40 @@ def _print(found: dict[str, Any]) -> None:
         table.add_row(key, *(f"{run[key]:.5g}" for run in found["simulation"].values()))
     console.print(table)
     for text in DISAGREEMENTS:
-        console.print(f"* {text}")
+        console.print(f"* {text}", highlight=False)
+
+
+def _controller_table(axis: str, found: dict[str, Any]) -> "Table":
+    """Published, what the printed controller itself gives on the printed plant, and ours."""
+    from rich.table import Table
+
+    from design.papers.azaiz2007 import PUBLISHED, printed_figures
+
+    table = Table(title=f"K_{axis}", title_justify="left")
+    for heading in ("figure", "published", "printed K", "here"):
+        table.add_column(heading)
+    printed = printed_figures(axis)
+    for key, value in found.items():
+        if isinstance(value, float):
+            published = PUBLISHED[axis].get(key)
+            shown = "" if published is None else f"{published:g}"
+            # gamma_min is the problem's, whatever the controller
+            beside = "" if key == "gamma_min" else f"{printed[key]:.6g}"
+            table.add_row(key, shown, beside, f"{value:.6g}")
+        elif isinstance(value, list):
+            table.add_row(key, "", _listed(printed[key]), _listed(value))
+    for key, value in found["reduced"].items():
+        table.add_row(f"reduced {key}", "", "", _listed(value) if isinstance(value, list) else f"{value:.6g}")
+    return table
+
+
+def _listed(values: list[Any]) -> str:
+    texts = []
+    for value in values:
+        if not isinstance(value, list):
+            texts.append(f"{value:.5g}")
+        elif value[1] == 0.0:
+            texts.append(f"{value[0]:.6g}")
+        else:
+            texts.append(f"{value[0]:.6g}{value[1]:+.6g}j")
+    return "\n".join(texts)

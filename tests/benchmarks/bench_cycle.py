@@ -188,15 +188,15 @@ def _bus_cycle(faults: FaultInjector | None) -> Callable[[int], None]:
     if faults is not None:
         bus.put_before(faults, Direction.HOST_TO_DRIVE)
     attach_to_segment(SimulatedServo(1, LING2012.parameters), segment, timeline)
-    bus.send_frame(Frame(0, b"\x01\x00"))
+    bus.transmit(Frame(0, b"\x01\x00"))
 
     def run(cycles: int) -> None:
         for _ in range(cycles):
             due = Instant(timeline.now + NS_PER_MS)
-            bus.send_frame(SYNC)
+            bus.transmit(SYNC)
             bus.recv_frame(due)
             bus.recv_frame(due)
-            bus.send_frame(RPDO)
+            bus.transmit(RPDO)
             timeline.run_until(due)
 
     return run

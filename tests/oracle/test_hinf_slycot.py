@@ -38,7 +38,7 @@ def test_gamma_min_agrees_or_is_verified(seed: int) -> None:
 
 def test_most_seeds_agree() -> None:
     """The other branches are exceptions."""
-    plants = [random_plant(seed) for seed in range(100, 150)]
+    plants = [random_plant(seed) for seed in range(100, 120)]
     ours = np.array([gamma_min(plant) for plant in plants])
     theirs = np.array([_slicot(plant, 100.0 * g + 1.0)[0] for plant, g in zip(plants, ours, strict=True)])
-    assert np.sum(np.abs(theirs / ours - 1.0) <= 1e-6) >= 40
+    assert np.sum(np.abs(theirs / ours - 1.0) <= 1e-6) >= 16

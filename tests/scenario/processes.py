@@ -1,11 +1,11 @@
-"""Benches and simulated drives as processes on a hub, for the tests of what a user would type."""
+"""``hil`` as processes on a bus in real time, for the tests of what a user would type."""
 
 import json
 import os
 import signal
 import subprocess
-import sys
-from collections.abc import Iterator
+import sysconfig
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,18 @@ from drivers.profile402 import State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-HIL = [sys.executable, "-m", "hil.cli"]
+BENCH = EXAMPLES / "any_bus.toml"
+HIL = [str(Path(sysconfig.get_path("scripts"), "hil"))]
 RPM_PER_RAD_S = 60.0 / 6.283185307179586
 VELOCITY_UNIT_RAD_S = 1e-3 / RPM_PER_RAD_S
 START_LIMIT_S = 60.0
+RUN_TIMEOUT_S = 90
 REST_RAD_S = 0.5
+
+
+def quiet_environment() -> dict[str, str]:
+    """The environment of the tests without analytics of the viewer."""
+    return {**os.environ, "CI": "true"}
 
 
 def hub_name(test: str) -> str:
@@ -34,7 +41,7 @@ def hub_name(test: str) -> str:
 def simulated_drive(bus: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``hil simulate`` on ``bus``, ready when entered, ended when left."""
     command = [*HIL, "simulate", "--bus", bus, "--node", "1", *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment())
     try:
         assert process.stderr is not None
         for line in process.stderr:
@@ -52,28 +59,45 @@ def simulated_drive(bus: str, *options: str) -> Iterator[subprocess.Popen[str]]:
 def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
     """``hil run --json`` in the background."""
     command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=quiet_environment()
+    )
 
 
 def run(bench: Path, bus: str, folder: Path) -> tuple[int, dict[str, Any], str]:
     """``hil run --json`` to its end: exit status, summary ({} if there is none), what it said."""
     process = start_run(bench, bus, folder)
-    out, said = process.communicate(timeout=START_LIMIT_S)
+    out, said = process.communicate(timeout=RUN_TIMEOUT_S)
     return process.returncode, json.loads(out) if out.strip() else {}, said
+
+
+def run_command(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """A command to its end, its outputs as text."""
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env=quiet_environment(),
+        timeout=RUN_TIMEOUT_S,
+        check=False,
+    )
+
+
+def changed_bench(folder: Path, **values: object) -> Path:
+    """examples/any_bus.toml in ``folder`` with other values of keys that it has once."""
+    lines = BENCH.read_text(encoding="utf-8").replace('"motors/', f'"{EXAMPLES}/motors/').splitlines()
+    for key, value in values.items():
+        places = [number for number, line in enumerate(lines) if line.startswith(f"{key} = ")]
+        assert len(places) == 1, f"{key} stands in {len(places)} lines"
+        lines[places[0]] = f"{key} = {value}"
+    path = folder / "changed.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
 
 
 def long_bench(folder: Path, duration_s: float = 60.0) -> Path:
     """A bench that turns for ``duration_s``, without injected faults."""
-    text = (EXAMPLES / "any_bus.toml").read_text()
-    text = text.replace('"motors/', f'"{EXAMPLES}/motors/').replace('"faults/', f'"{EXAMPLES}/faults/')
-    lines = []
-    for line in text.splitlines():
-        if line.startswith("duration_s"):
-            line = f"duration_s = {duration_s}"
-        lines.append(line)
-    path = folder / "long.toml"
-    path.write_text("\n".join(lines))
-    return path
+    return changed_bench(folder, duration_s=duration_s)
 
 
 class Observer:
@@ -86,11 +110,16 @@ class Observer:
         self._network = CanopenNetwork(BusLink(opened.bus, self._clock, opened.stamps, bus), self._clock, 126)
 
     def velocity_rad_s(self) -> float:
-        raw = self._network.upload(1, Object.VELOCITY_ACTUAL_VALUE)
+        raw = self._upload(Object.VELOCITY_ACTUAL_VALUE)
         return int.from_bytes(raw, "little", signed=True) * VELOCITY_UNIT_RAD_S
 
     def state(self) -> State | None:
-        return state_of(int.from_bytes(self._network.upload(1, Object.STATUSWORD), "little"))
+        return state_of(int.from_bytes(self._upload(Object.STATUSWORD), "little"))
+
+    def _upload(self, index: int) -> bytes:
+        """Answers to the other master that wait in the queue must not be taken for one's own."""
+        self._network.pump(self._clock.now())
+        return self._network.upload(1, index)
 
     def now(self) -> Instant:
         return self._clock.now()

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -19,10 +18,8 @@ from drivers.network import CanopenNetwork
 from drivers.profile402 import State
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.bench import run_bench
 from hil.cli import app
-from hil.configuration.bench_file import load_bench
-from hil.terminal.progress import no_progress
+from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
 from virtual_bus.can_bus.disturbance import Disturbance
 from virtual_bus.can_bus.error_state import ErrorState
@@ -216,16 +213,20 @@ def test_a_run_whose_host_goes_bus_off_ends_with_exit_status_3(tmp_path: Path) -
     assert f"{errors} error frames on the bus" in [event.get("text") for event in events]
 
 
-def test_background_traffic_loads_the_bench_s_own_bus_and_repeats_with_the_seed(tmp_path: Path) -> None:
-    stream = "\n[[bus.background]]\ncan_id = 0x0A1\nperiod_us = 1000\njitter_us = 300\n"
-    quiet = _summary(bench_file(tmp_path, f"{EXAMPLES}/faults/demo.toml"), tmp_path / "quiet")
-    path = bench_file(tmp_path, f"{EXAMPLES}/faults/demo.toml", stream)
-    loaded = [_summary(path, tmp_path / name) for name in ("a", "b")]
-    assert loaded[0]["digest"] == loaded[1]["digest"] != quiet["digest"]
-    more = loaded[0]["bus_load_percent"] - quiet["bus_load_percent"]
+def test_background_traffic_loads_the_bench_s_own_bus_and_repeats_with_the_seed(
+    servo_bench: BenchRunner,
+) -> None:
+    stream = {"can_id": 0x0A1, "period_us": 1000, "jitter_us": 300}
+    quiet = servo_bench(EXAMPLES / "ling2012.toml")
+    loaded = [servo_bench(EXAMPLES / "ling2012.toml", {"bus.background": [stream]}) for _ in range(2)]
+    assert loaded[0].digest == loaded[1].digest != quiet.digest
+    more = loaded[0].summary.bus_load_percent - quiet.summary.bus_load_percent
     assert 11.1 <= more <= 13.8  # 111 bits and at most 24 stuff bits, and 3 of intermission, in 1 ms
-    again = _summary(tmp_path / "a" / "bench.toml", tmp_path / "c")
-    assert again["digest"] == loaded[0]["digest"]
+    again = servo_bench(loaded[0].folder / "bench.toml")
+    assert again.digest == loaded[0].digest
+    again.assert_no_unintended_frame(allow=("0A1#*",))
+    with pytest.raises(AssertionError, match=r"received 0A1#\w+ \(EMCY of node 33"):
+        again.assert_no_unintended_frame()
 
 
 def test_background_traffic_of_a_bench_needs_its_own_simulated_bus(tmp_path: Path) -> None:
@@ -234,16 +235,3 @@ def test_background_traffic_of_a_bench_needs_its_own_simulated_bus(tmp_path: Pat
     result = CliRunner().invoke(app, ["run", str(path), "--bus", "hub:unused"])
     assert result.exit_code == 2
     assert "hil simulate --background" in result.output
-
-
-def _summary(path: Path, record: Path) -> dict[str, Any]:
-    result = run_bench(
-        load_bench(path),
-        bus_spec=None,
-        time=None,
-        seed=None,
-        record=record,
-        view=False,
-        progress=no_progress,
-    )
-    return result.summary

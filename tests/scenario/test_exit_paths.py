@@ -1,6 +1,7 @@
 """Every way out of a run ends with the drive at rest; shown with processes on a hub."""
 
 import json
+import os
 import signal
 from pathlib import Path
 
@@ -8,7 +9,10 @@ import pytest
 
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S
-from tests.scenario.processes import hub_name, long_bench, observer, simulated_drive, start_run
+from hil.pytest_plugin import StartDrive
+from tests.scenario.processes import changed_bench, long_bench, observer, start_run
+
+pytestmark = pytest.mark.servo_bus("hub")
 
 TURNING_RAD_S = 90.0
 HEARTBEAT_TIMEOUT_S = 0.5
@@ -20,18 +24,20 @@ MARGIN_S = 1.0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stop_signal_ends_in_rest_with_the_recording_whole(tmp_path: Path, number: signal.Signals) -> None:
-    bus = hub_name(number.name.lower())
+def test_a_stop_signal_ends_in_rest_with_the_recording_whole(
+    servo_bus: str, servo_process: StartDrive, tmp_path: Path, number: signal.Signals
+) -> None:
     folder = tmp_path / "run"
-    with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(long_bench(tmp_path), bus, folder)
+    servo_process(1)
+    with observer(servo_bus) as watching:
+        process = start_run(long_bench(tmp_path), servo_bus, folder)
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         process.send_signal(number)
         out, said = process.communicate(timeout=20)
         assert watching.time_to_rest(at, QUICK_STOP_S + MARGIN_S) > 0
         assert watching.state() is State.SWITCH_ON_DISABLED
-    assert process.returncode == 1, said
+    assert process.returncode == 130, said
     summary = json.loads(out)
     assert summary["verdict"]["reason"] == f"ended by {number.name}"
     assert not summary["verdict"]["passed"]
@@ -39,10 +45,24 @@ def test_a_stop_signal_ends_in_rest_with_the_recording_whole(tmp_path: Path, num
     assert json.loads((folder / "summary.json").read_text())["cycles"] == summary["cycles"] > 0
 
 
-def test_a_killed_controller_leaves_the_drive_to_its_own_heartbeat_consumer(tmp_path: Path) -> None:
-    bus = hub_name("kill")
-    with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(long_bench(tmp_path), bus, tmp_path / "run")
+def test_a_stop_signal_is_heard_while_no_drive_answers(servo_bus: str, tmp_path: Path) -> None:
+    bench = changed_bench(tmp_path, connect_timeout_s=60.0)
+    process = start_run(bench, servo_bus, tmp_path / "run")
+    assert process.stderr is not None
+    assert process.stderr.readline() == "connecting\n"
+    process.send_signal(signal.SIGINT)
+    out, said = process.communicate(timeout=20)
+    assert process.returncode == 130, said
+    assert out == ""
+    assert "ended by SIGINT" in said
+
+
+def test_a_killed_controller_leaves_the_drive_to_its_own_heartbeat_consumer(
+    servo_bus: str, servo_process: StartDrive, tmp_path: Path
+) -> None:
+    servo_process(1)
+    with observer(servo_bus) as watching:
+        process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         process.kill()
@@ -52,10 +72,12 @@ def test_a_killed_controller_leaves_the_drive_to_its_own_heartbeat_consumer(tmp_
         process.communicate(timeout=20)
 
 
-def test_a_stopped_controller_is_a_lost_host_too(tmp_path: Path) -> None:
-    bus = hub_name("stop")
-    with simulated_drive(bus), observer(bus) as watching:
-        process = start_run(long_bench(tmp_path), bus, tmp_path / "run")
+def test_a_stopped_controller_is_a_lost_host_too(
+    servo_bus: str, servo_process: StartDrive, tmp_path: Path
+) -> None:
+    servo_process(1)
+    with observer(servo_bus) as watching:
+        process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
         watching.until_turning(TURNING_RAD_S)
         at = watching.now()
         process.send_signal(signal.SIGSTOP)
@@ -68,11 +90,13 @@ def test_a_stopped_controller_is_a_lost_host_too(tmp_path: Path) -> None:
         assert watching.state() is not State.OPERATION_ENABLED
 
 
-def test_a_drive_that_dies_ends_the_run_with_a_named_fault(tmp_path: Path) -> None:
-    bus = hub_name("dies")
+def test_a_drive_that_dies_ends_the_run_with_a_named_fault(
+    servo_bus: str, servo_process: StartDrive, tmp_path: Path
+) -> None:
     folder = tmp_path / "run"
-    with simulated_drive(bus) as drive, observer(bus) as watching:
-        process = start_run(long_bench(tmp_path), bus, folder)
+    drive = servo_process(1)
+    with observer(servo_bus) as watching:
+        process = start_run(long_bench(tmp_path), servo_bus, folder)
         watching.until_turning(TURNING_RAD_S)
         drive.kill()
         out, said = process.communicate(timeout=20)
@@ -83,23 +107,22 @@ def test_a_drive_that_dies_ends_the_run_with_a_named_fault(tmp_path: Path) -> No
     assert json.loads((folder / "summary.json").read_text())["verdict"]["completed"] is False
 
 
-def test_a_lost_bus_ends_the_run_and_the_drive_process(tmp_path: Path) -> None:
-    bus = hub_name("lost")
-    with simulated_drive(bus) as drive:
-        with observer(bus) as watching:
-            process = start_run(long_bench(tmp_path), bus, tmp_path / "run")
-            watching.until_turning(TURNING_RAD_S)
-        broker_pid(bus.removeprefix("hub:"))
-        _, said = process.communicate(timeout=20)
-        assert process.returncode == 3, said
-        assert "Traceback" not in said
-        assert drive.wait(timeout=20) == 3
+def test_a_lost_bus_ends_the_run_and_the_drive_process(
+    servo_bus: str, servo_process: StartDrive, tmp_path: Path
+) -> None:
+    drive = servo_process(1)
+    with observer(servo_bus) as watching:
+        process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
+        watching.until_turning(TURNING_RAD_S)
+    kill_broker(servo_bus.removeprefix("hub:"))
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 3, said
+    assert "Traceback" not in said
+    assert drive.wait(20.0) == 3
 
 
-def broker_pid(name: str) -> None:
+def kill_broker(name: str) -> None:
     """Kill the broker process of a hub, as a pulled cable would end the bus for all."""
-    import os
-
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
             continue

@@ -1,22 +1,23 @@
 """Fault plans from the user's side: each example runs, leaves what it injected, and replays to the same."""
 
 import json
-import os
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput, BenchError, DriveInFault
+from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault
 from hil.bench import run_bench
 from hil.cli import app
-from hil.configuration.bench_file import load_bench, load_faults
+from hil.pytest_plugin import StartDrive
 from hil.terminal.progress import no_progress
-from tests.scenario.two_processes import run_bench as run_at
-from tests.scenario.two_processes import simulated_drive
+from hil.testing.bench_runs import BenchRunner
+from hil.testing.run import Run
+from tests.scenario.processes import EXAMPLES
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+BENCH = EXAMPLES / "ling2012.toml"
 PLANS = sorted(path.stem for path in (EXAMPLES / "faults").glob("*.toml"))
 ENDS_IN_FAULT = {"drive_faults": "4310h", "encoder_loss": "7305h", "bus_off": "no usable reading"}
 INJECTED = {
@@ -35,25 +36,6 @@ INJECTED = {
 }
 
 
-def bench(folder: Path, faults: str, duration_s: float = 2.0) -> Path:
-    """The example bench with another fault plan, as a file."""
-    text = (EXAMPLES / "ling2012.toml").read_text()
-    text = text.replace('"motors/', f'"{EXAMPLES}/motors/').replace("faults/demo.toml", faults)
-    path = folder / "bench.toml"
-    path.write_text(text.replace("duration_s = 2.0", f"duration_s = {duration_s}"))
-    return path
-
-
-def run(path: Path, record: Path, seed: int | None = None, replay: Path | None = None) -> dict[str, Any]:
-    config = load_bench(path)
-    if replay is not None:
-        config = config.with_faults(load_faults(replay))
-    result = run_bench(
-        config, bus_spec=None, time=None, seed=seed, record=record, view=False, progress=no_progress
-    )
-    return result.summary
-
-
 def entries(folder: Path, *without: str) -> list[dict[str, Any]]:
     found = [json.loads(line) for line in (folder / "faults.jsonl").read_text().splitlines()]
     return [{key: value for key, value in entry.items() if key not in without} for entry in found]
@@ -64,26 +46,25 @@ def test_every_example_is_looked_at_here() -> None:
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_each_example_runs_and_replays_to_the_same_digest(name: str, tmp_path: Path) -> None:
-    path = bench(tmp_path, f"{EXAMPLES}/faults/{name}.toml")
-    summary = _attempt(name, path, tmp_path / "a")
-    kinds = {entry["kind"] for entry in entries(tmp_path / "a")}
+def test_each_example_runs_and_replays_to_the_same_digest(name: str, servo_bench: BenchRunner) -> None:
+    run = _attempt(name, servo_bench, EXAMPLES / "faults" / f"{name}.toml")
+    kinds = {entry["kind"] for entry in entries(run.folder)}
     assert INJECTED[name] <= kinds
-    again = _attempt(name, path, tmp_path / "b", replay=tmp_path / "a" / "faults.jsonl")
-    assert again["digest"] == summary["digest"]
-    assert entries(tmp_path / "b") == entries(tmp_path / "a")
+    again = _attempt(name, servo_bench, run.folder / "faults.jsonl")
+    assert again.digest == run.digest
+    assert entries(again.folder) == entries(run.folder)
 
 
-def _attempt(name: str, path: Path, record: Path, replay: Path | None = None) -> dict[str, Any]:
-    """The summary, also of a run that the plan is meant to end."""
+def _attempt(name: str, servo_bench: BenchRunner, faults: Path) -> Run:
+    """A run, also of a plan that is meant to end it."""
     if name not in ENDS_IN_FAULT:
-        return run(path, record, replay=replay)
-    with pytest.raises(BenchError, match=ENDS_IN_FAULT[name]) as caught:
-        run(path, record, replay=replay)
-    assert caught.value.exit_status == 3
-    found: dict[str, Any] = json.loads((record / "summary.json").read_text())
-    assert found["verdict"]["passed"] is False
-    return found
+        return servo_bench(BENCH, faults=faults)
+    run = servo_bench(BENCH, faults=faults, ends_in=BenchError)
+    assert run.error is not None
+    assert ENDS_IN_FAULT[name] in str(run.error)
+    assert run.error.exit_status == 3
+    assert not run.summary.verdict.passed
+    return run
 
 
 EVERYTHING = """
@@ -117,29 +98,35 @@ tpdo_delay_max_us = 60
 """
 
 
-def test_a_replay_with_another_seed_still_injects_the_same(tmp_path: Path) -> None:
+def test_a_replay_with_another_seed_still_injects_the_same(servo_bench: BenchRunner) -> None:
     """The seed still decides what else is random: where the drive's clock starts."""
-    (tmp_path / "plan.toml").write_text(EVERYTHING)
-    path = bench(tmp_path, "plan.toml", duration_s=0.8)
-    path.write_text(path.read_text().replace("at_s = 1.0", "at_s = 0.5"))
-    first = run(path, tmp_path / "a")
-    again = run(path, tmp_path / "b", replay=tmp_path / "a" / "faults.jsonl")
-    other = run(path, tmp_path / "c", seed=99, replay=tmp_path / "a" / "faults.jsonl")
-    drawn = run(path, tmp_path / "d", seed=99)
-    assert again["digest"] == first["digest"]
-    assert {other["seed"], drawn["seed"]} == {99}
+    short = {"bench.duration_s": 0.8, "load.axis1.0.at_s": 0.5}
+    plan = tomllib.loads(EVERYTHING)
+    first = servo_bench(BENCH, short, faults=plan)
+    recorded = first.folder / "faults.jsonl"
+    again = servo_bench(BENCH, short, faults=recorded)
+    other = servo_bench(BENCH, short, faults=recorded, seed=99)
+    drawn = servo_bench(BENCH, short, faults=plan, seed=99)
+    assert again.digest == first.digest
+    assert {other.summary.seed, drawn.summary.seed} == {99}
 
-    def injected(name: str) -> list[str]:
-        return sorted(map(str, entries(tmp_path / name, "at_ns")))
+    def injected(run: Run) -> list[str]:
+        return sorted(map(str, entries(run.folder, "at_ns")))
 
-    assert injected("c") == injected("a") != injected("d")
-    assert {entry["kind"] for entry in entries(tmp_path / "a")} == {
+    assert injected(other) == injected(first) != injected(drawn)
+    assert {entry["kind"] for entry in entries(first.folder)} == {
         *("loss", "delay", "reorder", "duplicate", "corruption", "silence", "clock_step", "boot", "late")
     }
 
 
 def test_the_command_line_replays_and_the_folder_of_a_run_runs_again(tmp_path: Path) -> None:
-    path = bench(tmp_path, f"{EXAMPLES}/faults/noise.toml", duration_s=1.2)
+    text = BENCH.read_text().replace('"motors/', f'"{EXAMPLES}/motors/')
+    path = tmp_path / "bench.toml"
+    path.write_text(
+        text.replace("faults/demo.toml", f"{EXAMPLES}/faults/noise.toml").replace(
+            "duration_s = 2.0", "duration_s = 1.2"
+        )
+    )
     record = [str(tmp_path / name) for name in "abc"]
     digests = []
     for arguments in (
@@ -160,8 +147,10 @@ def test_a_file_to_replay_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert "--replay-faults" in done.stderr
 
 
-def test_faults_of_nodes_are_refused_where_the_nodes_are_not_simulated(tmp_path: Path) -> None:
-    config = load_bench(bench(tmp_path, f"{EXAMPLES}/faults/outage.toml"))
+def test_faults_of_nodes_are_refused_where_the_nodes_are_not_simulated(
+    servo_bench: BenchRunner, tmp_path: Path
+) -> None:
+    config = servo_bench.load(BENCH, faults=EXAMPLES / "faults" / "outage.toml")
     with pytest.raises(BadInput, match="hil simulate --faults"):
         run_bench(
             config,
@@ -174,9 +163,9 @@ def test_faults_of_nodes_are_refused_where_the_nodes_are_not_simulated(tmp_path:
         )
 
 
-def test_a_drive_fault_names_itself_in_the_error(tmp_path: Path) -> None:
+def test_a_drive_fault_names_itself_in_the_error(servo_bench: BenchRunner) -> None:
     with pytest.raises(DriveInFault, match="excess temperature of the drive"):
-        run(bench(tmp_path, f"{EXAMPLES}/faults/drive_faults.toml"), tmp_path / "r")
+        servo_bench(BENCH, faults=EXAMPLES / "faults" / "drive_faults.toml")
 
 
 AT_THE_DRIVE = """
@@ -192,12 +181,11 @@ at_s = 3.5
 """
 
 
-def test_a_plan_acts_at_the_drives_side_of_a_real_time_bus(tmp_path: Path) -> None:
+@pytest.mark.servo_bus("hub")
+def test_a_plan_acts_at_the_drives_side_of_a_real_time_bus(
+    servo_bench: BenchRunner, servo_process: StartDrive
+) -> None:
     """However late the bench comes: it ends by the fault, or finds it there."""
-    plan = tmp_path / "plan.toml"
-    plan.write_text(AT_THE_DRIVE)
-    spec = f"hub:faults-{os.getpid()}"
-    with simulated_drive(spec, "--faults", str(plan)):
-        status, _, messages = run_at(spec, tmp_path / "r")
-    assert status == 3
-    assert "2310h (continuous over-current)" in messages
+    servo_process(1, faults=tomllib.loads(AT_THE_DRIVE))
+    run = servo_bench(EXAMPLES / "any_bus.toml", ends_in=PeerFault)
+    assert "2310h (continuous over-current)" in str(run.error)

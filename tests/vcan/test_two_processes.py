@@ -2,12 +2,9 @@
 
 import pytest
 
-from tests.scenario.two_processes import TwoProcesses
+from tests.scenario.two_process_suite import TwoProcesses
 
 
+@pytest.mark.servo_bus("vcan")
 class TestOnVcan(TwoProcesses):
     """The same bench file as on the other buses."""
-
-    @pytest.fixture
-    def bus_spec(self, channel: str) -> str:
-        return f"socketcan:{channel}"

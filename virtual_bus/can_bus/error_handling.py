@@ -11,6 +11,7 @@ end (ACK or error delimiter, end of frame, intermission) and once for every 11 b
 from typing import TYPE_CHECKING
 
 from drivers.timebase import NS_PER_S, Duration, Instant
+from virtual_bus.can_bus.arbitration import arbitration_key
 from virtual_bus.can_bus.bit_length import bits_duration
 from virtual_bus.can_bus.controller import Controller
 from virtual_bus.can_bus.disturbance import BusError
@@ -60,7 +61,7 @@ class ErrorHandling:
             controller = port.controller
             if not port._queue or not controller.can_send:
                 continue
-            rank = max(free_at, controller.suspended_until), port._queue[0][0], port._rank
+            rank = max(free_at, controller.suspended_until), arbitration_key(port._queue[0]), port._rank
             if best is None or rank < best:
                 best, sender = rank, port
         if best is None or (sender is self._sender and best[0] == self._start_at):
@@ -112,7 +113,7 @@ class ErrorHandling:
     def _adopt(self) -> None:
         """Go on from where the segment is."""
         segment = self._segment
-        waiting = [port for _, _, port in segment._contenders]
+        waiting = list(segment._contenders)
         if segment._sender is not None:
             waiting.append(segment._sender)
         self._leaving = [port for port in waiting if port not in segment._ports]
@@ -123,7 +124,7 @@ class ErrorHandling:
             return
         self._sender, self._under_way = sender, True
         self._start_at, self._end_at = segment._start_at, segment._end_at
-        self._frame = sender._queue[0][1]
+        self._frame = sender._queue[0]
         controllers = self._controllers()
         self._trial = undisturbed(self._frame, sender._rank, controllers, segment.bitrate_bit_s)
         self._timeline.post(self._end_at, self._finish)
@@ -144,7 +145,7 @@ class ErrorHandling:
             return  # another port, or another instant, was chosen since
         segment = self._segment
         self._under_way = True
-        self._frame = frame = sender._queue[0][1]
+        self._frame = frame = sender._queue[0]
         self._count_idle_bits()
         judge = segment._judge
         disturbance = None if judge is None else judge(sender.name, frame, self._start_at)
@@ -180,7 +181,7 @@ class ErrorHandling:
         segment._free_at = free_at = Instant(wire_free_at + segment._intermission)
         segment._load.add(free_at - self._start_at, free_at)
         if trial.completed:
-            sender._queue.popleft()
+            sender._queue.pop(0)
             segment.frames += 1
         states = self._count(sender, trial)
         if sender.controller.state is ErrorState.PASSIVE:
@@ -204,7 +205,7 @@ class ErrorHandling:
                 monitor(frame, now)
         for port in segment._ports:
             if port._rank in trial.accepted and port.controller.on_bus:
-                port.on_frame(frame, now)
+                port.listener.on_frame(frame, now)
         if trial.completed and sender.on_sent is not None:
             sender.on_sent(frame, now)
         if trial.error is not None and not trial.completed:

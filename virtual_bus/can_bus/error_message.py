@@ -15,10 +15,19 @@ WARNING_FROM: Final = 96
 """Counters from here on are a warning (ISO 11898-1, error warning limit)."""
 
 _CONTROLLER, _PROTOCOL, _ACKNOWLEDGE, _BUS_OFF, _BUS_ERROR, _COUNTERS = 0x04, 0x08, 0x20, 0x40, 0x80, 0x200
+_RESTARTED: Final = 0x100
 _TYPES = {ErrorKind.BIT: 0x01, ErrorKind.FORM: 0x02, ErrorKind.STUFF: 0x04}
 _CRC_SEQUENCE, _ACK_SLOT = 0x08, 0x19
 _LOCATIONS = {ErrorKind.CRC: _CRC_SEQUENCE, ErrorKind.ACKNOWLEDGEMENT: _ACK_SLOT}
 _STATES = {ErrorState.ACTIVE: can.BusState.ACTIVE, ErrorState.PASSIVE: can.BusState.PASSIVE}
+
+
+def told_bus_off(identifier: int) -> bool | None:
+    """Whether an error frame of that identifier tells that its controller went bus-off, or came back; None if
+    neither."""
+    if identifier & _BUS_OFF:
+        return True
+    return False if identifier & _RESTARTED else None
 
 
 def bus_state(state: ErrorState) -> can.BusState:

@@ -7,18 +7,20 @@ is held waits on the segment's own timeline, so a fault costs one event and no p
     owner -- send_frame --> judge -- at once, or at its release --> transmit queue --> segment
 """
 
-from collections import deque
 from collections.abc import Callable
-from heapq import heappop, heappush
 from typing import Final
 
 from can.typechecking import CanFilters
 
-from drivers.timebase import Duration, Instant
+from drivers.frame_port import FramePort
+from drivers.timebase import Instant
 from virtual_bus.can_bus.disturbance import BusError
 from virtual_bus.can_bus.error_message import error_frame_of
 from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.filters import accepts
+from virtual_bus.can_bus.inbox import Arrival, Inbox
+from virtual_bus.can_bus.listener import Listener
+from virtual_bus.event_heap import Action
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.faults import FateSource
 from virtual_bus.frame import Frame
@@ -29,19 +31,52 @@ RECEIVE_QUEUE_MAX: Final = 65_536
 HELD_MAX: Final = 4096
 """Frames held in one direction; one more is lost and counted."""
 
-_push: Final = heappush
-_pop: Final = heappop
-
 Entry = tuple[Frame, Instant]
 """A received frame and the instant at which it came."""
 
 
-class HostPort:
+class _HeldIn(Action):
+    """A received frame until its release."""
+
+    def __init__(self, owner: "HostPort", frame: Frame) -> None:
+        self.owner = owner
+        self.frame = frame
+
+    def happen(self, now: Instant) -> None:
+        self.owner._let_in(self.frame, now)
+
+
+class _HeldOut(Action):
+    """A frame until it is sent."""
+
+    def __init__(self, owner: "HostPort", frame: Frame, due: Instant) -> None:
+        self.owner = owner
+        self.frame = frame
+        self.due = due
+        self.waits = True
+
+    def happen(self, now: Instant) -> None:  # noqa: ARG002
+        if self.waits:
+            self.owner._let_out(self)
+
+
+class _Ear(Listener):
+    """Hears the segment for a host port."""
+
+    def __init__(self, owner: "HostPort") -> None:
+        self._owner = owner
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        self._owner._on_frame(frame, now)
+
+
+class HostPort(FramePort):
     """One participant of ``segment``."""
 
     def __init__(self, segment: Segment, name: str) -> None:
+        super().__init__()
         self.timeline = segment.timeline
-        self.received: deque[tuple[Frame, Instant, bool]] = deque()
+        self.received = Inbox(RECEIVE_QUEUE_MAX)
         self.last_is_own = False
         """Whether the frame that was last fetched is one of its own that came back."""
         self.overruns = 0
@@ -52,43 +87,50 @@ class HostPort:
         self.overflow_out = 0
         """Frames lost because too many were held."""
         self._judge: FateSource | None = None
-        self._out = Direction.HOST_TO_DRIVE
-        self._in = Direction.DRIVE_TO_HOST
-        self._incoming: list[tuple[Instant, int, Frame]] = []
-        self._outgoing: list[tuple[Instant, int, Frame]] = []
-        self._order = 0
+        self._out = int(Direction.HOST_TO_DRIVE)
+        self._in = int(Direction.DRIVE_TO_HOST)
+        self._held_in = 0
+        self._outgoing: list[_HeldOut] = []
+        """In the order in which they came; some that were sent since, but never the first."""
+        self._held_out = 0
+        self._closed = False
         self._deaf_to_errors: Callable[[], None] | None = None
-        self._release_in = self._let_in
-        self._release_out = self._let_out
-        self.port: Port = segment.attach(name, self._on_frame)
+        self.port: Port = segment.attach(name, _Ear(self))
 
     def put_before(self, judge: FateSource, out: Direction) -> None:
         """Let ``judge`` decide about every frame from now on; ``out``: the way of the frames sent here."""
         self._judge = judge
-        self._out = out
+        self._out = int(out)
         into_drive = out is Direction.DRIVE_TO_HOST
-        self._in = Direction.HOST_TO_DRIVE if into_drive else Direction.DRIVE_TO_HOST
+        self._in = int(Direction.HOST_TO_DRIVE if into_drive else Direction.DRIVE_TO_HOST)
 
     def recv_frame(self, until: Instant) -> Entry | None:
         """The next frame and the instant at which it came; None if there is none up to ``until``.
 
         Time passes no further than to that frame, or to ``until``.
         """
-        received = self.received
-        if received or self.timeline.run_until_filled(until, received):
-            frame, at, self.last_is_own = received.popleft()
-            return frame, at
-        return None
+        frame = self.receive(until)
+        return None if frame is None else (frame, self.came_at)
 
-    def send_frame(self, frame: Frame) -> None:
+    def receive(self, until: Instant) -> Frame | None:
+        """As :meth:`recv_frame`; the instant is then in ``came_at``."""
+        received = self.received
+        if not received and not self.timeline.run_until_filled(until, received):
+            return None
+        arrival = received.take()
+        self.last_is_own = arrival.own
+        self.came_at = arrival.at
+        return arrival.frame
+
+    def transmit(self, frame: Frame) -> None:
         """Queue ``frame`` now. Raises can.CanOperationError if the transmit queue is full."""
         judge = self._judge
         if judge is None:
             self.port.send(frame)
             return
         now = self.timeline.now
-        dropped, delay = judge.fate(self._out, frame[0], now, frame[2])
-        if dropped:
+        delay = judge.hold(self._out, frame[0], now, frame[2])
+        if delay < 0:
             for other, later in judge.replacements(frame):
                 self._pass_out(other, later)
         elif delay == 0:
@@ -96,21 +138,24 @@ class HostPort:
         else:
             self._pass_out(frame, delay)
 
-    def _pass_out(self, frame: Frame, delay: Duration) -> None:
+    def _pass_out(self, frame: Frame, delay: int) -> None:
         """Send ``frame`` after ``delay``."""
         if delay == 0:
             self.port.send(frame)
-        elif len(self._outgoing) >= HELD_MAX:
+        elif self._held_out >= HELD_MAX:
             self.overflow_out += 1
         else:
-            self._order += 1
-            due = Instant(self.timeline.now + delay)
-            _push(self._outgoing, (due, self._order, frame))
-            self.timeline.post(due, self._release_out)
+            held = _HeldOut(self, frame, Instant(self.timeline.now + delay))
+            self._held_out += 1
+            self._outgoing.append(held)
+            self.timeline.enter(held.due, held)
 
     def flush(self) -> None:
         """Forget what is held for sending."""
+        for held in self._outgoing:
+            held.waits = False
         self._outgoing.clear()
+        self._held_out = 0
 
     def hear_itself(self) -> None:
         """Let its own frames come back from now on; they meet no fault."""
@@ -123,10 +168,7 @@ class HostPort:
     def _on_error(self, error: BusError) -> None:
         if self.port.controller.on_bus:
             frame = error_frame_of(error, self.port.controller)
-            if len(self.received) < RECEIVE_QUEUE_MAX:
-                self.received.append((frame, error.at, False))
-            else:
-                self.overruns += 1
+            self._store(Arrival(frame, error.at, False))
 
     def _on_sent(self, frame: Frame, at: Instant) -> None:
         self._keep(frame, at, True)
@@ -135,60 +177,59 @@ class HostPort:
         """Put a frame into the inbox, if a filter lets it through and there is room."""
         if self.filters is not None and not accepts(self.filters, frame):
             return
-        if len(self.received) < RECEIVE_QUEUE_MAX:
-            self.received.append((frame, at, own))
-        else:
+        self._store(Arrival(frame, at, own))
+
+    def _store(self, arrival: Arrival) -> None:
+        if not self.received.put(arrival):
             self.overruns += 1
 
     def close(self) -> None:
         """Send at once what is held and has room, as a last command may be among it; leave the segment."""
         off = self.port.error_state is ErrorState.BUS_OFF
         room = 0 if off else TRANSMIT_QUEUE_MAX - self.port.pending
-        while self._outgoing and room > 0:
-            self.port.send(_pop(self._outgoing)[2])
-            room -= 1
-        self._outgoing.clear()
-        self._incoming.clear()
+        waiting = sorted([held for held in self._outgoing if held.waits], key=lambda held: held.due)
+        for held in waiting[:room]:
+            self.port.send(held.frame)
+        self.flush()
+        self._closed = True
         if self._deaf_to_errors is not None:
             self._deaf_to_errors()
         self.port.detach()
 
-    def _on_frame(self, frame: Frame, at: Instant) -> None:
+    def _on_frame(self, frame: Frame, now: Instant) -> None:
         judge = self._judge
         if judge is None or (self.filters is not None and not accepts(self.filters, frame)):
-            self._keep(frame, at)
+            self._keep(frame, now)
             return
-        dropped, delay = judge.fate(self._in, frame[0], at, frame[2])
-        if dropped:
+        delay = judge.hold(self._in, frame[0], now, frame[2])
+        if delay < 0:
             for other, later in judge.replacements(frame):
-                self._pass_in(other, at, later)
+                self._pass_in(other, now, later)
         elif delay == 0:
-            self._keep(frame, at)
+            self._keep(frame, now)
         else:
-            self._pass_in(frame, at, delay)
+            self._pass_in(frame, now, delay)
 
-    def _pass_in(self, frame: Frame, at: Instant, delay: Duration) -> None:
+    def _pass_in(self, frame: Frame, at: Instant, delay: int) -> None:
         """Keep what came at ``at`` after ``delay``."""
         if delay == 0:
             self._keep(frame, at)
-        elif len(self._incoming) >= HELD_MAX:
+        elif self._held_in >= HELD_MAX:
             self.overflow_in += 1
         else:
-            self._order += 1
-            due = Instant(at + delay)
-            _push(self._incoming, (due, self._order, frame))
-            self.timeline.post(due, self._release_in)
+            self._held_in += 1
+            self.timeline.enter(Instant(at + delay), _HeldIn(self, frame))
 
-    def _let_in(self, now: Instant) -> None:
-        incoming = self._incoming
-        while incoming and incoming[0][0] <= now:
-            due, _, frame = _pop(incoming)
-            self._keep(frame, due)
+    def _let_in(self, frame: Frame, now: Instant) -> None:
+        self._held_in -= 1
+        if not self._closed:
+            self._keep(frame, now)
 
-    def _let_out(self, now: Instant) -> None:
+    def _let_out(self, held: _HeldOut) -> None:
+        held.waits = False
+        self._held_out -= 1
         outgoing = self._outgoing
-        off = self.port.error_state is ErrorState.BUS_OFF
-        while outgoing and outgoing[0][0] <= now:
-            frame = _pop(outgoing)[2]
-            if not off:
-                self.port.send(frame)
+        while outgoing and not outgoing[0].waits:
+            outgoing.pop(0)
+        if self.port.error_state is not ErrorState.BUS_OFF:
+            self.port.send(held.frame)

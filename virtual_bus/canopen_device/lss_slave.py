@@ -6,13 +6,19 @@
 A node-ID that was configured takes effect with the next reset of the communication; in a device
 that had none, at once when it is switched back to WAITING. Answers are on 7E4h, requests on 7E5h,
 both always 8 bytes.
+
+A bit rate that was configured takes effect when it is activated, or stored and then at power-on:
+
+    activate bit timing --- switch delay ---> bit rate changes --- switch delay, silent ---> goes on
+
+It is the host's controller that runs at that rate; where the host cannot set one, nothing changes.
 """
 
 from collections.abc import Callable
 from enum import IntEnum
 
 from drivers.errors import BenchError
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.canopen_device.nmt_state import NODE_ID_MAX, UNCONFIGURED
 from virtual_bus.canopen_device.parameter_store import ParameterStore
 from virtual_bus.canopen_device.station import Station
@@ -23,8 +29,17 @@ RESPONSE_ID = 0x7E4
 NODE_ID_KEY = (0x0000, 1)
 """Where the node-ID is kept in the parameter store: no object has this index."""
 BIT_RATE_KEY = (0x0000, 2)
-BIT_RATES = (0, 1, 2, 3, 4, 6, 7, 8)
-"""Indices of the standard bit timing table that may be configured, 1 Mbit/s to 10 kbit/s."""
+BIT_RATES = {
+    0: 1_000_000,
+    1: 800_000,
+    2: 500_000,
+    3: 250_000,
+    4: 125_000,
+    6: 50_000,
+    7: 20_000,
+    8: 10_000,
+}
+"""The standard bit timing table, bit/s by index; 5 is reserved, 9 (detected by itself) is not offered."""
 SCAN_RESET = 0x80
 
 
@@ -34,6 +49,7 @@ class Lss(IntEnum):
     SWITCH_GLOBAL = 0x04
     CONFIGURE_NODE_ID = 0x11
     CONFIGURE_BIT_TIMING = 0x13
+    ACTIVATE_BIT_TIMING = 0x15
     STORE = 0x17
     SELECT_FIRST = 0x40
     SELECT_LAST = 0x43
@@ -61,7 +77,10 @@ class LssSlave:
         self._made_with = station.node_id
         self.pending_node_id = station.node_id
         """Takes effect with the next reset of the communication."""
-        self._pending_bit_rate = 0
+        self._pending_bit_rate: int | None = None
+        self._set_bit_rate: Callable[[int], None] = _ignore
+        self._switch_delay_ns = 0
+        self._timer = station.timers.create(self._on_switch_delay)
         self._selected = 0
         self._identified = 0
         self._scanned = 0
@@ -71,6 +90,7 @@ class LssSlave:
             Lss.FAST_SCAN: self._fast_scan,
             Lss.CONFIGURE_NODE_ID: self._configure_node_id,
             Lss.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
+            Lss.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
             Lss.STORE: self._save,
             Lss.INQUIRE_NODE_ID: self._inquire_node_id,
         }
@@ -79,12 +99,23 @@ class LssSlave:
         self._services |= dict.fromkeys(range(Lss.INQUIRE_FIRST, Lss.INQUIRE_LAST + 1), self._inquire)
         station.listen(REQUEST_ID, self._on_request)
 
+    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
+        """Call ``set_bit_rate(bit/s)`` when the host's controller is to run at another rate."""
+        self._set_bit_rate = set_bit_rate
+
     def power_on(self) -> None:
-        """WAITING, with the stored node-ID or else that of the device's making."""
+        """WAITING, with the stored node-ID and bit rate, or else those of the device's making."""
         self.configuring = False
         self._selected = self._identified = self._scanned = 0
-        stored = self._store.load().get(NODE_ID_KEY)
+        self._timer.stop()
+        self._station.mute = False
+        kept = self._store.load()
+        stored = kept.get(NODE_ID_KEY)
         self.pending_node_id = stored[0] if stored else self._made_with
+        rate = kept.get(BIT_RATE_KEY)
+        self._pending_bit_rate = rate[0] if rate else None
+        if rate:
+            self._set_bit_rate(BIT_RATES[rate[0]])
 
     def _on_request(self, frame: Frame, now: Instant) -> None:
         if len(frame.data) != 8:
@@ -178,13 +209,35 @@ class LssSlave:
             self._pending_bit_rate = request[2]
         self._answer(Lss.CONFIGURE_BIT_TIMING, bytes([0 if good else 1]))
 
+    def _activate_bit_timing(self, request: bytes, now: Instant) -> None:
+        if not self.configuring or self._pending_bit_rate is None:
+            return
+        self._switch_delay_ns = int.from_bytes(request[1:3], "little") * NS_PER_MS
+        if self._switch_delay_ns:
+            self._timer.start(Instant(now + self._switch_delay_ns))
+        else:
+            self._set_bit_rate(BIT_RATES[self._pending_bit_rate])
+
+    def _on_switch_delay(self, now: Instant) -> None:
+        """The first of the two delays is over, or the second."""
+        station = self._station
+        if station.mute:
+            station.mute = False
+            station.out.clear()  # what could not be sent meanwhile
+            return
+        assert self._pending_bit_rate is not None, "the timer was started with one"
+        self._set_bit_rate(BIT_RATES[self._pending_bit_rate])
+        station.mute = True
+        self._timer.start(Instant(now + self._switch_delay_ns))
+
     def _save(self, _request: bytes, _now: Instant) -> None:
         if not self.configuring:
             return
         try:
             kept = self._store.load()
             kept[NODE_ID_KEY] = bytes([self.pending_node_id])
-            kept[BIT_RATE_KEY] = bytes([self._pending_bit_rate])
+            if self._pending_bit_rate is not None:
+                kept[BIT_RATE_KEY] = bytes([self._pending_bit_rate])
             self._store.save(kept)
         except (OSError, BenchError):
             self._answer(Lss.STORE, b"\x02")
@@ -199,6 +252,10 @@ class LssSlave:
     def _inquire_node_id(self, _request: bytes, _now: Instant) -> None:
         if self.configuring:
             self._answer(Lss.INQUIRE_NODE_ID, bytes([self._station.node_id]))
+
+
+def _ignore(_bit_rate: int) -> None:
+    """The host has no controller whose rate could be set."""
 
 
 def _number(request: bytes) -> int:

@@ -80,6 +80,7 @@ class Station:
         "application",
         "data_handlers",
         "dictionary",
+        "mute",
         "node_id",
         "now",
         "out",
@@ -95,6 +96,8 @@ class Station:
         self.state = NmtState.INITIALISING
         self.now = Instant(0)
         self.timers = Timers()
+        self.mute = False
+        """Nothing may be sent: the bit rate is being changed."""
         self.out: list[Frame] = []
         """Frames to send, in order, taken over by the device when it returns to its host."""
         self.data_handlers: dict[int, tuple[Handler, ...]] = {}

@@ -52,13 +52,20 @@ class SyncConsumer:
         station = self._station
         if self._listening is not None:
             station.ignore(self._listening, self._on_sync)
-        self._listening = station.value(0x1005) & cob_id.CAN_ID or None
+        self._listening = self._cob_id() & cob_id.CAN_ID or None
         self._length = 1 if station.value(0x1019) else 0
         self._window_ns = station.value(0x1007) * NS_PER_US
         self._window.stop()
         self._pdos.open_window(True)
         if self._listening is not None:
             station.listen(self._listening, self._on_sync)
+
+    def _cob_id(self) -> int:
+        """Of 1005h; a vendor's data sheet may lack the object, and the drive knows 080h all the same."""
+        try:
+            return int(self._station.dictionary.variable(0x1005).read())
+        except KeyError:
+            return 0
 
     def _on_sync(self, frame: Frame, now: Instant) -> None:
         station = self._station

@@ -1,6 +1,7 @@
 """A vendor's EDS or DCF laid over the dictionary of a simulated device (CiA 306-1).
 
-    in the file, known to the device      behaviour of the device; access, default, limits of the file
+    in the file, known to the device      behaviour of the device; access, limits and default of the file,
+                                          its own default where the file gives none
     in the file, not known                plain typed storage with access, range and length checks
     known, not in the file                not on the bus; the application still sees its own value
     2000h..5FFFh                          always the file's: the same index means something else there
@@ -30,6 +31,8 @@ _MANDATORY = frozenset({0x1000, 0x1001, 0x1018})
 _FIRST_OBJECT = 0x1000
 _MANUFACTURER = range(0x2000, 0x6000)
 _PROFILE = range(0x6000, 0x10000)
+_PDO_PARAMETERS = range(0x1400, 0x1C00)
+"""What is mapped by default stands in the file, or nothing is."""
 
 
 def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
@@ -42,11 +45,21 @@ def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
         made = _object(index, entry)
         if made.members:
             if index in dictionary:
-                _merge(dictionary.object(index), made)
+                _merge(dictionary.object(index), made, _silent(entry))
             dictionary.put(made)
 
 
-def _merge(own: DictionaryObject, made: DictionaryObject) -> None:
+def _silent(entry: Any) -> frozenset[int]:
+    """Sub-indices to which the file gives no value: there the device's own stays, PDO parameters apart."""
+    if entry.index in _PDO_PARAMETERS:
+        return frozenset()
+    members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
+    return frozenset(
+        sub for sub, member in members.items() if member.default is None and member.value is None
+    )
+
+
+def _merge(own: DictionaryObject, made: DictionaryObject, silent: frozenset[int]) -> None:
     """Put the device's own variables, adapted, in the place of the file's."""
     for subindex, wanted in made.members.items():
         variable = own.members.get(subindex)
@@ -54,17 +67,17 @@ def _merge(own: DictionaryObject, made: DictionaryObject) -> None:
             continue
         if own.index in _PROFILE and variable.data_type is not wanted.data_type:
             continue
-        _adapt(variable, wanted)
+        _adapt(variable, wanted, subindex not in silent)
         made.members[subindex] = variable
 
 
-def _adapt(variable: Variable, wanted: Variable) -> None:
+def _adapt(variable: Variable, wanted: Variable, valued: bool) -> None:
     variable.name = wanted.name
     variable.access = wanted.access
     variable.mappable = wanted.mappable
     variable.low = wanted.low if variable.low is None else variable.low
     variable.high = wanted.high if variable.high is None else variable.high
-    if variable.data_type is not wanted.data_type:
+    if variable.data_type is not wanted.data_type or not valued:
         return
     # What the simulated motor measures or cannot do is not the file's to say.
     if variable.index in _PROFILE and (not wanted.writable or variable.refusal(wanted.default) is not None):

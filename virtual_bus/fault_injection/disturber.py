@@ -88,7 +88,7 @@ class DrawnJudge:
             draw = uniform_stream(self._seed, f"{self._link}/{direction.label}/{node}/{fault.kind}/{place}")
             until = fault.selection.until_ns
             end = FOREVER if until is None else until
-            special = self._specials[key] = Special(fault, fault.selection.from_ns, end, draw)
+            special = self._specials[key] = Special(fault.kind, fault, fault.selection.from_ns, end, draw)
         return special
 
 

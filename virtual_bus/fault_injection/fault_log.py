@@ -69,10 +69,11 @@ NONE: Final = -1
 EXTENDED_FLAG: Final = 1 << 31
 """In ``can_id``: an extended frame."""
 
-_ENTRY: Final = struct.Struct("<qqqqIIBBxx")
-_ENTRY_BYTES: Final = int(_ENTRY.size)
-BLOCK_BYTES: Final = 90 * _ENTRY_BYTES
-_pack_entry: Final = _ENTRY.pack_into
+_FIELDS: Final = "qqqqIIBBxx"
+_VALUES: Final = 8
+_ENTRY: Final = struct.Struct("<" + _FIELDS)
+_BLOCK_ENTRIES: Final = 90
+BLOCK_BYTES: Final = _BLOCK_ENTRIES * _ENTRY.size
 BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
 """A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""
 
@@ -101,8 +102,8 @@ class FaultLog:
     """Collects entries into blocks for a sink, in the order of injection; without a sink it keeps them."""
 
     def __init__(self) -> None:
-        self._block = bytearray(BLOCK_BYTES)
-        self._filled = 0
+        self._values: list[int] = []
+        """Of the entries of a block, one after the other; packed together, which costs half."""
         self._waiting: list[bytes] = []
         self._sink: Callable[[int, bytes], object] | None = None
 
@@ -117,17 +118,25 @@ class FaultLog:
         self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0
     ) -> None:
         """Add an entry, see :class:`Entry`."""
-        _pack_entry(self._block, self._filled, at_ns, a, b, c, can_id, n, code, link)
-        self._filled += _ENTRY_BYTES
-        if self._filled == BLOCK_BYTES:
+        values = self._values
+        values.append(at_ns)
+        values.append(a)
+        values.append(b)
+        values.append(c)
+        values.append(can_id)
+        values.append(n)
+        values.append(code)
+        values.append(link)
+        if len(values) == _BLOCK_ENTRIES * _VALUES:
             self.flush()
 
     def flush(self) -> None:
         """Let the sink have what has been collected."""
-        data = bytes(self._block[: self._filled])
-        self._filled = 0
-        if not data:
+        values = self._values
+        if not values:
             return
+        data = struct.pack("<" + _FIELDS * (len(values) // _VALUES), *values)
+        values.clear()
         if self._sink is None:
             self._waiting.append(data)
         else:

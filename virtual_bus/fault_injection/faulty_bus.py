@@ -339,6 +339,7 @@ class SimulatedFaultyBus(FaultyBus):
         super().__init__(bus, injector, clock, side, stamp_offset)
         self.timeline = bus.timeline
         self._host_port = bus.host_port
+        self.frame_port = self._host_port
         self._host_port.put_before(injector, self._out)
         self.recv_frame: Callable[[Instant], Entry | None] = bus.recv_frame
         self.send_frame: Callable[[Frame], None] = bus.send_frame

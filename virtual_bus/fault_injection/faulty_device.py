@@ -7,7 +7,7 @@ It works on any bus, for it only lets through or keeps back what passes. A devic
 befalls is not wrapped. A restart of the clock's drift at power-on is the device's own affair.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
 from typing import Protocol
 
@@ -40,6 +40,8 @@ class SimulatedNode(Device, Protocol):
 
     @property
     def application(self) -> Application: ...
+
+    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None: ...
 
     def bus_off(self, now: Instant) -> None: ...
 
@@ -148,6 +150,10 @@ class FaultyDevice:
             if not self._deaf(now):
                 out.append(frame)
         return out
+
+    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
+        """The device's own affair."""
+        self.device.follow_bit_rate(set_bit_rate)
 
     def bus_off(self, now: Instant) -> None:
         """Its controller tells: what was held for sending is gone."""

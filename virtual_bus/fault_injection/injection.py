@@ -8,7 +8,6 @@ from virtual_bus.fault_injection.disturber import Disturber, disturber
 from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.fault_injection.fault_plan import FaultPlan
 from virtual_bus.fault_injection.faulty_device import FaultyDevice, SimulatedNode
-from virtual_bus.fault_injection.logged_fates import LoggedFates
 from virtual_bus.fault_injection.node_faults import NODE_FAILS, node_source
 from virtual_bus.fault_injection.replay import RecordedFaults, ReplayedFates
 from virtual_bus.faults import FateSource, FaultInjector
@@ -30,9 +29,11 @@ class Injection:
         log: FaultLog | None = None,
         error_frames: bool = False,
         is_host: Callable[[str], bool] = bool,
+        link: str = "bus",
     ) -> None:
+        """``link``: tells the segments of a bench apart; each has random streams of its own."""
         self.log = log
-        self.fates = _fates(faults, seed, log, error_frames)
+        self.fates = _fates(faults, seed, log, error_frames, link)
         """What befalls frames; None if nothing does."""
         self.disturber: Disturber | None = disturber(faults, seed, log, is_host) if error_frames else None
         self._faults = faults
@@ -78,14 +79,14 @@ class Injection:
             self.log.flush()
 
 
-def _fates(faults: Faults, seed: int, log: FaultLog | None, error_frames: bool) -> FateSource | None:
+def _fates(
+    faults: Faults, seed: int, log: FaultLog | None, error_frames: bool, link: str
+) -> FateSource | None:
     if isinstance(faults, RecordedFaults):
-        replayed = ReplayedFates(faults)
-        return replayed if log is None else LoggedFates(replayed, log)
+        return ReplayedFates(faults, log)
     if not faults.faults:
         return None
-    drawn = FaultInjector(faults, seed, error_frames=error_frames)
-    return drawn if log is None else LoggedFates(drawn, log)
+    return FaultInjector(faults, seed, link, error_frames, log)
 
 
 def node_kinds(faults: Faults) -> tuple[str, ...]:

@@ -6,17 +6,18 @@ from pathlib import Path
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
+from virtual_bus.fault_injection.fates import LOST, FateSource
 from virtual_bus.fault_injection.fault_log import (
     EXTENDED_FLAG,
     FRAME_KINDS,
     NODE_KINDS,
     NONE,
     Entry,
+    FaultLog,
     read_line,
 )
 from virtual_bus.fault_injection.fault_plan import Direction, node_of
 from virtual_bus.fault_injection.special_faults import Instead, instead_of, replaced
-from virtual_bus.faults import DROPPED, PASSED, Fate
 from virtual_bus.frame import Frame
 
 _BY_DELAY = frozenset({"delay", "reorder"})
@@ -52,17 +53,15 @@ def read_recorded(path: Path) -> RecordedFaults:
     return RecordedFaults(tuple(entries))
 
 
-class ReplayedFates:
-    """A :class:`virtual_bus.faults.FateSource` out of recorded entries.
+class ReplayedFates(FateSource):
+    """Fates out of recorded entries.
 
     A frame is known by its place among those of its identifier and direction. In a run that differs
     from the recorded one, frames that were held in order keep their order all the same.
     """
 
-    def __init__(self, recorded: RecordedFaults) -> None:
-        self.struck_by = ""
-        self.parameter = 0
-        self.waited = 0
+    def __init__(self, recorded: RecordedFaults, log: FaultLog | None = None) -> None:
+        super().__init__(log)
         self._entries: tuple[dict[tuple[int, int], Entry], ...] = ({}, {})
         self._ordered: set[tuple[int, int]] = set()
         self._kinds: list[str] = []
@@ -88,40 +87,38 @@ class ReplayedFates:
         """From here on every frame passes."""
         self._zero = None
 
-    def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> Fate:
-        """See :class:`virtual_bus.faults.FateSource`."""
+    def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:
+        """See :class:`FateSource`."""
         if self._zero is None:
-            return PASSED
+            return 0
         key = can_id | EXTENDED_FLAG if extended else can_id
-        counts = self._frames[direction]
+        counts = self._frames[way]
         n = counts.get(key, 0)
         counts[key] = n + 1
-        self._seen[direction] += 1
+        self._seen[way] += 1
+        link = (way, node_of(can_id, extended)) if (way, key) in self._ordered else None
+        held = self._apply(self._entries[way].get((key, n)), way, link, now)
+        if held != 0 and self.log is not None:
+            self.note(self.log, way, key, n, now - self._zero, held)
+        return held
+
+    def _apply(self, entry: Entry | None, way: int, link: tuple[int, int] | None, now: Instant) -> int:
         self._instead = ()
-        entry = self._entries[direction].get((key, n))
-        link = (int(direction), node_of(can_id, extended)) if (direction, key) in self._ordered else None
-        if entry is None:
-            return self._hold(direction, link, now, 0)
-        kind = entry.kind
-        if kind == "delay":
-            return self._hold(direction, link, now, entry.a)
-        self._struck[direction][kind] += 1
+        kind = "delay" if entry is None else entry.kind
+        if entry is None or kind == "delay":
+            held = self._release(link, now, 0 if entry is None else entry.a) - now
+            self._delayed[way] += held != 0
+            return held
+        self._struck[way][kind] += 1
         self.struck_by, self.parameter = kind, entry.a
         if kind == "reorder":
             release = now + entry.b
             if link is not None:
                 release = self._behind(link, release)
-            return Fate(False, Duration(release - now + entry.a))
+            return release - now + entry.a
         if kind in _GOES_ON and entry.a != NONE:
             self._instead = instead_of(kind, entry.a, Duration(self._release(link, now, entry.b) - now))
-        return DROPPED
-
-    def _hold(self, direction: Direction, link: tuple[int, int] | None, now: Instant, held: int) -> Fate:
-        held = self._release(link, now, held) - now
-        if held == 0:
-            return PASSED
-        self._delayed[direction] += 1
-        return Fate(False, Duration(held))
+        return LOST
 
     def _release(self, link: tuple[int, int] | None, now: Instant, held: int) -> int:
         release = now + held
@@ -136,12 +133,12 @@ class ReplayedFates:
         return max(release, front)
 
     def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
-        """See :class:`virtual_bus.faults.FateSource`."""
+        """See :class:`FateSource`."""
         return replaced(frame, self._instead) if self._instead else ()
 
-    def keeps_order(self, direction: Direction, can_id: int, extended: bool) -> bool:
-        """Whether a held frame of that kind waits for the one in front of it."""
-        return (int(direction), can_id | EXTENDED_FLAG if extended else can_id) in self._ordered
+    def keeps_order(self, way: int, can_id: int, extended: bool) -> bool:
+        """See :class:`FateSource`."""
+        return (way, can_id | EXTENDED_FLAG if extended else can_id) in self._ordered
 
     def counts(self) -> dict[str, dict[str, int]]:
         """As :meth:`virtual_bus.faults.FaultInjector.counts`."""

@@ -15,6 +15,7 @@ from virtual_bus.fault_injection.fault_plan import (
     MeasuredDelay,
     Reordering,
 )
+from virtual_bus.fault_injection.strikes import Hold, Strike
 from virtual_bus.frame import Frame
 
 BIT_DRAWS = 8 * 840
@@ -26,12 +27,13 @@ Instead = tuple[tuple[int, Duration], ...]
 """What goes on in a frame's place: for each copy which bit is inverted (UNDAMAGED: none), and its delay."""
 
 
-class Special:
+class Special(Strike):
     """One such fault on one link. Two draws for every frame, so that none depends on a probability."""
 
-    __slots__ = ("_begin", "_draw", "_end", "_probability", "fault", "kind", "value")
-
-    def __init__(self, fault: SpecialFault, begin: int, end: int, draw: Callable[[], float]) -> None:
+    def __init__(
+        self, label: str, fault: SpecialFault, begin: int, end: int, draw: Callable[[], float]
+    ) -> None:
+        super().__init__(label)
         self.fault = fault
         self.kind: str = fault.kind
         self.value = 0.0
@@ -42,7 +44,6 @@ class Special:
         self._draw = draw
 
     def strikes(self, elapsed: int) -> bool:
-        """Whether it strikes the frame that is there so many ns after time zero."""
         struck = self._draw() < self._probability
         self.value = self._draw()
         return struck and self._begin <= elapsed < self._end
@@ -85,18 +86,19 @@ def replaced(frame: Frame, instead: Instead) -> Sequence[tuple[Frame, Duration]]
     return [(damaged(frame, bit), delay) for bit, delay in instead]
 
 
-def measured_hold(
-    fault: MeasuredDelay, begin: int, end: int, draw: Callable[[], float]
-) -> Callable[[int], int]:
+class MeasuredHold(Hold):
     """Draws a bar by its count, then a time within it: two draws for every frame."""
-    edges = fault.edges_ns
-    sums = list(accumulate(fault.counts))
-    total = sums[-1]
 
-    def holds(elapsed: int) -> int:
-        bar = bisect_right(sums, int(draw() * total))
+    def __init__(self, fault: MeasuredDelay, begin: int, end: int, draw: Callable[[], float]) -> None:
+        self._edges = fault.edges_ns
+        self._sums = list(accumulate(fault.counts))
+        self._begin = begin
+        self._end = end
+        self._draw = draw
+
+    def holds(self, elapsed: int) -> int:
+        edges, sums = self._edges, self._sums
+        bar = bisect_right(sums, int(self._draw() * sums[-1]))
         low = edges[bar]
-        held = low + int(draw() * (edges[bar + 1] - low))
-        return held if begin <= elapsed < end else 0
-
-    return holds
+        held = low + int(self._draw() * (edges[bar + 1] - low))
+        return held if self._begin <= elapsed < self._end else 0

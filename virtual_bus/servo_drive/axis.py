@@ -7,6 +7,7 @@ speed, a speed or a torque; the inner loops go there until the next period:
     speed of the profile -------'
 """
 
+import math
 from collections.abc import Callable
 from typing import Final, cast
 
@@ -33,6 +34,8 @@ POSITION_BANDWIDTH: Final = 0.25
 """Gain of the position loop, 1/s, beside the bandwidth of the speed loop, rad/s."""
 REST_S: Final = 0.005
 """The shaft has come to rest when it has rested for that long at the end of a ramp."""
+_HOLDS_RAD: Final = 0.01
+"""So near to where it is to stay a shaft goes no way: the position loop works at the end of the axis too."""
 _STIFFEST_RAD_S2: Final = 1e9
 """In the place of an acceleration without limit where a profile is planned with it."""
 
@@ -48,7 +51,7 @@ class Window:
         self._inside_s = 0.0
 
     def held(self, inside: bool, period_s: float, time_ms: int) -> bool:
-        """One period more; whether it has been inside for ``time_ms``."""
+        """One period more; whether it has been so for ``time_ms``."""
         if not inside:
             self._inside_s = 0.0
             return False
@@ -75,9 +78,14 @@ class Axis:
         self.units = units
         self.machine = machine
         self.period_s = firmware.motion_ticks / firmware.parameters.inner_rate_hz
-        self.torque_unit_nm = objects.rated_torque.default * 1e-6
+        self.torque_unit_nm = objects.torque_unit_nm
         self.limited = False
         """A set-point was cut at a limit in the last period (statusword bit 11)."""
+        self.guarded = False
+        """Something can bar the way: a limit switch, or 607Dh for a mode without a target position."""
+        self.barred = False
+        """A limit switch or the end of the range has stopped the drive; its set-point is not followed."""
+        self._barred_way = 0.0
         self.feeds_torque = False
         """60B2h is added to what the speed loop asks for: in CSP and CSV."""
         self.demand: float | None = None
@@ -124,25 +132,32 @@ class Axis:
     def begin(self, *, feeds_torque: bool = False) -> None:
         """A mode begins: nothing is asked yet."""
         self.feeds_torque = feeds_torque
-        self.limited = False
+        self.limited = self.barred = False
+        self._barred_way = 0.0
         self.demand = None
         self._following.restart()
 
-    def follow(self, count: float, counts_per_s: float, feed_rad_s: float = 0.0) -> None:
+    def follow(self, count: float, counts_per_s: float) -> None:
         """Be at ``count`` now, and at ``counts_per_s`` when the period ends."""
         self.demand = count
         error_rad = (count - self._state[S_COUNT]) / self._counts_per_rad
-        self.run_at(counts_per_s / self._counts_per_rad + feed_rad_s + self._gain * error_rad)
+        speed = self.cut_speed(counts_per_s / self._counts_per_rad + self._gain * error_rad)
+        holds = counts_per_s == 0.0 and abs(error_rad) < _HOLDS_RAD
+        self._run(speed, self.guarded and self._bars(0.0 if holds else speed, free=False))
 
     def run_at(self, speed_rad_s: float) -> None:
         """Be at a speed when the period ends, by a ramp."""
         speed = self.cut_speed(speed_rad_s)
-        feed_nm = self.objects.torque_offset.value * self.torque_unit_nm if self.feeds_torque else 0.0
-        if speed != 0.0 and self.machine.blocked(speed):
-            self.limited = True
-            self.firmware.ramp_to_speed(0.0, self.quick_stop_rad_s2)
+        self._run(speed, self.guarded and self._bars(speed, free=True))
+
+    def _run(self, speed_rad_s: float, barred: bool) -> None:
+        self.barred = barred
+        if barred:
+            self._stop_at_bar()
             return
-        self.firmware.ramp_to_speed(speed, abs(speed - self.speed_rad_s) / self.period_s, feed_nm)
+        feed_nm = self.objects.torque_offset.value * self.torque_unit_nm if self.feeds_torque else 0.0
+        change = abs(speed_rad_s - self.speed_rad_s)
+        self.firmware.ramp_to_speed(speed_rad_s, change / self.period_s, feed_nm)
 
     def stop(self, deceleration_rad_s2: float) -> None:
         """To rest by a ramp, without the position loop."""
@@ -151,12 +166,58 @@ class Axis:
 
     def make_torque(self, torque_nm: float) -> None:
         """A torque."""
+        self.barred = self.guarded and self._bars(torque_nm, free=True)
+        if self.barred:
+            self._stop_at_bar()
+            return
         self.firmware.demand_torque(torque_nm)
         self.firmware.control(InnerControl.TORQUE)
 
     def rests(self) -> bool:
         """Whether the shaft has come to rest at the end of a ramp."""
         return self.firmware.rested_for_s() >= REST_S
+
+    # ---- ends of the axis -----------------------------------------------------------------------------
+
+    def take_rating(self) -> None:
+        """6076h has changed."""
+        self.torque_unit_nm = self.objects.torque_unit_nm
+
+    def take_guards(self) -> None:
+        """A limit switch or 607Dh has changed."""
+        self.guarded = self.machine.has_limits or self._range() is not None
+
+    def _bars(self, way: float, free: bool) -> bool:
+        """Whether the axis ends on the way that a speed or torque of that sign goes: at a limit switch, or
+        for a ``free`` motion where it could come to rest inside 607Dh no more. So it stays until the other
+        way is asked for, or rest."""
+        if way * self._barred_way <= 0.0:
+            self._barred_way = 0.0
+            if way != 0.0 and (self.machine.blocked(way) or (free and self._leaves_range(way))):
+                self._barred_way = math.copysign(1.0, way)
+        return self._barred_way != 0.0
+
+    def _stop_at_bar(self) -> None:
+        self.limited = True
+        self.stop(self.quick_stop_rad_s2)
+
+    def _leaves_range(self, way: float) -> bool:
+        ends = self._range()
+        if ends is None:
+            return False
+        speed = self._state[S_SPEED_MEASURED]
+        braking = speed * abs(speed) / (2.0 * self.quick_stop_rad_s2) * self._counts_per_rad
+        place = self.units.length_of(self.count + braking - self.units.origin)
+        upwards = (way > 0.0) == (self.units.counts_per_position > 0.0)
+        return place >= ends[1] if upwards else place <= ends[0]
+
+    def _range(self) -> tuple[int, int] | None:
+        """607Dh, which counts from the machine's home and so is corrected by 607Ch; None without limits."""
+        low, high = int(self.motion.position_min.value), int(self.motion.position_max.value)
+        if low >= high or (low == LOWEST and high == HIGHEST):
+            return None
+        offset = int(self.motion.home_offset.value)
+        return low - offset, high - offset
 
     # ---- limits ---------------------------------------------------------------------------------------
 
@@ -168,12 +229,11 @@ class Axis:
         return cut
 
     def cut_target(self, position: int) -> int:
-        """A target inside 607Dh, which counts from the machine's home and so is corrected by 607Ch."""
-        low, high = self.motion.position_min.value, self.motion.position_max.value
-        if low >= high or (low == LOWEST and high == HIGHEST):
+        """A target inside 607Dh."""
+        ends = self._range()
+        if ends is None:
             return position
-        offset = self.motion.home_offset.value
-        cut = int(min(max(position, low - offset), high - offset))
+        cut = min(max(position, ends[0]), ends[1])
         self.limited = self.limited or cut != position
         return cut
 

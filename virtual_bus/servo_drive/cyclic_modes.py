@@ -1,8 +1,11 @@
 """CSP, CSV and CST, the cyclic synchronous modes (CiA 402-2): the master plans, the drive follows.
 
-CSP   607Ah + 60B0h, interpolated over 60C2h; 60B1h and 60B2h are fed forward
+CSP   607Ah + 60B0h, interpolated over 60C2h; 60B2h is fed forward, and 60B1h, or while that is 0 the
+      slope of the interpolation
 CSV   60FFh + 60B1h, reached within 60C2h, no faster than 60C5h and 60C6h; 60B2h is fed forward
 CST   6071h + 60B2h, at once
+
+Statusword bit 12 in all of them: the drive follows the command; 0 while the end of the axis bars the way.
 """
 
 from typing import Final
@@ -17,7 +20,7 @@ _LATE: Final = 1.5
 
 
 class CyclicSynchronousTorque(OperationMode):
-    """CST. Statusword bit 12: the drive follows the command."""
+    """CST. It runs by periods only where the axis has an end."""
 
     def __init__(self, axis: Axis) -> None:
         super().__init__(axis)
@@ -25,7 +28,6 @@ class CyclicSynchronousTorque(OperationMode):
         self._target = axis.objects.target_torque
         self._offset = axis.objects.torque_offset
         self._firmware = axis.firmware
-        self._nm_per_raw = axis.torque_unit_nm
 
     def begin(self, _controlword: int) -> None:
         self.axis.begin()
@@ -33,14 +35,17 @@ class CyclicSynchronousTorque(OperationMode):
         self._firmware.control(InnerControl.TORQUE)
 
     def take_torque(self) -> None:
-        self._firmware.demand_torque((self._target.value + self._offset.value) * self._nm_per_raw)
+        self._firmware.demand_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)
+
+    def run(self) -> None:
+        self.axis.make_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)
 
     def status_bits(self) -> int:
-        return Status.FOLLOWS_COMMAND
+        return _follows(self.axis)
 
 
 class CyclicSynchronousVelocity(OperationMode):
-    """CSV. Statusword bit 12: the drive follows the command."""
+    """CSV."""
 
     def __init__(self, axis: Axis) -> None:
         super().__init__(axis)
@@ -67,17 +72,18 @@ class CyclicSynchronousVelocity(OperationMode):
         axis.run_at(now + change)
 
     def status_bits(self) -> int:
-        return Status.FOLLOWS_COMMAND
+        return _follows(self.axis)
 
 
 class CyclicSynchronousPosition(OperationMode):
-    """CSP. Statusword bit 12: the drive follows the command; bit 13: following error.
+    """CSP. Statusword bit 13: following error.
 
     A set-point is reached one interpolation period after its arrival; without another one the drive stays.
     """
 
     def __init__(self, axis: Axis) -> None:
         super().__init__(axis)
+        self.has_following_error = True
         self._start = 0.0
         self._target = 0.0
         self._start_tick = 0
@@ -106,17 +112,27 @@ class CyclicSynchronousPosition(OperationMode):
         axis = self.axis
         axis.limited = self._cut
         ticks = axis.firmware.ticks
-        counts_per_s = 0.0
-        if ticks - self._start_tick < _LATE * self._ticks:
-            counts_per_s = (self._target - self._start) / (self._ticks * axis.firmware.tick_s)
-        feed_rad_s = axis.motion.velocity_offset.value * axis.units.rad_s_per_velocity
-        axis.follow(self._demand(ticks), counts_per_s, feed_rad_s)
+        axis.follow(self._demand(ticks), self._feed(ticks))
         self._lags = axis.watch_following()
 
     def status_bits(self) -> int:
-        return Status.FOLLOWS_COMMAND | (Status.MODE_13 if self._lags else 0)
+        return _follows(self.axis) | (Status.MODE_13 if self._lags else 0)
+
+    def _feed(self, ticks: int) -> float:
+        """Speed that is fed forward, counts/s."""
+        axis = self.axis
+        offset = axis.motion.velocity_offset.value
+        if offset:
+            return float(offset * axis.units.rad_s_per_velocity * axis.firmware.counts_per_rad)
+        if ticks - self._start_tick >= _LATE * self._ticks:
+            return 0.0
+        return (self._target - self._start) / (self._ticks * axis.firmware.tick_s)
 
     def _demand(self, ticks: int) -> float:
         """The interpolated position at a tick, encoder counts."""
         share = (ticks - self._start_tick) / self._ticks
         return self._target if share >= 1.0 else self._start + share * (self._target - self._start)
+
+
+def _follows(axis: Axis) -> int:
+    return 0 if axis.barred else Status.FOLLOWS_COMMAND

@@ -208,6 +208,10 @@ class Firmware:
         demand[_TORQUE_FEED] = feed_nm
         demand[_CONTROL] = _CONTROL_SPEED
 
+    def brake_shaft(self, torque_nm: float) -> None:
+        """What an outside brake holds against the shaft's motion from the next tick on, N m."""
+        self._p[kernel.P_COULOMB] = self.motor.coulomb_friction_nm + torque_nm
+
     def hold_encoder(self, held: bool) -> None:
         """``held``: the encoder's line is broken, and from the next tick on its count stands still."""
         self._p[kernel.P_ENCODER_HELD] = float(held)

@@ -26,6 +26,7 @@ MACHINE: Final = 0x2110
 INTERLOCK: Final = 1 << 3
 """60FDh: motion is forbidden; here by safe torque off."""
 _SWITCH_BITS: Final = 0x7
+_LIMIT_BITS: Final = 0x3
 _FAR: Final = 0x7FFF_FFFF
 
 
@@ -73,10 +74,13 @@ class SimulatedMachine:
         low, high = self._stretch(sensor)
         return low <= self._count() < high
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether a limit switch is fitted, or held active."""
+        return (self.fitted | self.held) & _LIMIT_BITS != 0
+
     def blocked(self, direction: float) -> bool:
         """Whether the limit switch at that end of the axis is active."""
-        if not (self.fitted | self.held) & _SWITCH_BITS:
-            return False
         return self.active(Sensor.POSITIVE_LIMIT if direction > 0.0 else Sensor.NEGATIVE_LIMIT)
 
     def edge_between(self, sensor: Sensor, edge: Edge, before: float, after: float) -> float:

@@ -19,8 +19,10 @@ _U8, _U16, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 
 MOTION_PROFILE_TYPE: Final = 0x6086
 END_VELOCITY: Final = 0x6082
+TORQUE_PROFILE_TYPE: Final = 0x6088
+POSITION_DEMAND_INTERNAL_VALUE: Final = 0x60FC
 LINEAR_RAMP: Final = 0
-"""The only motion profile type here: trapezoids."""
+"""The only motion profile type and torque profile type here: trapezoids."""
 UNLIMITED: Final = 0xFFFF_FFFF
 NO_WINDOW: Final = 0xFFFF_FFFF
 """Value of 6065h and 6067h that switches the watch off (CiA 402-2)."""
@@ -84,6 +86,7 @@ class MotionObjects:
         self.quick_stop = self._add(Object.QUICK_STOP_DECELERATION, "Quick stop deceleration", _U32, quick, 1)
         self._add(MOTION_PROFILE_TYPE, "Motion profile type", _I16, check=one_of(frozenset({LINEAR_RAMP})))
         self.torque_slope = self._add(Object.TORQUE_SLOPE, "Torque slope", _U32, 1000, 1)
+        self._add(TORQUE_PROFILE_TYPE, "Torque profile type", _I16, check=one_of(frozenset({LINEAR_RAMP})))
         self.max_acceleration = self._add(Object.MAX_ACCELERATION, "Max acceleration", _U32, UNLIMITED, 1)
         self.max_deceleration = self._add(Object.MAX_DECELERATION, "Max deceleration", _U32, UNLIMITED, 1)
 
@@ -134,10 +137,13 @@ class MotionObjects:
 
     def _add_demands(self) -> None:
         self.position_demand = self._demand(Object.POSITION_DEMAND_VALUE, "Position demand value")
+        self.position_demand_internal = self._demand(
+            POSITION_DEMAND_INTERNAL_VALUE, "Position demand internal value"
+        )
         self.velocity_demand = self._demand(Object.VELOCITY_DEMAND_VALUE, "Velocity demand value")
         self.following_error = self._demand(
             Object.FOLLOWING_ERROR_ACTUAL_VALUE, "Following error actual value"
         )
 
-    def _demand(self, index: Object, name: str) -> Variable:
+    def _demand(self, index: int, name: str) -> Variable:
         return self._dictionary.add(index, name, _I32, Access.READ_ONLY, mappable=True)

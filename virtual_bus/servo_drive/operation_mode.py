@@ -13,6 +13,8 @@ class OperationMode:
         self.axis = axis
         self.periodic = True
         """Whether the mode runs once per motion period; the others act on their set-points alone."""
+        self.has_following_error = False
+        """Whether bit 13 of the statusword is the following error."""
 
     def begin(self, controlword: int) -> None:
         """OPERATION_ENABLED begins, or the mode was changed in it; edges count from ``controlword`` on."""

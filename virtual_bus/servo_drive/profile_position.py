@@ -5,7 +5,10 @@
     1      -       takes its place at once
     0      1       follows without a stop: the move under way passes its target at its profile velocity
 
-Bit 12 answers: 1 when a set-point was taken, 0 again when bit 4 is 0 and one more could be taken.
+Bit 12 answers: 1 when a set-point was taken, 0 again when bit 4 is 0 and one more could be taken. While it
+is 1 because one waits already, a further one is refused, or with bit 5 takes the place of both.
+
+A limit switch on the way ends the move: the drive stops, drops its set-points and reaches no target.
 """
 
 from typing import Final
@@ -38,6 +41,7 @@ class ProfilePosition(OperationMode):
 
     def __init__(self, axis: Axis) -> None:
         super().__init__(axis)
+        self.has_following_error = True
         self._halt = Halt(axis)
         self._window = Window()
         self._profile = plan_stop(0.0, 0.0, 1.0)
@@ -47,6 +51,7 @@ class ProfilePosition(OperationMode):
         self._reached = False
         self._lags = False
         self._passing = False
+        self._given_up = False
         self._under_way: SetPoint | None = None
         self._waiting: SetPoint | None = None
         self._last_target = 0.0
@@ -55,7 +60,7 @@ class ProfilePosition(OperationMode):
         axis = self.axis
         axis.begin()
         self._word = controlword
-        self._acknowledged = self._reached = self._lags = self._passing = False
+        self._acknowledged = self._reached = self._lags = self._passing = self._given_up = False
         self._under_way = self._waiting = None
         self._come_to_rest()
         self._halt.begin(controlword, self.slow_down_rad_s2())
@@ -63,7 +68,7 @@ class ProfilePosition(OperationMode):
     def receive(self, controlword: int) -> None:
         rising = controlword & ~self._word
         self._word = controlword
-        if rising & NEW_SET_POINT and not self._acknowledged:
+        if rising & NEW_SET_POINT and (not self._acknowledged or controlword & CHANGE_AT_ONCE):
             self._take(controlword)
         self._release()
         if self._halt.receive(controlword, self.slow_down_rad_s2()):
@@ -78,8 +83,10 @@ class ProfilePosition(OperationMode):
         now = self._profile.at(self._elapsed_s)
         soon = self._profile.at(self._elapsed_s + axis.period_s)
         axis.follow(now.position, soon.speed)
-        if self._under_way is not None:
-            axis.limited = axis.limited or self._under_way.cut
+        if axis.barred:
+            self._give_up()
+        cut = self._given_up or (self._under_way is not None and self._under_way.cut)
+        axis.limited = axis.limited or cut
         self._reached = self._window.held(self._arrived(), axis.period_s, axis.motion.position_ms.value)
         self._lags = axis.watch_following()
 
@@ -94,7 +101,6 @@ class ProfilePosition(OperationMode):
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _take(self, controlword: int) -> None:
-        """Room for it there is: bit 12 would be 1 if not."""
         set_point = self._set_point(controlword)
         self._last_target = set_point.target
         self._acknowledged = True
@@ -132,7 +138,7 @@ class ProfilePosition(OperationMode):
         self._under_way = set_point
         self._profile = plan_move(start.position, start.speed, set_point.target, set_point.limits)
         self._elapsed_s = 0.0
-        self._reached = self._passing = False
+        self._reached = self._passing = self._given_up = False
         self._window.restart()
 
     def _plan_passing(self) -> None:
@@ -158,7 +164,7 @@ class ProfilePosition(OperationMode):
     def _arrived(self) -> bool:
         """The profile is over, and the shaft within 6067h of its end."""
         profile = self._profile
-        if self._elapsed_s < profile.duration_s:
+        if self._given_up or self._elapsed_s < profile.duration_s:
             return False
         window = int(self.axis.motion.position_window.value)
         if profile.end_speed != 0.0 or window == NO_WINDOW:
@@ -172,6 +178,12 @@ class ProfilePosition(OperationMode):
         self._elapsed_s = 0.0
         self._last_target = self._profile.end_position
         self._window.restart()
+
+    def _give_up(self) -> None:
+        self._under_way = self._waiting = None
+        self._given_up = True
+        self._come_to_rest()
+        self._release()
 
     def _go_on(self) -> None:
         """After a halt: to the target of the move that it interrupted."""

@@ -1,7 +1,8 @@
 """PV, profile velocity mode (CiA 402-2): to the target velocity by the profile ramps.
 
-Statusword: bit 10 target reached (606Dh, 606Eh), or at rest during a halt; bit 12 speed is zero (606Fh,
-6070h). Bit 13, the slippage error of asynchronous motors, stays 0.
+Statusword: bit 10 target reached (606Dh, 606Eh), or at rest during a halt; bit 12 speed is zero: no more once
+it was above 606Fh for 6070h, and again as soon as it is not. Bit 13, the slippage error of asynchronous
+motors, stays 0.
 """
 
 from drivers.profile402 import Status
@@ -18,7 +19,7 @@ class ProfileVelocity(OperationMode):
         super().__init__(axis)
         self._halt = Halt(axis)
         self._reached_window = Window()
-        self._zero_window = Window()
+        self._turning_window = Window()
         self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
         self._elapsed_s = 0.0
         self._planned: tuple[float, float, float] | None = None
@@ -29,7 +30,8 @@ class ProfileVelocity(OperationMode):
         self.axis.begin()
         self._start_anew()
         self._zero = False
-        self._zero_window.restart()
+        self._turning_window.restart()
+        self._watch()
         self._halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
@@ -42,6 +44,8 @@ class ProfileVelocity(OperationMode):
             self._plan()
             self._elapsed_s += axis.period_s
             axis.run_at(self._profile.at(self._elapsed_s).speed)
+            if axis.barred:
+                self._start_anew()
         self._watch()
 
     def status_bits(self) -> int:
@@ -78,5 +82,6 @@ class ProfileVelocity(OperationMode):
         velocity = axis.velocity
         near = abs(velocity - motion.target_velocity.value) <= motion.velocity_window.value
         self._reached = self._reached_window.held(near, axis.period_s, motion.velocity_ms.value)
-        slow = abs(velocity) <= motion.threshold.value
-        self._zero = self._zero_window.held(slow, axis.period_s, motion.threshold_ms.value)
+        turning = abs(velocity) > motion.threshold.value
+        held = self._turning_window.held(turning, axis.period_s, motion.threshold_ms.value)
+        self._zero = not turning or (self._zero and not held)

@@ -51,6 +51,16 @@ class ServoObjects:
         """The present value of an option code."""
         return int(self._dictionary.variable(index).value)
 
+    @property
+    def torque_unit_nm(self) -> float:
+        """A thousandth of 6076h, which a vendor's dictionary may set."""
+        return float(self.rated_torque.value) * 1e-6
+
+    @property
+    def current_unit_a(self) -> float:
+        """A thousandth of 6075h, as amplitude in the motor's transform."""
+        return float(self.rated_current.value / self._rated_current_ma) * self._current_unit_a
+
     def _add(
         self, index: Object, name: str, data_type: DataType, access: Access, **options: object
     ) -> Variable:
@@ -127,9 +137,16 @@ class ServoObjects:
     def _add_motor(self, motor: PmsmParameters) -> None:
         per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
         rated_rms_a = motor.rated_current_a / math.sqrt(per_rms)
+        self._rated_current_ma = round(1000 * rated_rms_a)
+        self._current_unit_a = motor.rated_current_a / 1000.0
         self._dictionary.add(0x6402, "Motor type", U16, RO, default=PERMANENT_MAGNET_SINUSOIDAL)
-        self._add(
-            Object.MOTOR_RATED_CURRENT, "Motor rated current", U32, RO, default=round(1000 * rated_rms_a)
+        self.rated_current = self._add(
+            Object.MOTOR_RATED_CURRENT,
+            "Motor rated current",
+            U32,
+            RO,
+            default=self._rated_current_ma,
+            low=1,
         )
         self.rated_torque = self._add(
             Object.MOTOR_RATED_TORQUE,
@@ -137,6 +154,7 @@ class ServoObjects:
             U32,
             RO,
             default=round(1000 * motor.rated_torque_nm),
+            low=1,
         )
         self._add(
             Object.DC_LINK_CIRCUIT_VOLTAGE,

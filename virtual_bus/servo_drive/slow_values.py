@@ -22,15 +22,17 @@ def provide_slow_values(axis: Axis) -> None:
     """Demand values, current, following error and load, as of the last inner tick."""
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
     state, demand = cast("memoryview[float]", firmware.state.data), firmware.demand
-    current_unit_a = firmware.motor.rated_current_a / 1000.0
     objects.position_internal.provider = lambda: wrapped(int(state[S_COUNT] - units.origin))
     objects.torque_demand.provider = lambda: clipped(state[S_TORQUE_DEMAND] / axis.torque_unit_nm, 16)
-    objects.current.provider = lambda: clipped(state[S_Q_MEASURED] / current_unit_a, 16)
+    objects.current.provider = lambda: clipped(state[S_Q_MEASURED] / objects.current_unit_a, 16)
     objects.load_torque.provider = objects.load_actual.provider = lambda: round(
         float(demand[D_LOAD]) / LOAD_NM
     )
     motion.position_demand.provider = lambda: units.position_of(
         state[S_COUNT] if axis.demand is None else axis.demand
+    )
+    motion.position_demand_internal.provider = lambda: wrapped(
+        round((state[S_COUNT] if axis.demand is None else axis.demand) - units.origin)
     )
     motion.velocity_demand.provider = lambda: clipped(
         state[S_SPEED_DEMAND] * units.velocity_per_rad_s if state[S_CONTROL] == CONTROL_SPEED else 0.0, 32

@@ -3,6 +3,7 @@
     position unit      60A8h, else 6092h (feed) and 6091h (gear), else 608Fh
     velocity unit      60A9h, else 6096h times position units per second
     acceleration unit  60AAh, else velocity units per second
+    60ABh              is kept, and scales nothing: no profile here has a jerk
     607Eh              bit 7 turns the sign of positions, bit 6 that of velocities
 
 The drive reads its own objects by the rules of :mod:`drivers.scaling`. Of a unit word and a factor that say
@@ -15,7 +16,7 @@ from typing import Final
 
 from drivers.errors import PeerFault
 from drivers.objects402 import Object, Unit, unit_parts, unit_word
-from drivers.scaling import FACTOR_OBJECTS, Scaling, scaling_from
+from drivers.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from virtual_bus.canopen_device.data_types import DataType
 from virtual_bus.canopen_device.object_dictionary import Access, DictionaryObject, ObjectDictionary, Variable
 from virtual_bus.canopen_device.sdo_abort import AbortCode
@@ -24,9 +25,8 @@ POSITION_POLARITY: Final = 0x80
 VELOCITY_POLARITY: Final = 0x40
 
 _U8, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED32
-_TURNS: Final = (Unit.REVOLUTION, Unit.DEGREE)
-_LENGTHS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.INCREMENT)
-_SPEEDS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.INCREMENT, Unit.REVOLUTION_PER_MINUTE)
+_TURNS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.RADIAN)
+_LENGTHS: Final = (*_TURNS, Unit.INCREMENT)
 _PER: Final = (Unit.SECOND, Unit.MINUTE, Unit.HOUR)
 _EXPONENTS: Final = range(-9, 10)
 _MILLI_RPM_PER_REV_S: Final = 60_000
@@ -133,7 +133,7 @@ class UserUnits:
                     _U32,
                     default=value,
                     low=1,
-                    check=self._check_state,
+                    check=self.check_state,
                     on_write=self._on_written_factor(word),
                 )
 
@@ -152,6 +152,12 @@ class UserUnits:
                 unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SECOND),
                 _is_acceleration,
             ),
+            (
+                Object.SI_UNIT_JERK,
+                "SI unit jerk",
+                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SQUARE_SECOND),
+                _is_jerk,
+            ),
         ):
             self._dictionary.add(
                 index, name, _U32, default=word, check=self._word_check(check), on_write=self._on_factor
@@ -162,17 +168,18 @@ class UserUnits:
 
     def _word_check(self, known: Callable[[int], bool]) -> Callable[[int], AbortCode | None]:
         def check(word: int) -> AbortCode | None:
-            return self._check_state(word) if known(word) else AbortCode.INVALID_VALUE
+            return self.check_state(word) if known(word) else AbortCode.INVALID_VALUE
 
         return check
 
-    def _check_state(self, _value: int) -> AbortCode | None:
+    def check_state(self, _value: int) -> AbortCode | None:
+        """Refuses every value while the drive is enabled."""
         return None if self._may_change() else AbortCode.DEVICE_STATE
 
     def _check_polarity(self, value: int) -> AbortCode | None:
         if value & ~(POSITION_POLARITY | VELOCITY_POLARITY):
             return AbortCode.INVALID_VALUE
-        return self._check_state(value)
+        return self.check_state(value)
 
     def _on_written_factor(self, word: int) -> Callable[[int], None]:
         def on_write(value: int) -> None:
@@ -188,13 +195,14 @@ class UserUnits:
         self._changed()
 
     def _scaling(self) -> Scaling:
-        """From what is on the bus; a vendor's dictionary that tells too little leaves encoder counts."""
+        """From what is on the bus, as a master reads it; where a vendor's dictionary tells nothing of the
+        position unit, encoder counts."""
         values = {key: self._told(*key) for key in FACTOR_OBJECTS}
         try:
-            return scaling_from(values)
+            return scaling_from(values, ScaleOverride(rated_torque_nm=1.0))
         except PeerFault:
-            unit_rad = 1.0 / self._counts_per_rad
-            return Scaling(unit_rad, unit_rad, unit_rad, 1.0, 1e-3)
+            count_rad = 1.0 / self._counts_per_rad
+            return scaling_from(values, ScaleOverride(position_rad=count_rad, rated_torque_nm=1.0))
 
     def _told(self, index: int, sub: int) -> int | None:
         variable: Variable | None = self._dictionary.get(index, sub)
@@ -226,7 +234,19 @@ def _is_velocity(word: int) -> bool:
 
 
 def _is_acceleration(word: int) -> bool:
+    """Lengths per second are read as lengths per second squared: drives write both."""
     exponent, numerator, denominator = unit_parts(word)
     if word & 0xFF or exponent not in _EXPONENTS:
         return False
-    return denominator == Unit.SECOND and numerator in _SPEEDS
+    if numerator == Unit.REVOLUTION_PER_MINUTE:
+        return denominator == Unit.SECOND
+    return denominator in (Unit.SECOND, Unit.SQUARE_SECOND) and numerator in _LENGTHS
+
+
+def _is_jerk(word: int) -> bool:
+    exponent, numerator, denominator = unit_parts(word)
+    if word & 0xFF or exponent not in _EXPONENTS:
+        return False
+    if numerator == Unit.REVOLUTION_PER_MINUTE:
+        return denominator == Unit.SQUARE_SECOND
+    return denominator == Unit.CUBIC_SECOND and numerator in _LENGTHS

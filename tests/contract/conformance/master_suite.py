@@ -10,7 +10,7 @@ from typing import Any
 import canopen
 import pytest
 
-from tests.scenario.two_processes import HIL, quiet_environment
+from tests.scenario.processes import HIL, quiet_environment
 
 NODE, OTHER = 1, 9
 PATIENCE_S = 20.0
@@ -21,7 +21,7 @@ NOTE, STATUSWORD, TARGET_TORQUE = 0x2000, 0x6041, 0x6071
 @contextmanager
 def simulated(bus_spec: str, *options: str) -> Iterator[None]:
     """``hil simulate`` while the block is entered."""
-    command = [HIL, "simulate", "--bus", bus_spec, *options]
+    command = [*HIL, "simulate", "--bus", bus_spec, *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment()) as process:
         assert process.stderr is not None
         for line in process.stderr:

@@ -238,6 +238,16 @@ def lss_refuses_what_it_cannot_be(rig: Rig) -> None:
     rig.send(0x7E5, lss(0x04))
 
 
+@rule("CiA 305, activate bit timing")
+def lss_activates_no_bit_rate_that_was_not_configured(rig: Rig) -> None:
+    rig.send(0x7E5, lss(0x15, b"\x01"))
+    rig.send(0x7E5, lss(0x04, b"\x01"))
+    rig.send(0x7E5, lss(0x15, b"\x01"))
+    assert rig.pause(0.05) == []
+    assert rig.ask(0x7E5, lss(0x5E)) == [Frame(0x7E4, lss(0x5E, bytes([NODE])))]
+    rig.send(0x7E5, lss(0x04))
+
+
 @rule("CiA 305, switch state selective")
 def lss_selects_by_the_whole_identity(rig: Rig) -> None:
     identity = [rig.read(0x1018, part) for part in range(1, 5)]

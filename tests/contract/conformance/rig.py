@@ -63,6 +63,13 @@ class Rig:
             if frame.can_id == can_id:
                 return frame, stamp
 
+    def pause(self, duration_s: float) -> list[Frame]:
+        """All that the device sends of itself for so long."""
+        frames: list[Frame] = []
+        while (message := self._bus.recv(duration_s)) is not None:
+            frames.append(frame_of(message))
+        return frames
+
     def ask(self, can_id: int, data: bytes = b"", *, remote: bool = False) -> list[Frame]:
         """All that the device answers to one frame."""
         self.send(can_id, data, remote=remote)

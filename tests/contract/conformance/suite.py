@@ -2,11 +2,11 @@
 
 import pytest
 
-from tests.contract.conformance import nmt_rules, pdo_rules, sdo_rules
+from tests.contract.conformance import nmt_rules, pdo_rules, sdo_rules, timing_rules
 from tests.contract.conformance.rig import RESET_NODE, Rig
 from tests.contract.conformance.rule import Rule
 
-RULES = (*nmt_rules.RULES, *sdo_rules.RULES, *pdo_rules.RULES)
+RULES = (*nmt_rules.RULES, *sdo_rules.RULES, *pdo_rules.RULES, *timing_rules.RULES)
 
 
 class ConformanceSuite:

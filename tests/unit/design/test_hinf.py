@@ -1,5 +1,7 @@
 """H-infinity synthesis: the paper's numbers, properties on random plants, and what each failure says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from design.hinf_plant import GeneralisedPlant
 from design.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.papers.azaiz2007 import MOTOR
 from design.statespace import StateSpace, state_space, zpk
-from tests.unit.design.hinf_plants import random_plant
+from design.weights import error_weight
+from tests.unit.design.hinf_plants import badly_scaled, random_plant, stiff_plant, with_weak_control
 
 PLANTS = {
     axis: mixed_sensitivity(axis_plant(0.6, L), rule_weights(MOTOR, axis))
@@ -105,3 +108,60 @@ def test_each_broken_assumption_is_named_with_a_remedy(assumption: str, plant: G
         gamma_min(plant)
     assert raised.value.assumption == assumption
     assert raised.value.remedy in str(raised.value)
+
+
+@pytest.mark.parametrize("seed", range(1000, 1015))
+def test_units_of_states_and_of_time_change_nothing(seed: int) -> None:
+    """Sixteen decades between the states' sizes, eight between the rates."""
+    assert gamma_min(badly_scaled(seed)) == pytest.approx(gamma_min(random_plant(seed)), rel=1e-8)
+
+
+# by the same theorem in 50 digits, another program
+STIFF = {
+    1000: 0.723206895,
+    1001: 2.54167443,
+    1002: 2.13620542,
+    1003: 0.573731803,
+    1004: 2.25761203,
+    1005: 2.12543647,
+    1006: 2.52752775,
+    1007: 0.804606491,
+    1008: 2.09660095,
+    1009: 3.93226189,
+    1010: 1.0458678,
+    1011: 1.5764232,
+}
+
+
+@pytest.mark.parametrize("seed", STIFF)
+def test_modes_eight_decades_apart(seed: int) -> None:
+    plant = stiff_plant(seed)
+    assert gamma_min(plant) == pytest.approx(STIFF[seed], rel=1e-6)
+    gamma = 1.02 * STIFF[seed]
+    assert verified_norm(plant, synthesise(plant, gamma).controller) < gamma * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("seed", [1000, 1001, 1002, 1003, 1007, 1010, 1011, 1014])
+def test_a_nearly_singular_plant_keeps_its_promise(seed: int) -> None:
+    """D12 a hundred thousandth of its size."""
+    plant = with_weak_control(random_plant(seed), 1e-5)
+    gamma = 1.02 * gamma_min(plant)
+    assert verified_norm(plant, synthesise(plant, gamma).controller) < gamma * (1.0 + 1e-6)
+
+
+def test_a_plant_that_rounding_makes_singular_is_refused_by_name() -> None:
+    with pytest.raises(SingularPlant, match="larger direct weight") as raised:
+        gamma_min(with_weak_control(random_plant(1005), 1e-5))
+    assert raised.value.assumption == "A2 or A3"
+
+
+def test_a_slow_weight_beside_a_fast_one_is_no_integrator() -> None:
+    """A static error of 1e-8 puts w1's pole fourteen decades below w3's."""
+    rules = rule_weights(MOTOR, "d")
+    plants = [
+        mixed_sensitivity(
+            axis_plant(0.6, 1.4e-3), replace(rules, error=error_weight(50.0, 1.7, static_error))
+        )
+        for static_error in (1e-6, 1e-8)
+    ]
+    assert gamma_min(plants[0]) == pytest.approx(gamma_min(plants[1]), rel=1e-6)

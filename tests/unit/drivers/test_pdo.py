@@ -165,3 +165,21 @@ def test_a_transmission_type_that_is_not_taken_is_named(node: Node) -> None:
     servo.stubborn.add((0x1801, 2))
     with pytest.raises(SettingRefused, match="TPDO2 has transmission type 255 instead of 1"):
         write_plan(objects, PLAN)
+
+
+def test_a_transmission_type_that_fits_is_not_written(node: Node) -> None:
+    _, servo, _, objects = node
+    servo.refuse[0x1400, 2] = 0x06010002
+    assert "RPDO1 written" in write_plan(objects, PLAN)
+
+
+def test_a_pdo_that_cannot_be_switched_off_is_told(node: Node) -> None:
+    _, servo, _, objects = node
+    write_plan(objects, PLAN)
+    servo.values[0x1801, 2] = 254
+    servo.values[0x1802, 1] = 0x381
+    servo.refuse |= {(0x1801, 1): 0x06010002, (0x1802, 1): 0x06010002}
+    notes = write_plan(objects, PLAN)
+    assert servo.values[0x1801, 2] == 1
+    assert notes[0].startswith("TPDO3 is not used and cannot be switched off: abort code 06010002h")
+    assert notes[1:] == ["TPDO2 written"]

@@ -112,7 +112,8 @@ def test_no_path_resets_a_fault() -> None:
         (0x83FF, "torque control"),
         (0x0001, "unknown error class"),
         (0xFF01, "manufacturer-specific"),
-        (0x9999, "unknown error class"),
+        (0x9999, "external error"),
+        (0xA000, "unknown error class"),
     ],
 )
 def test_error_text_falls_back_to_the_class(code: int, text: str) -> None:

@@ -90,12 +90,93 @@ def test_what_the_drive_does_not_tell_is_named(missing: str) -> None:
         scaling_from(values)
 
 
+def test_turns_in_unit_words_are_those_behind_the_gear() -> None:
+    gear = {(0x6091, 1): 5, (0x6091, 2): 1}
+    words = {
+        (0x60A8, 0): unit_word(-1, Unit.DEGREE),
+        (0x60A9, 0): unit_word(0, Unit.REVOLUTION, Unit.MINUTE),
+        (0x60AA, 0): unit_word(0, Unit.REVOLUTION, Unit.SQUARE_SECOND),
+    }
+    scaling = scaling_from({**RATED, **ENCODER, **gear, **words})
+    assert scaling.position_rad == pytest.approx(5 * 0.1 * math.pi / 180)
+    assert scaling.velocity_rad_s == pytest.approx(5 * RPM)
+    assert scaling.acceleration_rad_s2 == pytest.approx(5 * 2 * math.pi)
+    assert scaling.sources["velocity"] == "60A9h, 6091h"
+
+
+def test_increments_are_those_of_the_motors_encoder_in_spite_of_the_gear() -> None:
+    gear = {(0x6091, 1): 5, (0x6091, 2): 1, (0x60A8, 0): unit_word(0, Unit.INCREMENT)}
+    assert scaling_from({**RATED, **ENCODER, **gear}).position_rad == pytest.approx(2 * math.pi / 65536)
+
+
+def test_metres_by_the_feed() -> None:
+    # 5 mm a turn, told in um: a feed of 5000 units; velocity in mm/s.
+    values = {
+        (0x6092, 1): 5000,
+        (0x6092, 2): 1,
+        (0x60A8, 0): unit_word(-6, Unit.METRE),
+        (0x60A9, 0): unit_word(-3, Unit.METRE, Unit.SECOND),
+    }
+    scaling = scaling_from({**RATED, **ENCODER, **values})
+    assert scaling.position_rad == pytest.approx(2 * math.pi / 5000)
+    assert scaling.velocity_rad_s == pytest.approx(2 * math.pi / 5)
+
+
+def test_the_factors_of_dsp_402() -> None:
+    # 10 increments, 100 increments/s and 1000 increments/s^2 a unit.
+    values = {
+        (0x6093, 1): 10,
+        (0x6093, 2): 1,
+        (0x6094, 1): 100,
+        (0x6094, 2): 1,
+        (0x6097, 1): 1000,
+        (0x6097, 2): 1,
+    }
+    scaling = scaling_from({**RATED, **ENCODER, **values})
+    increment = 2 * math.pi / 65536
+    assert scaling.position_rad == pytest.approx(10 * increment)
+    assert scaling.velocity_rad_s == pytest.approx(100 * increment)
+    assert scaling.acceleration_rad_s2 == pytest.approx(1000 * increment)
+
+
+def test_the_acceleration_factor_of_cia_402() -> None:
+    # 100 acceleration units are one position unit per second squared.
+    values = {**RATED, **ENCODER, (0x6097, 1): 100, (0x6097, 2): 1}
+    assert scaling_from(values).acceleration_rad_s2 == pytest.approx(2 * math.pi / 65536 / 100)
+
+
+def test_the_velocity_encoder_stands_in_for_the_position_encoder() -> None:
+    scaling = scaling_from({**RATED, (0x6090, 1): 4096, (0x6090, 2): 1})
+    assert scaling.position_rad == pytest.approx(2 * math.pi / 4096)
+    assert "6090h" in scaling.sources["position"]
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [
+        (unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SQUARE_SECOND), RPM),
+        (unit_word(0, Unit.RADIAN, Unit.CUBIC_SECOND), 1.0),
+        (unit_word(3, Unit.INCREMENT, Unit.CUBIC_SECOND), 1000 * 2 * math.pi / 65536),
+    ],
+)
+def test_jerk_unit_words(word: int, expected: float) -> None:
+    assert scaling_from({**RATED, **ENCODER, (0x60AB, 0): word}).jerk_rad_s3 == pytest.approx(expected)
+
+
+def test_jerk_without_a_word_and_rated_current() -> None:
+    scaling = scaling_from({**RATED, **ENCODER, (0x6075, 0): 4500})
+    assert scaling.jerk_rad_s3 == scaling.acceleration_rad_s2
+    assert scaling.rated_current_a == 4.5
+    assert scaling_from({**RATED, **ENCODER}).rated_current_a is None
+
+
 def test_overrides_go_first() -> None:
     override = ScaleOverride(0.5, 0.25, 0.125, 3.0)
     scaling = scaling_from({**RATED, **ENCODER}, override)
     assert (scaling.position_rad, scaling.velocity_rad_s, scaling.acceleration_rad_s2) == (0.5, 0.25, 0.125)
     assert scaling.rated_torque_nm == 3.0
-    assert set(scaling.sources.values()) == {"override"}
+    told_by = {name: source for name, source in scaling.sources.items() if name != "jerk"}
+    assert set(told_by.values()) == {"override"}
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, math.nan, math.inf])

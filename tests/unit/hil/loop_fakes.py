@@ -4,7 +4,7 @@ from collections.abc import Callable
 from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command, Drive, Master, Reading
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
@@ -23,7 +23,7 @@ TIMING = LoopTiming(
 DEVICE_CLOCK_OFFSET_NS = 987_654_321
 
 
-class FakeDrive:
+class FakeDrive(Drive):
     """Answers each SYNC after ``delay(sequence)`` ns, or not at all if that is None."""
 
     def __init__(self, delay: Callable[[int], int | None]) -> None:
@@ -46,11 +46,11 @@ class FakeDrive:
         return Instant(command.effective_at - 90_000)
 
 
-class FakeBus:
+class FakeBus(Master):
     """Clock and master in one: readings fall due in a heap."""
 
     def __init__(self, drives: list[FakeDrive], oversleep: Callable[[int], int] | None = None) -> None:
-        self.sync_count = 0
+        super().__init__()
         self.drives = drives
         self.at = Instant(0)
         self.oversleep = oversleep

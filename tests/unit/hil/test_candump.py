@@ -69,3 +69,15 @@ def test_python_can_reads_back_what_was_written(
         assert message.is_rx == (not sent)
         assert message.timestamp == pytest.approx(at / 1e9, rel=1e-12, abs=2e-6)
         assert message.channel == "vcan0"
+
+
+def test_frames_of_further_segments_bear_their_names() -> None:
+    rows = packed(
+        [(0, 0x181, 0, 0, b""), (0, 0x182, 0, 2, b""), (0, 0x202, 0, 3, b""), (0, 0x203, 0, 5, b"")]
+    )
+    assert [line[20:] for line in candump_lines(rows, "can0", 0, ("feed", "x")).decode().splitlines()] == [
+        "can0 181# R",
+        "feed 182# R",
+        "feed 202# T",
+        "x 203# T",
+    ]

@@ -28,6 +28,7 @@ BENCH = str(EXAMPLES / "ling2012.toml")
 class Outcome:
     summary: dict[str, Any]
     passed: bool
+    interrupted: bool
     recording: Path | None
 
 
@@ -39,13 +40,14 @@ class Bench:
         self.config: BenchConfig | None = None
         self.error: BaseException | None = None
         self.passed = True
+        self.interrupted = False
 
     def run_bench(self, config: BenchConfig, **asked: Any) -> Outcome:
         self.config, self.asked = config, asked
         if self.error:
             raise self.error
         asked["progress"]("running", 1.0)
-        return Outcome(summary(passed=self.passed).as_json(), self.passed, Path("runs/x"))
+        return Outcome(summary(passed=self.passed).as_json(), self.passed, self.interrupted, Path("runs/x"))
 
     def simulate(self, **asked: Any) -> None:
         self.asked = asked
@@ -87,19 +89,43 @@ def test_a_failed_run_leaves_with_one(bench: Bench) -> None:
     assert "NOT PASSED" in result.stdout
 
 
+def test_an_interrupted_run_prints_what_it_has_and_leaves_with_130(bench: Bench) -> None:
+    bench.passed, bench.interrupted = False, True
+    result = hil("run", BENCH)
+    assert result.exit_code == ExitStatus.INTERRUPTED
+    assert "NOT PASSED" in result.stdout
+
+
 def test_options_reach_the_bench(bench: Bench) -> None:
-    hil("run", BENCH, "--bus", "hub:a", "--time", "real", "--seed", "7", "--record", "r", "--view")
+    hil(
+        "run",
+        BENCH,
+        "--bus",
+        "hub:a",
+        "--time",
+        "real",
+        "--seed",
+        "7",
+        "--record",
+        "r",
+        "--view",
+        "--network",
+        "n.toml",
+        "--allow-worse-network",
+    )
     assert bench.config is not None
     assert bench.config.bench.name == "ling2012"
     asked = {key: value for key, value in bench.asked.items() if key != "progress"}
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
+    expected |= {"network": Path("n.toml"), "allow_worse_network": True}
     assert asked == expected
 
 
 def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
     asked = {key: value for key, value in bench.asked.items() if key != "progress"}
-    assert asked == {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
+    expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
+    assert asked == expected | {"network": None, "allow_worse_network": False}
 
 
 def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:

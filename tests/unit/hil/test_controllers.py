@@ -84,3 +84,13 @@ def test_state_feedback_weighs_the_current_error() -> None:
     controller = StateFeedback((0.5, 0.0), 0.4, 0.0, feedforward_load_nm=0.8)
     # i_q* = 2 A; i_q = 1 A: u = K1 e_q = 0.5 A and i_qr = i_qr* - u = 1.5 A.
     assert controller.output(estimate(0.0, torque=0.4), 0.0) == pytest.approx(0.4 * 1.5)
+
+
+def test_state_feedback_integrates_once_a_period_and_not_at_a_limit() -> None:
+    controller = StateFeedback((0.0, -0.02, -0.1), 0.4, 0.0, period_s=0.01)
+    slow = estimate(90.0)
+    assert step(controller, slow, 100.0) == pytest.approx(0.4 * 0.02 * 10.0)
+    # 10 rad/s for 10 ms are 0.1 rad, and so 0.01 A more
+    second = 0.4 * (0.02 * 10.0 + 0.1 * 0.1)
+    assert step(controller, slow, 100.0, limit=0.5 * second) == pytest.approx(second)
+    assert controller.output(slow, 100.0) == pytest.approx(second)

@@ -5,7 +5,11 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import BadInput
+from drivers.timebase import Instant
 from hil.device_files import DeviceFiles
+from tests.motors import LING
+from virtual_bus.frame import Frame
+from virtual_bus.servo import SimulatedServo
 
 
 def test_without_files_there_is_nothing_to_lay_over_or_to_keep() -> None:
@@ -35,3 +39,65 @@ def test_repairs_of_the_data_sheet_are_told(tmp_path: Path) -> None:
     said: list[str] = []
     assert DeviceFiles(eds=eds).vendor(said.append) is not None
     assert any("AccessType is missing" in line for line in said)
+
+
+DCF = """[DeviceComissioning]
+NodeID=9
+NodeName=spindle
+Baudrate=500
+LSS_SerialNumber=0x1234
+[1018]
+ParameterName=Identity object
+ObjectType=0x9
+SubNumber=2
+[1018sub0]
+ParameterName=Highest sub-index supported
+ObjectType=0x7
+DataType=0x0005
+AccessType=const
+DefaultValue=4
+[1018sub4]
+ParameterName=Serial number
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=1
+"""
+
+
+@pytest.fixture
+def dcf(tmp_path: Path) -> Path:
+    path = tmp_path / "spindle.dcf"
+    path.write_text(DCF)
+    return path
+
+
+def test_node_id_of_a_dcf_is_known(dcf: Path) -> None:
+    assert DeviceFiles(eds=dcf).commissioned_node() == 9
+    assert DeviceFiles().commissioned_node() is None
+
+
+def test_serial_number_of_a_dcf_is_the_device_s_also_for_lss(dcf: Path) -> None:
+    vendor = DeviceFiles(eds=dcf).vendor(print)
+    device = SimulatedServo(9, LING, vendor=vendor)
+    device.start(Instant(0))
+    assert device.dictionary.upload(0x1018, 4) == (0x1234).to_bytes(4, "little")
+    device.receive(Frame(0x7E5, b"\x04\x01".ljust(8, b"\x00")), Instant(1))
+    (answer,) = device.receive(Frame(0x7E5, b"\x5d".ljust(8, b"\x00")), Instant(2))
+    assert answer.data[1:5] == (0x1234).to_bytes(4, "little")
+
+
+@pytest.mark.parametrize(
+    ("nodes", "bitrate", "told"),
+    [
+        ([9], 500_000, []),
+        ([1, 2], 500_000, ["made for node 9, simulated as 1, 2"]),
+        ([9], 1_000_000, ["made for 500 kbit/s, the bus runs at 1000 kbit/s"]),
+    ],
+)
+def test_what_a_dcf_was_not_made_for_is_told(
+    dcf: Path, nodes: list[int], bitrate: int, told: list[str]
+) -> None:
+    said: list[str] = []
+    DeviceFiles(eds=dcf).vendor(said.append, nodes, bitrate)
+    assert [line.removeprefix(f"{dcf}: ") for line in said if "made for" in line] == told

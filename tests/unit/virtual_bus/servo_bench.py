@@ -7,6 +7,7 @@ from drivers.objects402 import Object
 from drivers.profile402 import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import LING
+from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.servo_drive.servo_parameters import DriveParameters
@@ -21,7 +22,12 @@ class ServoBench:
     def __init__(self, drive: DriveParameters | None = None, seed: int = 1) -> None:
         self.now = Instant(0)
         self.sent: list[Frame] = []
-        self.servo = SimulatedServo(1, LING, drive, seed)
+        self._drive, self._seed = drive, seed
+        self.power_on()
+
+    def power_on(self, vendor: Callable[[ObjectDictionary], None] | None = None) -> None:
+        """A drive in the place of the one before, if there was one."""
+        self.servo = SimulatedServo(1, LING, self._drive, self._seed, vendor=vendor)
         self.sent += self.servo.start(self.now)
         self.nmt(1)
 

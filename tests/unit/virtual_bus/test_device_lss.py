@@ -2,13 +2,16 @@
 
 import pytest
 
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
 from virtual_bus.canopen_device.application import NmtState
 from virtual_bus.canopen_device.device_options import DeviceIdentity, DeviceOptions
 from virtual_bus.canopen_device.parameter_store import MemoryStore, ParameterStore
 from virtual_bus.device import CanopenDevice
 from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.segment import Segment
+from virtual_bus.timeline import Timeline
 
 IDENTITY = DeviceIdentity(vendor_id=0x319, product_code=0x1001, revision_number=2, serial_number=77)
 NOW = Instant(0)
@@ -172,3 +175,73 @@ def test_fast_scan_beyond_its_ranges_is_ignored() -> None:
         assert ask(made, 0x51, 0, 0, 0, 0, bit, part, following) == []
     assert ask(made, 0x51, 0, 0, 0, 0x80, 31, 0, 0) == []
     assert ask(made, 0x51, 0, 0, 0, 0, 31, 0, 0)[0][0] == 0x4F
+
+
+def test_bit_rate_is_changed_after_the_switch_delay_and_followed_by_silence() -> None:
+    made = device(5)
+    rates: list[int] = []
+    made.follow_bit_rate(rates.append)
+    ask(made, 0x15, 20)
+    ask(made, 0x04, 1)
+    ask(made, 0x15, 20)
+    assert made.wake(Instant(25 * NS_PER_MS)) != (), "not configured, so nothing was activated"
+    assert ask(made, 0x13, 0, 2)[0][:2] == b"\x13\x00"
+    start = 30 * NS_PER_MS
+    made.receive(Frame(0x7E5, b"\x15\x14" + bytes(6)), Instant(start))
+    seen = {}
+    for milliseconds in range(31, 91):
+        seen[milliseconds] = (
+            [frame.can_id for frame in made.wake(Instant(milliseconds * NS_PER_MS))],
+            [*rates],
+        )
+    assert next(ms for ms, (_, found) in seen.items() if found == [500_000]) == 50
+    beats = [ms for ms, (frames, _) in seen.items() if frames == [0x705]]
+    assert [ms for ms in beats if 50 <= ms < 70] == []
+    assert [ms for ms in beats if ms < 50]
+    assert all(len(frames) <= 1 for frames, _ in seen.values()), "what was held back is not sent later"
+    assert [ms for ms in beats if ms >= 70]
+
+
+def test_without_a_switch_delay_the_bit_rate_is_changed_at_once() -> None:
+    made = device(5)
+    rates: list[int] = []
+    made.follow_bit_rate(rates.append)
+    ask(made, 0x04, 1)
+    ask(made, 0x13, 0, 4)
+    assert rates == []
+    ask(made, 0x15, 0, 0)
+    assert rates == [125_000]
+
+
+def test_stored_bit_rate_is_that_of_the_next_power_on() -> None:
+    store = MemoryStore()
+    made = device(5, store)
+    ask(made, 0x04, 1)
+    ask(made, 0x17)
+    ask(made, 0x13, 0, 3)
+    rates: list[int] = []
+    made.follow_bit_rate(rates.append)
+    made.start(NOW)
+    assert rates == [], "it was not stored"
+    ask(made, 0x04, 1)
+    ask(made, 0x13, 0, 3)
+    ask(made, 0x17)
+    made.start(NOW)
+    assert rates == [250_000]
+
+
+def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
+    timeline = Timeline()
+    segment = Segment(timeline)
+    made = CanopenDevice(5, RecordingApplication(), DeviceOptions(IDENTITY))
+    attached = attach_to_segment(made, segment, timeline)
+    master = segment.attach("master", lambda _frame, _at: None)
+    for request in (b"\x04\x01", b"\x13\x00\x02", b"\x15\x05"):
+        master.send(Frame(0x7E5, request.ljust(8, b"\x00")))
+    timeline.run_until(Instant(4 * NS_PER_MS))
+    assert attached.port.bitrate_bit_s == 1_000_000
+    timeline.run_until(Instant(7 * NS_PER_MS))
+    assert attached.port.bitrate_bit_s == 500_000
+    master.send(Frame(0x123))
+    timeline.run_until(Instant(8 * NS_PER_MS))
+    assert segment.errors > 0, "at half the rate it destroys the frames of the others"

@@ -31,11 +31,10 @@ from virtual_bus.fault_injection.fault_plan import (
     PeriodicLoss,
     Selection,
 )
-from virtual_bus.fault_injection.logged_fates import LoggedFates, TellingSource
 from virtual_bus.fault_injection.node_fault_plan import Range, SlowDrive
 from virtual_bus.fault_injection.node_faults import DrawnNode, ReplayedNode
 from virtual_bus.fault_injection.replay import RecordedFaults, ReplayedFates, read_recorded
-from virtual_bus.faults import FaultInjector
+from virtual_bus.faults import FateSource, FaultInjector
 from virtual_bus.frame import Frame
 
 Outcome = tuple[bool, int, list[tuple[Frame, Duration]]]
@@ -130,7 +129,7 @@ def test_kinds_fit_into_the_byte_of_an_entry() -> None:
     assert len(set(KINDS)) == len(KINDS) < 256
 
 
-def outcomes(source: TellingSource | LoggedFates, traffic: list[tuple[Direction, int, int]]) -> list[Outcome]:
+def outcomes(source: FateSource, traffic: list[tuple[Direction, int, int]]) -> list[Outcome]:
     """What becomes of each frame: lost or not, delay, and what goes on instead."""
     found: list[Outcome] = []
     source.start(Instant(0))
@@ -146,7 +145,7 @@ def recorded(log: FaultLog) -> RecordedFaults:
     return RecordedFaults(tuple(read_line(entry_line(entry), "f", 1) for entry in log.entries()))
 
 
-def counted(source: LoggedFates) -> dict[str, dict[str, int]]:
+def counted(source: FateSource) -> dict[str, dict[str, int]]:
     """What it has counted, without what never struck."""
     return {way: {what: n for what, n in found.items() if n} for way, found in source.counts().items()}
 
@@ -176,10 +175,10 @@ def test_a_replay_gives_every_frame_the_fate_that_it_had(
         at += gap
         traffic.append((*KEYS[pick], at))
     log, again = FaultLog(), FaultLog()
-    original = LoggedFates(FaultInjector(plan, seed), log)
+    original = FaultInjector(plan, seed, log=log)
     first = outcomes(original, traffic)
     faults = recorded(log)
-    replayed = LoggedFates(ReplayedFates(faults), again)
+    replayed = ReplayedFates(faults, again)
     assert outcomes(replayed, traffic) == first
     assert recorded(again) == faults
     assert counted(replayed) == counted(original)
@@ -189,7 +188,7 @@ def test_a_replay_strikes_the_same_frames_of_other_traffic() -> None:
     """Another node's frames in between, and other instants: the n-th frame meets what the n-th met."""
     plan = FaultPlan((PeriodicLoss(lost=1), uniform(10, 500)))
     log = FaultLog()
-    first = outcomes(LoggedFates(FaultInjector(plan, 1), log), [(IN, TPDO1, k * MS) for k in range(50)])
+    first = outcomes(FaultInjector(plan, 1, log=log), [(IN, TPDO1, k * MS) for k in range(50)])
     traffic = [(IN, can_id, k * MS + 7) for k in range(50) for can_id in (0x182, TPDO1)]
     again = outcomes(ReplayedFates(recorded(log)), traffic)
     assert again[1::2] == first
@@ -199,7 +198,7 @@ def test_a_replay_strikes_the_same_frames_of_other_traffic() -> None:
 def test_a_replay_keeps_frames_in_order_that_were_so() -> None:
     log = FaultLog()
     traffic = [(IN, TPDO1, k * 100) for k in range(200)]
-    outcomes(LoggedFates(FaultInjector(FaultPlan((uniform(0, 900),)), 1), log), traffic)
+    outcomes(FaultInjector(FaultPlan((uniform(0, 900),)), 1, log=log), traffic)
     closer = [(IN, TPDO1, k * 10) for k in range(200)]
     releases = [
         at + found[1]
@@ -210,7 +209,7 @@ def test_a_replay_keeps_frames_in_order_that_were_so() -> None:
 
 def test_frames_before_time_zero_and_after_the_end_count_for_nothing() -> None:
     log = FaultLog()
-    source = LoggedFates(FaultInjector(FaultPlan((PeriodicLoss(lost=1),)), 1), log)
+    source = FaultInjector(FaultPlan((PeriodicLoss(lost=1),)), 1, log=log)
     source.fate(IN, TPDO1, Instant(0))
     source.start(Instant(100))
     for k in range(4):

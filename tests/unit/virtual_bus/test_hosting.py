@@ -1,6 +1,7 @@
 """Devices on a segment in simulated time, and on a python-can bus."""
 
 import errno
+from typing import ClassVar
 
 import can
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from drivers.errors import BusDown
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
-from virtual_bus.canopen_device.application import NmtState
+from virtual_bus.canopen_device.application import CommunicationLoss, NmtState
 from virtual_bus.canopen_device.device_options import DeviceOptions
 from virtual_bus.device import CanopenDevice
 from virtual_bus.frame import Frame
@@ -142,4 +143,65 @@ def test_full_adapter_loses_frames_and_goes_on() -> None:
     clock = SimulatedClock(bus.timeline)
     serve([device(heartbeat_ms=1)], bus, clock, lambda: clock.now() >= 5 * MS)
     assert clock.now() >= 5 * MS
+    bus.shutdown()
+
+
+def losses_told(node: CanopenDevice) -> list[object]:
+    application = node.application
+    assert isinstance(application, RecordingApplication)
+    return [call[1] for call in application.calls if call[0] == "loss"]
+
+
+def test_served_device_hears_that_its_adapter_went_bus_off_and_came_back() -> None:
+    bus = SimulatedBus(channel="drive")
+    clock, node = SimulatedClock(bus.timeline), device(heartbeat_ms=10)
+    heard: list[tuple[int, bytes]] = []
+    master = bus.segment.attach("master", lambda frame, at: heard.append((at // MS, frame.data[:2])))
+    bus.timeline.post(Instant(2 * MS), lambda _now: master.send(Frame(0, bytes([START, 0]))))
+    bus.timeline.post(Instant(25 * MS), lambda _now: bus.port.go_bus_off())
+    bus.timeline.post(Instant(55 * MS), lambda _now: bus.port.recover())
+    serve([node], bus, clock, lambda: clock.now() >= 85 * MS)
+    assert losses_told(node) == [CommunicationLoss.BUS_OFF]
+    assert (0, b"\x00") in heard
+    assert [entry for entry in heard if 25 <= entry[0] < 55] == []
+    assert [data for _, data in heard if data in (b"\x40\x81", b"\x00\x00")] == [b"\x40\x81", b"\x00\x00"]
+    assert heard[-1] == (80, b"\x7f")
+    bus.shutdown()
+
+
+class TellingBus(SimulatedBus):
+    """As SocketCAN: bus-off is told by error frames alone, and sending meanwhile is refused."""
+
+    told: ClassVar[list[tuple[int, int]]] = []
+
+    @property
+    def state(self) -> can.BusState:
+        return can.BusState.ACTIVE
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        message = super().recv(timeout)
+        if self.told and self.timeline.now >= self.told[0][0]:
+            _, identifier = self.told.pop(0)
+            return can.Message(arbitration_id=identifier, is_error_frame=True, dlc=8, data=bytes(8))
+        return message
+
+
+@pytest.mark.parametrize("back", ["restarted", "a frame"])
+def test_error_frames_tell_of_bus_off_where_the_bus_does_not(back: str) -> None:
+    bus = TellingBus(channel="drive")
+    bus.told[:] = [(25 * MS, 0x40)] + [(55 * MS, 0x100)] * (back == "restarted")
+    clock, node = SimulatedClock(bus.timeline), device(heartbeat_ms=10)
+    heard: list[tuple[int, bytes]] = []
+    master = bus.segment.attach("master", lambda frame, at: heard.append((at // MS, frame.data[:2])))
+    if back == "a frame":
+        bus.timeline.post(Instant(55 * MS), lambda _now: master.send(Frame(0x123)))
+    serve([node], bus, clock, lambda: clock.now() >= 85 * MS)
+    assert losses_told(node) == [CommunicationLoss.BUS_OFF]
+    assert [entry for entry in heard if 26 <= entry[0] < 55] == []
+    assert b"\x40\x81" in [data for _, data in heard]
+    assert heard[-1] == (80, b"\x7f")
     bus.shutdown()

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from drivers.timebase import NS_PER_US, Instant
 from tests.unit.virtual_bus.can_reference import random_frame, unstuffed_fields
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
+from virtual_bus.can_bus.listener import OnFrame, listener_of
 from virtual_bus.frame import Frame
-from virtual_bus.segment import TRANSMIT_QUEUE_MAX, OnFrame, Segment
+from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Segment
 from virtual_bus.timeline import Timeline
 
 EXAMPLES = settings(derandomize=True, deadline=None)
@@ -167,7 +168,7 @@ def test_answers_sent_on_delivery_are_arbitrated_after_the_intermission() -> Non
             if frame.can_id == 0x80:
                 send(Frame(0x180 + node))
 
-        port.on_frame = answer
+        port.listener = listener_of(answer)
     segment.add_monitor(lambda frame, _at: order.append(frame.can_id))
     segment.attach("master", ignore).send(Frame(0x80))
     timeline.run_until(Instant(1_000_000))

@@ -85,6 +85,15 @@ def test_known_objects_act_although_others_are_gone(device: SimulatedServo) -> N
     assert (frame.can_id, frame.data[0] & 0x6F) == (0x180 + NODE, 0x27)
 
 
+def test_where_the_file_gives_no_value_the_devices_own_stays(tmp_path: Path) -> None:
+    path = tmp_path / "silent.eds"
+    path.write_text(EDS.read_text().replace("DefaultValue=0x00020192", "DefaultValue="))
+    silent = partial(overlay, vendor=load_dictionary(path, BASE_NODE_ID).dictionary)
+    device = SimulatedServo(NODE, LING, vendor=silent)
+    device.start(NOW)
+    assert number(ask(device, 0x40, 0x1000)) & 0xFFFF == 402
+
+
 def test_what_was_stored_is_there_in_the_next_life(tmp_path: Path) -> None:
     for expected in (0, 77):
         device = SimulatedServo(NODE, LING, store=FileStore(tmp_path / "memory.json"), vendor=vendor())

@@ -1,0 +1,124 @@
+"""The commands ``hil commission`` and ``hil restore`` behind their options."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from drivers.adapters import parse_bus_spec
+from drivers.dictionary import load_dictionary
+from drivers.drive_setup import read_identity
+from drivers.errors import BadInput, PeerFault
+from drivers.network import CanopenNetwork
+from drivers.objects import RemoteObjects
+from drivers.timebase import NS_PER_S, Duration
+from hil.commissioning.commission import Commissioned, commission
+from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
+from hil.commissioning.journal import DriveMark, append_restored, read_journal
+from hil.commissioning.report import REPORT_FILE, as_json
+from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.restore import await_answer, restore
+from hil.commissioning.step import Verdict
+from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.stopping import stop_signals
+from hil.world import WorldPlan, open_world
+from virtual_bus.fault_injection.faulty_device import SimulatedNode
+from virtual_bus.unknown_drive import unknown_drive
+
+_ANSWER_LIMIT = Duration(5 * NS_PER_S)
+
+
+def run_command(
+    request: CommissionRequest, *, yes: bool, rehearse: int | None, plate_given: bool
+) -> tuple[int, dict[str, Any]]:
+    """``hil commission``: its exit status, and its figures."""
+    spec = parse_bus_spec(request.bus, "--bus")
+    devices: Sequence[SimulatedNode] = ()
+    if spec.simulated != (rehearse is not None):
+        raise BadInput(
+            "--rehearse" if rehearse is not None else "--bus",
+            "",
+            request.bus,
+            "--rehearse SEED with --bus simulated, and only with it",
+        )
+    if rehearse is not None:
+        servo, truth = unknown_drive(rehearse, request.node)
+        devices = [servo]
+        if not plate_given:
+            request = replace(request, nameplate=Nameplate.model_validate(truth.nameplate))
+    if not yes and not request.dry_run and not sys.stdin.isatty():
+        raise BadInput("--yes", "", "no terminal to ask at", "--yes, or a terminal as standard input")
+    sheet = None
+    if request.eds is not None:
+        sheet = load_dictionary(request.eds, request.node)
+        if sheet.repairs:
+            say(f"{request.eds}: {len(sheet.repairs)} repairs, see hil eds")
+    silent = yes or request.dry_run
+    dialog: Dialog = Silent(say) if silent else Terminal(sys.stdin, say)
+    plan = WorldPlan(spec, request.bitrate_bit_s, False, None, rehearse or 0)
+    with stop_signals() as signals, open_world(plan, devices) as world:
+        stop = EmergencyStop(signals, sys.stdin)
+        if world.real_time:
+            # Before the drive listens for heartbeats: to lock a large memory takes up to a second.
+            with realtime_process():
+                result = commission(request, world, dialog, stop, sheet)
+        else:
+            with quiet_garbage_collector():
+                result = commission(request, world, dialog, stop, sheet)
+    return _conclude(request, result)
+
+
+def _conclude(request: CommissionRequest, result: Commissioned) -> tuple[int, dict[str, Any]]:
+    done = sum(record.verdict is Verdict.DONE for record in result.records)
+    faults = sum(len(record.outcome.faults) for record in result.records)
+    say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / REPORT_FILE}")
+    figures = as_json(request, result.records, result.restoration, result.stored, result.error)
+    if result.error is not None:
+        say(f"hil: error: {result.error}")
+        return result.error.exit_status, figures
+    return (0 if result.passed else 1), figures
+
+
+def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[str, Any]:
+    """``hil restore``: what came of it.
+
+    Raises BadInput for a journal of another drive or node, NoAnswer or BusDown if it cannot be reached.
+    """
+    contents = read_journal(journal)
+    if contents.head.node != node:
+        raise BadInput("--node", "", node, f"{contents.head.node}, whose journal {journal} is")
+    spec = parse_bus_spec(bus, "--bus")
+    if spec.simulated:
+        raise BadInput("--bus", "", bus, "a bus on which the drive still is")
+    plan = WorldPlan(spec, bitrate_bit_s, False, None, 0)
+    with stop_signals(), open_world(plan, ()) as world:
+        network = CanopenNetwork(world.link, world.clock)
+        await_answer(network, node, _ANSWER_LIMIT)
+        _check_mark(RemoteObjects(network, node), contents.head.mark)
+        result = restore(network, contents, say)
+    text = [f"{result.objects} objects, {result.written} had to be written"]
+    if result.complete:
+        append_restored(journal)
+        text.append("everything is as it was, byte for byte")
+    else:
+        text += [f"still different: {failure}" for failure in result.failures]
+    return {
+        "objects": result.objects,
+        "written": result.written,
+        "complete": result.complete,
+        "failures": result.failures,
+        "text": text,
+    }
+
+
+def _check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
+    identity = read_identity(objects)
+    here = DriveMark(identity.vendor, identity.product, identity.serial)
+    if here != mark:
+        raise PeerFault(
+            f"node {objects.node_id} is not the drive of the journal",
+            f"vendor, product and serial number are {here.vendor:X}h, {here.product:X}h, {here.serial}; "
+            f"the journal is of {mark.vendor:X}h, {mark.product:X}h, {mark.serial}",
+            "connect the drive that was commissioned",
+        )

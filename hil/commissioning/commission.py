@@ -1,0 +1,130 @@
+"""A whole commissioning: from the first frame to the files, and back to how the drive was found."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from drivers.dictionary import LoadedDictionary
+from drivers.errors import BenchError, PeerFault
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+from hil.commissioning.dialog import Dialog, EmergencyStop
+from hil.commissioning.files import set_objects, write_files
+from hil.commissioning.journaled import STORE_PARAMETERS, JournaledNetwork
+from hil.commissioning.report import write_report
+from hil.commissioning.request import CommissionRequest
+from hil.commissioning.restore import Restoration, restore
+from hil.commissioning.sequence import run_sequence
+from hil.commissioning.session import Findings, Session
+from hil.commissioning.step import Step, StepRecord, Verdict
+from hil.commissioning.steps import all_steps
+from hil.world import World
+
+SAVE: bytes = b"save"
+"""Signature that 1010h wants (CiA 301 7.5.2.13)."""
+_STORE_LIMIT = Duration(2 * NS_PER_S)
+
+
+@dataclass(slots=True)
+class Commissioned:
+    """How it ended."""
+
+    records: list[StepRecord] = field(default_factory=list)
+    findings: Findings = field(default_factory=Findings)
+    restoration: Restoration | None = None
+    """None: nothing had been changed, or everything was stored."""
+    stored: bool = False
+    error: BenchError | None = None
+    """What ended it early."""
+
+    @property
+    def passed(self) -> bool:
+        """Every step that could be done was done, and the drive is as it was found, or stored."""
+        failed = any(record.verdict is Verdict.FAILED for record in self.records)
+        put_back = self.restoration is None or self.restoration.complete
+        return self.error is None and not failed and put_back
+
+
+def commission(
+    request: CommissionRequest,
+    world: World,
+    dialog: Dialog,
+    stop: EmergencyStop,
+    sheet: LoadedDictionary | None = None,
+    steps: Callable[[], Sequence[Step]] | None = None,
+) -> Commissioned:
+    """Run the sequence. Whatever happens, the drive is brought to rest and put back before this returns.
+
+    Raises only what keeps it from being put back: BusDown, NoAnswer. The journal then has everything.
+    """
+    request.out.mkdir(parents=True, exist_ok=True)
+    network = JournaledNetwork(world.link, world.clock)
+    session = Session(request, world, network, dialog, stop, sheet)
+    result = Commissioned(findings=session.found)
+    chosen = list((steps or all_steps)())
+    try:
+        try:
+            run_sequence(session, chosen, result.records)
+        except BenchError as error:
+            result.error = error
+            raise
+        finally:
+            _finish(session, result)
+    except BenchError as error:
+        if error is not result.error:
+            raise
+    if not request.dry_run:
+        write_files(session)
+    write_report(session, result.records, result.restoration, result.stored, result.error)
+    return result
+
+
+def _finish(session: Session, result: Commissioned) -> None:
+    """Every way out leads through here."""
+    network, journal = session.network, session.network.journal
+    if journal is None:
+        return
+    session.found.settings = set_objects(session)
+    try:
+        if session.configured:
+            _rest(session)
+        if session.request.store and result.error is None:
+            _store(session, result)
+        else:
+            network.putting_back = True
+            result.restoration = restore(network, journal.contents)
+            if result.restoration.complete:
+                journal.note_restored()
+    finally:
+        network.produce_heartbeat(Duration(0))
+        network.watch(session.request.node, Duration(0))
+        journal.close()
+        put_back = result.restoration is not None and result.restoration.complete
+        if not (put_back or result.stored):
+            session.dialog.tell(f"not everything is as it was: {restore_command(session.request)}")
+
+
+def _rest(session: Session) -> None:
+    release = session.drive.release()
+    if not release.at_rest:
+        session.dialog.tell(f"the drive is not confirmed at rest: {release.evidence}")
+
+
+def _store(session: Session, result: Commissioned) -> None:
+    """Have the drive keep what was set, 1010h:1."""
+    network, node = session.network, session.request.node
+    before = network.sdo_timeout_s
+    network.sdo_timeout_s = _STORE_LIMIT / NS_PER_S
+    try:
+        network.download(node, STORE_PARAMETERS, 1, SAVE)
+    except PeerFault as error:
+        session.dialog.tell(
+            f"the drive does not store: {error}; it keeps the settings until it is switched off"
+        )
+    finally:
+        network.sdo_timeout_s = before
+    network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
+    result.stored = True
+
+
+def restore_command(request: CommissionRequest) -> str:
+    """What puts everything back."""
+    return f"hil restore --bus {request.bus} --node {request.node} {request.journal}"

@@ -1,0 +1,163 @@
+"""Talking with whoever commissions: on a terminal, or with nobody (``--yes``).
+
+While an answer is awaited the bench goes on: heartbeats are sent and stop signals are heard.
+"""
+
+import os
+import select
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from enum import Enum
+from typing import IO, Any, Protocol
+
+from hil.machine.stopping import StopRequest
+
+Idle = Callable[[], None]
+"""Lets a little time pass on the bus; may raise."""
+
+
+class Choice(Enum):
+    """What to do next."""
+
+    GO = "go"
+    REPEAT = "repeat"
+    SKIP = "skip"
+    QUIT = "quit"
+
+
+class Dialog(Protocol):
+    """What the sequence needs."""
+
+    def tell(self, text: str) -> None:
+        """Say something."""
+        ...
+
+    def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
+        """Have one of ``choices`` taken."""
+        ...
+
+    def line(self, question: str, idle: Idle) -> str:
+        """Have a line written; empty if nobody is there."""
+        ...
+
+    @property
+    def attended(self) -> bool:
+        """Somebody is there."""
+        ...
+
+
+class Silent:
+    """Nobody is asked: every step is done, and one that fails is not repeated."""
+
+    attended = False
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+
+    def tell(self, text: str) -> None:
+        """As given."""
+        self._tell(text)
+
+    def choose(self, _question: str, choices: tuple[Choice, ...], _idle: Idle) -> Choice:
+        """The first choice."""
+        return choices[0]
+
+    def line(self, _question: str, _idle: Idle) -> str:
+        """Nothing."""
+        return ""
+
+
+_KEYS = {Choice.GO: "Enter", Choice.REPEAT: "r", Choice.SKIP: "s", Choice.QUIT: "q"}
+
+
+class Terminal:
+    """Questions and answers by line."""
+
+    attended = True
+
+    def __init__(self, source: IO[str], tell: Callable[[str], None]) -> None:
+        self._source = source
+        self._tell = tell
+
+    def tell(self, text: str) -> None:
+        """As given."""
+        self._tell(text)
+
+    def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
+        """Ask until one of the keys comes; the end of the input means to quit."""
+        offered = ", ".join(f"{_KEYS[choice]} = {choice.value}" for choice in choices)
+        while True:
+            self._tell(f"{question} [{offered}]")
+            answer = self._read(idle)
+            if answer is None:
+                return Choice.QUIT
+            for choice in choices:
+                if answer.strip().lower() in (choice.value, _KEYS[choice] if choice is not Choice.GO else ""):
+                    return choice
+
+    def line(self, question: str, idle: Idle) -> str:
+        """One line."""
+        self._tell(question)
+        return (self._read(idle) or "").strip()
+
+    def _read(self, idle: Idle) -> str | None:
+        while not select.select([self._source], [], [], 0.0)[0]:
+            idle()
+        text = self._source.readline()
+        return text or None
+
+
+class EmergencyStop:
+    """Stop signals, and any key while the shaft may turn."""
+
+    def __init__(self, signals: StopRequest | None = None, source: IO[Any] | None = None) -> None:
+        """``source``: the keyboard; None: there is none."""
+        self._signals = signals
+        self._descriptor = _terminal(source)
+        self._armed = False
+        self.key = False
+        """A key was hit while it was armed."""
+
+    def __call__(self) -> bool:
+        """Whether to stop now."""
+        if self._armed and not self.key and select.select([self._descriptor], [], [], 0.0)[0]:
+            os.read(self._descriptor, 1024)
+            self.key = True
+        return self.key or (self._signals is not None and self._signals())
+
+    @property
+    def signal_name(self) -> str:
+        """The signal that asked for the end; empty if none did."""
+        return "" if self._signals is None else self._signals.signal_name
+
+    @contextmanager
+    def armed(self) -> Iterator[None]:
+        """Inside, single keys are heard at once; the terminal is as before afterwards."""
+        if self._descriptor < 0:
+            yield
+            return
+        before = termios.tcgetattr(self._descriptor)
+        tty.setcbreak(self._descriptor, termios.TCSANOW)
+        self._armed, self.key = True, False
+        try:
+            yield
+        finally:
+            self._armed = False
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, before)
+
+
+def _terminal(source: IO[Any] | None) -> int:
+    """The descriptor of a keyboard; -1 for anything else."""
+    try:
+        return source.fileno() if source is not None and source.isatty() else -1
+    except (OSError, ValueError):
+        return -1
+
+
+def say(text: str) -> None:
+    """On stderr; a reader that is gone is no reason to leave a drive as it is."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,98 @@
+"""A drive as the exercises of commissioning see it: the signs put right, and one way to write a set-point.
+
+A drive without a torque mode is given speeds: the "torque" of a command is then a speed in rad/s, and the
+limits and the controllers of an exercise are told so by :attr:`DrivePort.quantity`.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Final
+
+from drivers.errors import PeerFault
+from drivers.exchange import Command, Drive, Reading
+from drivers.profile402 import Mode
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_S, Instant
+
+
+class Quantity(Enum):
+    """What a set-point is."""
+
+    TORQUE = "torque"
+    SPEED = "speed"
+    POSITION = "position"
+    """Given speeds, which are summed up to positions."""
+
+
+QUANTITY_OF_MODE: Final = {
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE: Quantity.TORQUE,
+    Mode.PROFILE_TORQUE: Quantity.TORQUE,
+    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Quantity.SPEED,
+    Mode.PROFILE_VELOCITY: Quantity.SPEED,
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: Quantity.POSITION,
+}
+"""Modes in which an exercise can command a motion, the one to be preferred first."""
+
+
+class DrivePort(Drive):
+    """What an axis of the loop needs of a drive."""
+
+    def __init__(self, drive: ServoDrive, mode: Mode, period_s: float) -> None:
+        self.drive = drive
+        self.mode = mode
+        self.quantity = QUANTITY_OF_MODE[mode]
+        self.torque_sign = 1.0
+        """-1: the drive's torque turns its position down."""
+        self.velocity_sign = 1.0
+        """-1: the drive's velocity counts against its position."""
+        self.listener: Callable[[list[Reading]], None] | None = None
+        """Sees the readings as the drive tells them."""
+        self._period_s = period_s
+        self._position_rad: float | None = None
+        self._last: Instant | None = None
+
+    def take_readings(self) -> list[Reading]:
+        """The readings of the drive, signs put right."""
+        readings = self.drive.take_readings()
+        if self.listener is not None:
+            self.listener(readings)
+        if self._position_rad is None and readings:
+            self._position_rad = readings[-1].position_rad
+        if self.torque_sign > 0.0 and self.velocity_sign > 0.0:
+            return readings
+        return [
+            reading._replace(
+                velocity_rad_s=reading.velocity_rad_s * self.velocity_sign,
+                torque_nm=reading.torque_nm * self.torque_sign,
+            )
+            for reading in readings
+        ]
+
+    def write(self, command: Command) -> Instant:
+        """Send a set-point."""
+        if self.quantity is Quantity.TORQUE:
+            return self.drive.write(command._replace(torque_nm=command.torque_nm * self.torque_sign))
+        if self.quantity is Quantity.SPEED:
+            return self.drive.write_speed(command.torque_nm * self.velocity_sign, command.expires_at)
+        return self._write_position(command)
+
+    @property
+    def commanded_rad(self) -> float | None:
+        """The position that was commanded last; None in a mode without one."""
+        return self._position_rad if self.quantity is Quantity.POSITION else None
+
+    def check(self) -> None:
+        """As the drive's own."""
+        self.drive.check()
+
+    def begin(self) -> None:
+        """In a position mode, positions are counted on from where the shaft stands now."""
+        self._position_rad = self._last = None
+
+    def _write_position(self, command: Command) -> Instant:
+        if self._position_rad is None:
+            raise PeerFault("no position to count from")
+        passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
+        self._last = command.effective_at
+        self._position_rad += command.torque_nm * passed_s
+        return self.drive.write_position(self._position_rad, command.expires_at)

@@ -1,0 +1,176 @@
+"""Set-points that make a shaft show what it is: pulses, speed ramps, coasting, multisines."""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from drivers.exchange import Command
+from hil.commissioning.identify import Mechanics
+from hil.samples import StateEstimate
+
+_BANDWIDTH_RAD_S: Final = 40.0
+"""Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""
+_INTEGRAL_PART: Final = 0.2
+
+
+class Profile:
+    """A set-point as a function of time."""
+
+    def __init__(self, value: Callable[[float], float], period_s: float) -> None:
+        self._value = value
+        self._period_s = period_s
+        self._cycle = 0
+
+    def output(self, _estimate: StateEstimate, _reference: float) -> float:
+        """The set-point of this cycle."""
+        return self._value(self._cycle * self._period_s)
+
+    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+        """One period on."""
+        self._cycle += 1
+
+
+class Pulse:
+    """Torque that rises until the shaft has moved, holds until it has moved far enough, and falls again.
+
+        torque        /-----\\
+                     /       \\
+        ____________/         \\__________________
+        moved            ^near  ^far     at rest: done
+    """
+
+    def __init__(
+        self, peak_nm: float, rise_nm_s: float, near_rad: float, far_rad: float, period_s: float
+    ) -> None:
+        """``peak_nm``: the largest torque that is tried, with its sign."""
+        self._peak = peak_nm
+        self._step = math.copysign(rise_nm_s * period_s, peak_nm)
+        self._near = near_rad
+        self._far = far_rad
+        self._torque = 0.0
+        self._start: float | None = None
+        self._last = math.nan
+        self._still = 0
+        self._held = 0
+        self._stage = 0
+        self._still_cycles = max(10, round(0.03 / period_s))
+        self.moved = False
+        """The shaft broke away."""
+        self.torque_at_start = 0.0
+        """Torque at which it did."""
+
+    def output(self, estimate: StateEstimate, _reference: float) -> float:
+        """The torque of this cycle."""
+        if not estimate.sequence:
+            return 0.0
+        position = estimate.position_rad
+        if self._start is None:
+            self._start = position
+        travel = abs(position - self._start)
+        if self._stage == 0:
+            self._torque += self._step
+            if travel >= self._near:
+                self._stage, self.moved, self.torque_at_start = 1, True, self._torque
+            elif abs(self._torque) >= abs(self._peak):
+                self._stage = 2
+        elif self._stage == 1 and travel >= self._far:
+            self._stage = 2
+        elif self._stage == 2:
+            self._torque -= self._step * 4.0
+            if self._torque * self._step <= 0.0:
+                self._torque, self._stage = 0.0, 3
+        self._still = self._still + 1 if position == self._last else 0
+        self._last = position
+        return self._torque
+
+    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+        """Nothing to advance."""
+
+    def done(self) -> bool:
+        """The torque is off and the shaft at rest."""
+        return self._stage == 3 and self._still >= self._still_cycles
+
+
+class SpeedGuide:
+    """Follows a speed reference by torque: feed-forward of what is known, and a slow PI for the rest.
+
+    ``free``: while it says so, no torque at all, and the shaft coasts. ``added``: torque on top.
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        period_s: float,
+        free: Callable[[float], bool] = lambda _time: False,
+        added: Callable[[float], float] = lambda _time: 0.0,
+        bandwidth_rad_s: float = _BANDWIDTH_RAD_S,
+    ) -> None:
+        self._mechanics = mechanics
+        self._period_s = period_s
+        self._free = free
+        self._added = added
+        self._gain = mechanics.inertia_kg_m2 * bandwidth_rad_s
+        self._integral_gain = _INTEGRAL_PART * bandwidth_rad_s * self._gain
+        self._integral = 0.0
+        self._reference: float | None = None
+        self._cycle = 0
+        self._error = 0.0
+        self._demand = 0.0
+
+    def output(self, estimate: StateEstimate, reference: float) -> float:
+        """The torque of this cycle."""
+        time = self._cycle * self._period_s
+        if self._free(time):
+            self._error = self._demand = 0.0
+            self._reference = None
+            return 0.0
+        last = reference if self._reference is None else self._reference
+        self._reference = reference
+        self._error = reference - estimate.velocity_rad_s
+        mechanics = self._mechanics
+        feed = mechanics.inertia_kg_m2 * (reference - last) / self._period_s + mechanics.friction_nm(
+            reference
+        )
+        self._demand = feed + self._gain * self._error + self._integral + self._added(time)
+        return self._demand
+
+    def update(self, _estimate: StateEstimate, command: Command) -> None:
+        """The integral advances unless a limit cut the torque."""
+        self._cycle += 1
+        if command.torque_nm == self._demand:
+            self._integral += self._integral_gain * self._error * self._period_s
+
+
+class SpeedCommand:
+    """Passes the reference on, for a drive that takes speeds."""
+
+    def output(self, _estimate: StateEstimate, reference: float) -> float:
+        """The speed of this cycle."""
+        return reference
+
+    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+        """Nothing to advance."""
+
+
+def multisine(
+    frequencies_hz: "np.typing.NDArray[np.float64]", amplitude: float, seed: int
+) -> Callable[[float], float]:
+    """Sines of equal size with random phases; their sum has its crest near ``amplitude``."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    omega = 2.0 * math.pi * frequencies_hz
+    best: tuple[float, np.typing.NDArray[np.float64]] | None = None
+    time = np.arange(0.0, 1.0 / float(np.min(frequencies_hz)), 1.0 / (8.0 * float(np.max(frequencies_hz))))
+    for _ in range(20):
+        phases = random.uniform(0.0, 2.0 * math.pi, len(omega))
+        crest = float(np.max(np.abs(np.sin(np.outer(time, omega) + phases).sum(axis=1))))
+        if best is None or crest < best[0]:
+            best = (crest, phases)
+    assert best is not None
+    crest, phases = best
+
+    def value(time_s: float) -> float:
+        return amplitude * float(np.sin(omega * time_s + phases).sum()) / crest
+
+    return value

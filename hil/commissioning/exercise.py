@@ -1,0 +1,289 @@
+"""One stretch of motion: the bench's own loop around a drive, under host limits, recorded in memory."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import LimitExceeded
+from drivers.exchange import Command
+from drivers.network import CanopenNetwork
+from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from hil.axis import Axis, AxisParts
+from hil.clock_map import ClockMap
+from hil.commissioning.drive_port import DrivePort, Quantity
+from hil.commissioning.request import MotionLimits
+from hil.compensation import Arrival
+from hil.controllers import Controller
+from hil.delay import DelayMeter
+from hil.loop import Loop, LoopTiming
+from hil.safety import SafetyGuard, SafetyLimits
+from hil.samples import CycleRecord, Dropout, StateEstimate
+from hil.scenario import LoadProfile, Segment, SpeedProfile
+
+Array = NDArray[np.float64]
+
+BLIND_MAX_S: Final = 0.1
+"""Without a reading for longer the exercise ends."""
+_HORIZON: Final = 20
+_OVERSPEED: Final = 1.3
+"""The shaft may overshoot the speed that it is given before the host stops it."""
+
+
+class Tally(NamedTuple):
+    """What became of the readings of an exercise."""
+
+    cycles: int
+    lost: int
+    late: int
+    stale: int
+    in_a_row: tuple[int, ...]
+    """How often exactly 1, 2, ... were missing in a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What was sampled and what was commanded; SI units, times in s from the first SYNC."""
+
+    time: Array
+    """Sampling instants, by the drive's stamp where it has one."""
+    position: Array
+    velocity: Array
+    torque: Array
+    """By the drive's 6077h."""
+    command_time: Array
+    """When a command was given to the bus."""
+    command: Array
+    sync_to_reading_us: Array
+    """End of the SYNC on an idle bus to the arrival of its reading."""
+    stamp_to_reading_us: Array
+    """Sampling instant to arrival."""
+    tally: Tally
+
+    @property
+    def speed(self) -> Array:
+        """Smoothed derivative of the position."""
+        return smooth_speed(self.time, self.position)
+
+
+def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:
+    """Slope of a straight line through each sample and its ``half`` neighbours on either side."""
+    if len(time) < 2 * half + 1:
+        return np.gradient(position, time) if len(time) > 1 else np.zeros_like(time)
+    windows_t = np.lib.stride_tricks.sliding_window_view(time, 2 * half + 1)
+    windows_p = np.lib.stride_tricks.sliding_window_view(position, 2 * half + 1)
+    t = windows_t - windows_t.mean(axis=1, keepdims=True)
+    p = windows_p - windows_p.mean(axis=1, keepdims=True)
+    slope = (t * p).sum(axis=1) / (t * t).sum(axis=1)
+    return np.concatenate([np.full(half, slope[0]), slope, np.full(half, slope[-1])])
+
+
+class EnergyMeter:
+    """Work at the shaft in the exercises of one step, J."""
+
+    __slots__ = ("spent_j",)
+
+    def __init__(self) -> None:
+        self.spent_j = 0.0
+
+
+class Watched:
+    """A controller with the host's limits on power, energy and position around it.
+
+    Speed, torque, its slope and dropouts are the guard's. Raises LimitExceeded out of ``output``.
+    """
+
+    def __init__(self, inner: Controller, limits: MotionLimits, port: DrivePort, energy: EnergyMeter) -> None:
+        self._inner = inner
+        self._energy = energy
+        self._limits = limits
+        self._port = port
+        self._first: StateEstimate | None = None
+        self._last: StateEstimate | None = None
+
+    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
+        """The inner controller's set-point, after the limits were looked at."""
+        if estimate.sequence:
+            self._check(estimate)
+        return self._inner.output(estimate, reference_rad_s)
+
+    def update(self, estimate: StateEstimate, command: Command) -> None:
+        """As the inner one."""
+        self._inner.update(estimate, command)
+
+    def _check(self, estimate: StateEstimate) -> None:
+        limits = self._limits
+        if self._first is None:
+            self._first = estimate
+        last, self._last = self._last, estimate
+        travel = abs(estimate.position_rad - self._first.position_rad)
+        if limits.travel_rad is not None and travel > limits.travel_rad:
+            raise _exceeded("turned", travel / math.tau, limits.travel_rad / math.tau, "turns")
+        commanded = self._port.commanded_rad
+        if commanded is not None and abs(commanded - estimate.position_rad) > limits.following_rad:
+            behind = abs(commanded - estimate.position_rad) / math.tau
+            raise _exceeded("following error", behind, limits.following_rad / math.tau, "turns")
+        if last is None or estimate.sequence == last.sequence:
+            return
+        passed_s = (estimate.valid_at - last.valid_at) / NS_PER_S
+        path = estimate.position_rad - last.position_rad
+        if passed_s > 0.0 and abs(path) > 0.05:
+            speed = abs(path) / passed_s
+            if speed > 1.5 * _OVERSPEED * limits.speed_rad_s:
+                raise _exceeded("speed by position", speed, limits.speed_rad_s, "rad/s")
+        # By the position: the velocity's unit may be wrong until a step has looked at it.
+        power = abs(estimate.torque_nm * path) / passed_s if passed_s > 0.0 else 0.0
+        if power > _OVERSPEED * limits.power_w:
+            raise _exceeded("power", power, limits.power_w, "W")
+        energy = self._energy
+        energy.spent_j += abs(estimate.torque_nm * path)
+        if energy.spent_j > limits.energy_j:
+            raise _exceeded("work in this step", energy.spent_j, limits.energy_j, "J")
+
+
+def _exceeded(what: str, found: float, limit: float, unit: str) -> LimitExceeded:
+    return LimitExceeded(f"{what}: {found:.4g} {unit} is beyond the limit of {limit:.4g} {unit}")
+
+
+class Exerciser:
+    """Runs controllers on the drive, one exercise after the other."""
+
+    def __init__(
+        self,
+        network: CanopenNetwork,
+        port: DrivePort,
+        timing: LoopTiming,
+        limits: MotionLimits,
+        should_stop: Callable[[], bool],
+        check_stop: Callable[[], None],
+        energy: EnergyMeter,
+    ) -> None:
+        """``should_stop``: asked each cycle. ``check_stop`` then raises what tells the caller to stop it."""
+        self.port = port
+        self.limits = limits
+        self.timing = timing
+        self.period_s = timing.period / NS_PER_S
+        self._network = network
+        self._should_stop = should_stop
+        self._check_stop = check_stop
+        self._energy = energy
+
+    def run(
+        self,
+        controller: Controller,
+        duration: float,
+        reference: list[Segment] | None = None,
+        done: Callable[[], bool] = lambda: False,
+        guard_speed: bool = True,
+    ) -> Recording:
+        """Run ``controller`` for ``duration`` s, or until it is ``done``.
+
+        Raises LimitExceeded or a fault of the drive, which then still turns: the caller stops it.
+        """
+        records: list[CycleRecord] = []
+        axis = self._axis(controller, reference or [], records, guard_speed)
+        loop = Loop(self._network.frame_pump, self._network.clock, [axis], self.timing)
+        # A reading that is still on its way from before would be taken for the answer to the first SYNC.
+        self._network.pump(Instant(self._network.clock.now() + self.timing.settle))
+        self.port.take_readings()
+        self.port.begin()
+        loop.calibrate()
+        loop.run(
+            duration_s(duration), lambda: self._should_stop() or done(), lambda _at: None, lambda _done: None
+        )
+        self._check_stop()
+        return recording_of(records, self.timing.sync_latency)
+
+    def _axis(
+        self, controller: Controller, reference: list[Segment], records: list[CycleRecord], guard_speed: bool
+    ) -> Axis:
+        limits, port = self.limits, self.port
+        torque = port.quantity is Quantity.TORQUE
+        guard = SafetyGuard(
+            SafetyLimits(
+                torque_max_nm=limits.torque_nm if torque else limits.speed_rad_s,
+                speed_max_rad_s=_OVERSPEED * limits.speed_rad_s if guard_speed else math.inf,
+                torque_slew_max_nm_s=limits.torque_slew_nm_s if torque else limits.speed_rad_s / 0.1,
+                dropouts_consecutive_max=max(10, round(BLIND_MAX_S / self.period_s)),
+            ),
+            self.period_s,
+        )
+        parts = AxisParts(
+            name=port.drive.name,
+            drive=port,
+            controller=Watched(controller, limits, port, self._energy),
+            compensator=Arrival(),
+            guard=guard,
+            reference=SpeedProfile(reference),
+            load=LoadProfile([]),
+            load_machine=None,
+            # A new one each time: between exercises the clocks part too far for the rate of the last one.
+            clock_map=ClockMap(self.timing.sync_latency),
+            meter=DelayMeter(Duration(5 * self.timing.period), _HORIZON),
+        )
+        return Axis(0, parts, self.timing.period, self.timing.sync_latency, records.append)
+
+
+def recording_of(records: list[CycleRecord], sync_latency: Duration) -> Recording:
+    """The records of one axis as arrays."""
+    rows = []
+    delays = []
+    missing: list[bool] = []
+    causes = {"lost": 0, "late": 0, "stale": 0}
+    origin = records[0].sync_sent_at if records else Instant(0)
+    for record in records:
+        observation = record.observation
+        if isinstance(observation, Dropout):
+            causes[observation.cause.value] += 1
+            missing.append(True)
+            continue
+        missing.append(False)
+        reading = observation.reading
+        rows.append(
+            (
+                (observation.sampled_at - origin) / NS_PER_S,
+                reading.position_rad,
+                reading.velocity_rad_s,
+                reading.torque_nm,
+            )
+        )
+        since_sync = reading.received_at - record.sync_sent_at - sync_latency
+        delays.append((since_sync / 1e3, record.delay / 1e3))
+    sent = [
+        ((record.command_sent_at - origin) / NS_PER_S, record.command.torque_nm)
+        for record in records
+        if record.command_sent_at >= 0
+    ]
+    samples = np.array(rows, dtype=float).reshape(-1, 4)
+    samples = samples[np.argsort(samples[:, 0], kind="stable")]
+    commands = np.array(sent, dtype=float).reshape(-1, 2)
+    measured = np.array(delays, dtype=float).reshape(-1, 2)
+    tally = Tally(len(records), causes["lost"], causes["late"], causes["stale"], runs_of(missing))
+    return Recording(
+        time=samples[:, 0].copy(),
+        position=samples[:, 1].copy(),
+        velocity=samples[:, 2].copy(),
+        torque=samples[:, 3].copy(),
+        command_time=commands[:, 0].copy(),
+        command=commands[:, 1].copy(),
+        sync_to_reading_us=measured[:, 0].copy(),
+        stamp_to_reading_us=measured[:, 1].copy(),
+        tally=tally,
+    )
+
+
+def runs_of(missing: list[bool]) -> tuple[int, ...]:
+    """How often exactly 1, 2, ... were missing in a row."""
+    counts: list[int] = []
+    length = 0
+    for gone in [*missing, False]:
+        if gone:
+            length += 1
+        elif length:
+            counts += [0] * (length - len(counts))
+            counts[length - 1] += 1
+            length = 0
+    return tuple(counts)

@@ -1,0 +1,222 @@
+"""What commissioning leaves for ``hil run`` and ``hil design``: drive, motor, network, a bench, and a DCF."""
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+from drivers.objects402 import Object
+from hil.commissioning.dcf import dcf_text
+from hil.commissioning.journal import ObjectKey
+from hil.commissioning.journaled import SET_POINTS
+from hil.commissioning.restore import pdo_of
+from hil.commissioning.steps_design import suggestion
+from hil.configuration.network_file import Network, network_text
+from hil.configuration.toml_text import toml_text
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+DRIVE_FILE: Final = "drive.toml"
+MOTOR_FILE: Final = "motor.toml"
+NETWORK_FILE: Final = "network.toml"
+BENCH_FILE: Final = "bench.toml"
+DCF_FILE: Final = "drive.dcf"
+FIGURES_FILE: Final = "figures.json"
+
+_EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})
+"""What only served the steps."""
+_SETTINGS: Final = (Object.POLARITY,)
+"""What a run needs of it beside what it writes itself."""
+
+
+def write_files(session: "Session") -> list[str]:
+    """Write what can be written; the names of the files."""
+    out = session.request.out
+    texts: dict[str, str] = {}
+    found = session.found
+    if found.identity is not None and found.told is not None:
+        texts[DRIVE_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
+    if found.mechanics is not None:
+        texts[MOTOR_FILE] = _motor_text(session)
+    if found.network:
+        network = Network.model_validate(found.network, strict=False)
+        texts[NETWORK_FILE] = (
+            f"# What the bus does to readings and commands, measured.\n\n{network_text(network)}"
+        )
+    journal = session.network.journal
+    if journal is not None and journal.contents.changes:
+        texts[DCF_FILE] = dcf_text(
+            found.settings,
+            {**_mandatory(session), **journal.contents.originals()},
+            session.dictionary,
+            session.request.node,
+            session.request.bitrate_bit_s,
+            found.identity,
+        )
+    if found.controller and MOTOR_FILE in texts:
+        texts[BENCH_FILE] = _headed(
+            "A bench for this drive, with the suggested controller and limits.", _bench_tables(session)
+        )
+    for name, text in texts.items():
+        (out / name).write_text(text, encoding="utf-8")
+    return list(texts)
+
+
+def _mandatory(session: "Session") -> dict[ObjectKey, bytes]:
+    """1000h, 1001h and 1018h, which a DCF cannot do without, as they were read."""
+    dump = session.found.dump
+    return {
+        ObjectKey(index, sub): value
+        for (index, sub), value in dump.items()
+        if index in (0x1000, 0x1001, 0x1018)
+    }
+
+
+def set_objects(session: "Session") -> dict[ObjectKey, bytes]:
+    """What the drive was set to, without what it held already and what only served the steps."""
+    journal = session.network.journal
+    if journal is None:
+        return {}
+    originals = journal.contents.originals()
+    last = {change.object: change.new for change in journal.contents.changes}
+    plan = session.found.plan
+    planned = set() if plan is None else {pdo.communication_index for pdo in (*plan.tpdos, *plan.rpdos)}
+    return {
+        key: value
+        for key, value in last.items()
+        if value != originals[key] and key.index not in _EXERCISE and pdo_of(key.index) in (None, *planned)
+    }
+
+
+def drive_tables(session: "Session") -> dict[str, Any]:
+    """``drive.toml``."""
+    found, port = session.found, session.port
+    identity, told, override = found.identity, found.told, found.override
+    assert identity is not None
+    assert told is not None
+    tables: dict[str, Any] = {
+        "drive": {
+            "node": session.request.node,
+            "name": identity.device_name,
+            "vendor": identity.vendor,
+            "product": identity.product,
+            "revision": identity.revision,
+            "serial": identity.serial,
+        },
+        "scale": {
+            key: value
+            for key, value in (
+                ("position_rad", override.position_rad),
+                ("velocity_rad_s", override.velocity_rad_s),
+                ("rated_torque_nm", override.rated_torque_nm),
+            )
+            if value is not None
+        },
+    }
+    if port is not None and (port.torque_sign < 0.0 or port.velocity_sign < 0.0):
+        tables["signs"] = {"torque": int(port.torque_sign), "velocity": int(port.velocity_sign)}
+    objects = [
+        {"index": key.index, "sub": key.sub, "bytes": value.hex()}
+        for key, value in found.settings.items()
+        if key.index in _SETTINGS
+    ]
+    if objects:
+        tables["object"] = objects
+    limits = suggestion(session)
+    if limits:
+        tables["limits"] = limits
+    if found.controller:
+        tables["controller"] = found.controller
+    return tables
+
+
+def _motor_text(session: "Session") -> str:
+    """``motor.toml``: measured where it can be, off the nameplate where not, else a stand-in that says so."""
+    found, plate = session.found, session.request.nameplate
+    mechanics = found.mechanics
+    assert mechanics is not None
+    rated_nm = session.drive.rated_torque_nm
+    winding, rating = plate.motor, plate.rating
+    guesses = []
+    pole_pairs = winding.pole_pairs or 1
+    constant = found.torque_constant_nm_a
+    if constant is None and rating.torque_nm and rating.current_a:
+        constant = rating.torque_nm / rating.current_a
+    if constant is None:
+        constant = 1.0
+        guesses.append("the flux is that of 1 N m per A rms")
+    lag_s = 1e-6 * (found.torque_lag_us or 500.0)
+    resistance = winding.resistance_ohm or 1.0
+    inductance = winding.inductance_q_h or resistance * lag_s
+    if winding.resistance_ohm is None or winding.inductance_q_h is None:
+        guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
+    if winding.pole_pairs is None:
+        guesses.append("the number of pole pairs is not known")
+    speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * 60.0 / math.tau
+    current_a = rated_nm / constant
+    # Rms to amplitude; the torque per amplitude of the amplitude-invariant transform is 3/2 n_p phi.
+    flux = constant / math.sqrt(2.0) / (1.5 * pole_pairs)
+    voltage = rating.dc_bus_voltage_v
+    if voltage is None:
+        voltage = 2.0 * math.sqrt(3.0) * pole_pairs * flux * speed_rpm * math.tau / 60.0
+        guesses.append("the DC bus voltage is twice what the rated speed needs")
+    tables = {
+        "motor": {
+            "name": winding.name,
+            "resistance_ohm": resistance,
+            "inductance_d_h": winding.inductance_d_h or inductance,
+            "inductance_q_h": inductance,
+            "flux_linkage_wb": flux,
+            "pole_pairs": pole_pairs,
+            "transform": "amplitude_invariant",
+        },
+        "mechanics": {
+            "inertia_kg_m2": mechanics.inertia_kg_m2,
+            "viscous_friction_nm_s": max(0.0, mechanics.viscous_friction_nm_s),
+            "coulomb_friction_nm": max(0.0, mechanics.coulomb_friction_nm),
+        },
+        "rating": {
+            "torque_nm": rated_nm,
+            "speed_rpm": speed_rpm,
+            "current_max_a": math.sqrt(2.0) * (rating.current_max_a or 2.0 * current_a),
+            "dc_bus_voltage_v": voltage,
+        },
+    }
+    notes = ["Inertia, friction and torque constant are measured; they include the load on the shaft."]
+    notes += [f"Not known: {guess}." for guess in guesses]
+    return _headed(" ".join(notes), tables)
+
+
+def _bench_tables(session: "Session") -> dict[str, Any]:
+    found = session.found
+    limits = suggestion(session)
+    speed = 0.4 * session.limits.speed_rad_s * 60.0 / math.tau
+    drive: dict[str, Any] = {
+        "node": session.request.node,
+        "motor": MOTOR_FILE,
+        "commissioned": DRIVE_FILE,
+        **_heartbeats(session),
+        "limits": limits,
+        "controller": found.controller,
+    }
+    return {
+        "bench": {"name": "commissioned", "duration_s": 3.0},
+        "bus": {"spec": session.request.bus, "bitrate_bit_s": session.request.bitrate_bit_s},
+        "host": _heartbeats(session),
+        "loop": {"period_us": round(found.period / 1000)},
+        "drive": {"axis1": drive},
+        "reference": {
+            "axis1": [
+                {"kind": "ramp", "at_s": 0.2, "speed_rpm": speed, "over_s": 0.4},
+                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -speed, "over_s": 0.8},
+            ]
+        },
+    }
+
+
+def _heartbeats(session: "Session") -> dict[str, int]:
+    request = session.request
+    return {"heartbeat_ms": request.heartbeat_ms, "heartbeat_timeout_ms": request.heartbeat_timeout_ms}
+
+
+def _headed(text: str, tables: dict[str, Any]) -> str:
+    return f"# {text}\n\n{toml_text(tables)}"

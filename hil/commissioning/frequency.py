@@ -1,0 +1,88 @@
+"""Frequency response by a multisine in whole periods: no leakage, and a coherence that means something."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponse:
+    """Output over input at the excited lines."""
+
+    frequency_hz: Array
+    response: NDArray[np.complexfloating[Any, Any]]
+    coherence: Array
+    """0..1: the part of the output that the input explains."""
+
+
+def lines_hz(low_hz: float, high_hz: float, count: int, block_s: float) -> Array:
+    """Up to ``count`` different lines, whole multiples of 1/block, evenly spaced by ratio."""
+    steps = np.geomspace(low_hz * block_s, high_hz * block_s, count)
+    return np.asarray(np.unique(np.round(steps)) / block_s)
+
+
+def frequency_response(
+    time: Array, source: Array, output: Array, lines: Array, block_s: float, period_s: float, skip_s: float
+) -> FrequencyResponse:
+    """H1 = S_yu / S_uu over whole blocks, after ``skip_s``; lost samples are filled in on a straight line."""
+    count = round(block_s / period_s)
+    start = time[0] + skip_s
+    blocks = int((time[-1] - start) / block_s)
+    if blocks < 2:
+        raise ValueError(f"{blocks} whole blocks of {block_s:g} s, at least two are needed")
+    grid = start + period_s * np.arange(blocks * count)
+    u = np.interp(grid, time, source).reshape(blocks, count)
+    y = np.interp(grid, time, output).reshape(blocks, count)
+    spectrum_u = np.fft.rfft(u - u.mean(), axis=1)
+    spectrum_y = np.fft.rfft(y - y.mean(), axis=1)
+    bins = np.round(lines * block_s).astype(int)
+    u_lines, y_lines = spectrum_u[:, bins], spectrum_y[:, bins]
+    cross = (y_lines * u_lines.conj()).mean(axis=0)
+    power_u = (np.abs(u_lines) ** 2).mean(axis=0)
+    power_y = (np.abs(y_lines) ** 2).mean(axis=0)
+    coherence = np.abs(cross) ** 2 / np.maximum(power_u * power_y, 1e-300)
+    return FrequencyResponse(lines, cross / np.maximum(power_u, 1e-300), np.minimum(coherence, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class StepLag:
+    """How a first-order lag behind a dead time answers a step."""
+
+    half_us: float
+    """Until half of the step is there."""
+    dead_us: float
+    lag_us: float
+    """Time constant."""
+
+
+def step_lag(age_us: Array, part: Array) -> StepLag:
+    """From samples of a step's answer at many ages: the part of the step that was there.
+
+    Equivalent-time sampling: each sample is of another repetition of the step. The answer at each age is the
+    median of its neighbours. Raises ValueError if the samples do not show the rise.
+    """
+    order = np.argsort(age_us, kind="stable")
+    age, value = age_us[order], part[order]
+    count = max(5, len(age) // 150) | 1
+    if len(age) < 5 * count:
+        raise ValueError(f"{len(age)} samples are too few")
+    windows = np.lib.stride_tricks.sliding_window_view
+    smooth = np.maximum.accumulate(np.median(windows(value, count), axis=1))
+    at = windows(age, count).mean(axis=1)
+    low, half, most = (_crossing(at, smooth, level) for level in (0.1, 0.5, 0.9))
+    # 1 - exp(-t/T) passes 10 % and 90 % ln 9 time constants apart, and 50 % after ln 2 of them.
+    lag = (most - low) / float(np.log(9.0))
+    return StepLag(half, half - lag * float(np.log(2.0)), lag)
+
+
+def _crossing(at: Array, value: Array, level: float) -> float:
+    above = int(np.argmax(value >= level))
+    if value[above] < level or value[0] >= level:
+        raise ValueError(f"the answer to the step does not pass {100 * level:.0f} % where it was sampled")
+    before, after = value[above - 1], value[above]
+    part = (level - before) / (after - before) if after > before else 0.0
+    return float(at[above - 1] + part * (at[above] - at[above - 1]))

@@ -1,0 +1,211 @@
+"""What was changed in a drive, on disk before each change: enough to put everything back.
+
+One JSON object a line. The first tells whose drive it is; then, before each write, the object with the bytes
+that it held and those that it gets; a last one tells that all was put back. Each line is on the disk (fsync)
+before the write goes out, so whatever kills the program in between, no change is without its old value.
+
+    {"journal": 1, "bus": "hub:bench", "node": 1, "vendor": ..., "product": ..., "nmt": 127, "errors": 0}
+    {"object": "6072:00", "old": "b80b", "new": "f401"}
+    {"restored": 1}
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from drivers.errors import MISSING, BadInput
+
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class ObjectKey:
+    """Index and sub-index."""
+
+    index: int
+    sub: int
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}:{self.sub:02X}"
+
+
+class Change(NamedTuple):
+    """One write to the drive."""
+
+    object: ObjectKey
+    old: bytes
+    new: bytes
+
+
+class DriveMark(NamedTuple):
+    """By what a drive is known again."""
+
+    vendor: int
+    product: int
+    serial: int
+
+
+@dataclass(frozen=True, slots=True)
+class JournalHead:
+    """Whose journal it is."""
+
+    bus: str
+    node: int
+    mark: DriveMark
+    nmt: int | None
+    """NMT state in which the drive was found; None if it told none."""
+    errors: int | None = None
+    """Entries of its error history 1003h; None if it has none such."""
+
+
+@dataclass(slots=True)
+class JournalContents:
+    """What a journal says."""
+
+    head: JournalHead
+    changes: list[Change] = field(default_factory=list)
+    restored: bool = False
+    """All that is in it was put back, and nothing was changed since."""
+
+    def originals(self) -> dict[ObjectKey, bytes]:
+        """What each changed object held at first, in the order of the first changes."""
+        first: dict[ObjectKey, bytes] = {}
+        for change in self.changes:
+            first.setdefault(change.object, change.old)
+        return first
+
+
+class Journal:
+    """The writing side."""
+
+    def __init__(self, path: Path, head: JournalHead) -> None:
+        """Begin a journal; raises BadInput if there is one that still waits to be restored, or no place."""
+        _refuse_open_journal(path)
+        self.path = path
+        self.contents = JournalContents(head)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("wb")
+        except OSError as error:
+            raise BadInput(str(path), "", error.strerror, "a place for the journal") from error
+        mark = head.mark._asdict()
+        self._write(
+            {
+                "journal": VERSION,
+                "bus": head.bus,
+                "node": head.node,
+                **mark,
+                "nmt": head.nmt,
+                "errors": head.errors,
+            }
+        )
+        _sync_folder(path.parent)
+
+    def note(self, change: Change) -> None:
+        """Put a change on the disk; only then may it be made."""
+        self._write({"object": str(change.object), "old": change.old.hex(), "new": change.new.hex()})
+        self.contents.changes.append(change)
+        self.contents.restored = False
+
+    def note_restored(self) -> None:
+        """All changes are undone."""
+        self._write({"restored": 1})
+        self.contents.restored = True
+
+    def close(self) -> None:
+        """Leave the file."""
+        self._file.close()
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        self._file.write(json.dumps(record).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def append_restored(path: Path) -> None:
+    """Note in a journal that all its changes are undone."""
+    with path.open("ab") as file:
+        file.write(json.dumps({"restored": 1}).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_journal(path: Path) -> JournalContents:
+    """Read a journal, of which a kill may have torn the last line off. Raises BadInput.
+
+    A torn line is a change that was never made: it was to be on the disk first.
+    """
+    try:
+        lines = path.read_bytes().splitlines(keepends=True)
+    except OSError as error:
+        raise BadInput("JOURNAL", "", str(path), "a readable journal", error.strerror or "") from error
+    whole = [line for line in lines if line.endswith(b"\n")]
+    records = list(_records(path, whole))
+    if not records or "journal" not in records[0]:
+        raise BadInput(str(path), "line 1", MISSING if not records else records[0], "the head of a journal")
+    contents = JournalContents(_head(path, records[0]))
+    for number, record in enumerate(records[1:], start=2):
+        if "restored" in record:
+            contents.restored = True
+            continue
+        contents.changes.append(_change(path, number, record))
+        contents.restored = False
+    return contents
+
+
+def _records(path: Path, lines: list[bytes]) -> Iterator[dict[str, Any]]:
+    for number, line in enumerate(lines, start=1):
+        try:
+            record = json.loads(line)
+        except ValueError as error:
+            raise BadInput(
+                str(path), f"line {number}", line[:60], "a line of a journal", str(error)
+            ) from None
+        if not isinstance(record, dict):
+            raise BadInput(str(path), f"line {number}", line[:60], "a line of a journal")
+        yield record
+
+
+def _head(path: Path, record: dict[str, Any]) -> JournalHead:
+    if record["journal"] != VERSION:
+        raise BadInput(str(path), "journal", record["journal"], f"version {VERSION}")
+    try:
+        mark = DriveMark(int(record["vendor"]), int(record["product"]), int(record["serial"]))
+        return JournalHead(str(record["bus"]), int(record["node"]), mark, record["nmt"], record.get("errors"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(str(path), "line 1", record, "the head of a journal", str(error)) from None
+
+
+def _change(path: Path, number: int, record: dict[str, Any]) -> Change:
+    try:
+        index, _, sub = str(record["object"]).partition(":")
+        key = ObjectKey(int(index, 16), int(sub, 16))
+        return Change(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
+
+
+def _refuse_open_journal(path: Path) -> None:
+    if not path.exists():
+        return
+    contents = read_journal(path)
+    if contents.changes and not contents.restored:
+        head = contents.head
+        raise BadInput(
+            "--out",
+            "",
+            str(path.parent),
+            "a folder without a journal that waits to be put back",
+            f"hil restore --bus {head.bus} --node {head.node} {path}",
+        )
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,128 @@
+"""Reading a drive's whole dictionary, with its data sheet or without one."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from canopen.objectdictionary import ObjectDictionary, ODVariable
+
+from drivers.errors import TransferAborted
+from drivers.network import CanopenNetwork
+from drivers.objects402 import Object
+
+Dump = dict[tuple[int, int], bytes]
+
+_COMMUNICATION: Final = (
+    *range(0x1000, 0x101A),
+    *range(0x1029, 0x102A),
+    *range(0x1200, 0x1201),
+    *range(0x1400, 0x1408),
+    *range(0x1600, 0x1608),
+    *range(0x1800, 0x1808),
+    *range(0x1A00, 0x1A08),
+)
+_RECORDS: Final = (
+    *range(0x1010, 0x1012),
+    0x1003,
+    0x1014,
+    0x1016,
+    0x1018,
+    0x1029,
+    *range(0x1200, 0x1201),
+    *range(0x1400, 0x1B00),
+    0x607D,
+    0x608F,
+    *range(0x6090, 0x6098),
+    0x6099,
+    0x60C2,
+    0x60E3,
+)
+_PROFILE: Final = (*(int(entry) for entry in Object), *range(0x6402, 0x6405), 0x6086, 0x60FE)
+_FIRST_OBJECT: Final = 0x1000
+_WRITE_ONLY: Final = "wo"
+_DOMAIN: Final = 0x0F
+
+
+def dump(
+    network: CanopenNetwork, node: int, dictionary: ObjectDictionary | None, idle: Callable[[], None]
+) -> Dump:
+    """The bytes of every object that can be read; ``idle`` is called in between and may raise.
+
+    Without a data sheet: the objects of CiA 301 and CiA 402 that drives have.
+    """
+    found: Dump = {}
+    for number, (index, sub) in enumerate(_listed(dictionary) if dictionary else _usual(network, node)):
+        try:
+            found[index, sub] = network.upload(node, index, sub)
+        except TransferAborted:
+            continue
+        if number % 16 == 0:
+            idle()
+    return found
+
+
+def _listed(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:
+    for variable in variables(dictionary):
+        if variable.access_type != _WRITE_ONLY and variable.data_type != _DOMAIN:
+            yield variable.index, variable.subindex
+
+
+def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
+    """Every variable of a data sheet, in order of index and sub-index."""
+    for index, entry in sorted(dictionary.items()):
+        if index < _FIRST_OBJECT:
+            continue
+        if isinstance(entry, ODVariable):
+            yield entry
+            continue
+        members: dict[int, Any] = dict(entry.subindices)
+        for _sub, member in sorted(members.items()):
+            yield member
+
+
+def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:
+    for index in sorted({*_COMMUNICATION, *_PROFILE}):
+        yield index, 0
+        if index not in _RECORDS:
+            continue
+        try:
+            count = network.upload(node, index, 0)
+        except TransferAborted:
+            continue
+        for sub in range(1, min(count[0] if count else 0, 64) + 1):
+            yield index, sub
+
+
+def differing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
+    """Settings that differ from the data sheet's defaults, in words."""
+    lines = []
+    for variable in variables(dictionary):
+        held = found.get((variable.index, variable.subindex))
+        default = variable.default
+        if held is None or not isinstance(default, int) or variable.access_type in ("ro", "const"):
+            continue
+        if not variable.writable or len(held) > 8 or not held:
+            continue
+        mask = (1 << 8 * len(held)) - 1
+        if int.from_bytes(held, "little") != default & mask:
+            value = int.from_bytes(held, "little", signed=default < 0)
+            lines.append(
+                f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}: {value}, default {default}"
+            )
+    return lines
+
+
+def missing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
+    """Objects of the data sheet that the drive did not let be read."""
+    return [
+        f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}"
+        for variable in variables(dictionary)
+        if variable.access_type != _WRITE_ONLY
+        and variable.data_type != _DOMAIN
+        and (variable.index, variable.subindex) not in found
+    ]
+
+
+def whole(found: Dump, index: int, sub: int = 0, signed: bool = False) -> int | None:
+    """An integer out of a dump; None if it is not there."""
+    held = found.get((index, sub))
+    return None if not held else int.from_bytes(held[:8], "little", signed=signed)

@@ -1,0 +1,106 @@
+"""The pictures of a commissioning's report."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hil.commissioning.exercise import Recording
+from hil.commissioning.frequency import FrequencyResponse, StepLag
+from hil.commissioning.identify import Mechanics
+
+Array = NDArray[np.float64]
+
+_RPM = 60.0 / (2.0 * np.pi)
+_BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
+
+
+@contextmanager
+def _figure(path: Path, rows: int, height: float, **options: Any) -> Iterator[list[Any]]:
+    """Axes one below the other; the picture is written when they are left."""
+    figure = Figure(figsize=(8.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = np.atleast_1d(figure.subplots(rows, 1, **options))
+    for ax in axes:
+        ax.grid(color="#e3e6ea", linewidth=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    yield list(axes)
+    figure.savefig(path, dpi=110)
+
+
+def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics) -> None:
+    """Speed over time, and the torque that the fit leaves for friction over speed."""
+    with _figure(path, 2, 7.0) as (above, below):
+        begin = 0.0
+        for recording in recordings:
+            above.plot(begin + recording.time, recording.speed * _RPM, color=_BLUE, linewidth=1.0)
+            begin += float(recording.time[-1]) + 0.2
+        above.set(xlabel="time, s (one exercise after the other)", ylabel="speed, r/min")
+        top = 0.0
+        for recording in recordings:
+            speed = recording.speed
+            acceleration = np.gradient(speed, recording.time)
+            kernel = np.ones(25) / 25.0
+            friction = np.convolve(recording.torque - found.inertia_kg_m2 * acceleration, kernel, "same")
+            below.plot(speed * _RPM, friction, ".", color=_GREY, markersize=1.5, alpha=0.5)
+            top = max(top, float(np.abs(speed).max()))
+        speeds = np.linspace(-top, top, 401)
+        line = [found.friction_nm(float(speed)) + found.offset_nm for speed in speeds]
+        below.plot(speeds * _RPM, line, color=_RED, linewidth=1.5, label="identified friction")
+        peak = 3.0 * max(abs(value) for value in line) + 1e-12
+        below.set(xlabel="speed, r/min", ylabel="torque less inertia, N m", ylim=(-peak, peak))
+        below.legend(frameon=False)
+
+
+def draw_current(path: Path, current: Array, torque: Array, slope: float, offset: float) -> None:
+    """Torque over current with the line through it."""
+    with _figure(path, 1, 4.5) as (ax,):
+        ax.plot(current, torque, ".", color=_GREY, markersize=2)
+        ends = np.array([current.min(), current.max()])
+        ax.plot(ends, slope * ends + offset, color=_RED, linewidth=1.5, label=f"{slope:.4g} N m/A")
+        ax.set(xlabel="current 6078h, A rms", ylabel="torque 6077h, N m")
+        ax.legend(frameon=False)
+
+
+def draw_response(path: Path, found: FrequencyResponse, model: NDArray[np.complexfloating[Any, Any]]) -> None:
+    """Magnitude, phase and coherence of torque to speed, beside the identified inertia and friction."""
+    frequency = found.frequency_hz
+    with _figure(path, 3, 9.0, sharex=True) as (magnitude, phase, coherence):
+        magnitude.loglog(frequency, np.abs(found.response), "o", color=_BLUE, markersize=3, label="measured")
+        magnitude.loglog(frequency, np.abs(model), color=_RED, linewidth=1.2, label="1/(J s + B)")
+        magnitude.set(ylabel="speed / torque, rad/s per N m")
+        magnitude.legend(frameon=False)
+        phase.semilogx(
+            frequency, np.degrees(np.unwrap(np.angle(found.response))), "o", color=_BLUE, markersize=3
+        )
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(model))), color=_RED, linewidth=1.2)
+        phase.set(ylabel="phase, degrees")
+        coherence.semilogx(frequency, found.coherence, "o", color=_BLUE, markersize=3)
+        coherence.set(ylabel="coherence", xlabel="frequency, Hz", ylim=(0.0, 1.05))
+
+
+def draw_delays(path: Path, readings_us: Array, age_us: Array, part: Array, lag: StepLag) -> None:
+    """Histogram of the readings' delay, and the answer to a step of the command."""
+    with _figure(path, 2, 7.0) as (above, below):
+        above.hist(readings_us, bins=60, color=_BLUE)
+        above.set(xlabel="from SYNC to reading, us", ylabel="readings")
+        below.plot(age_us, part, ".", color=_GREY, markersize=2)
+        below.axvline(lag.half_us, color=_RED, linewidth=1.2, label=f"half after {lag.half_us:.0f} us")
+        below.set(xlabel="age of the command at the sample, us", ylabel="part of the step", ylim=(-0.3, 1.4))
+        below.legend(frameon=False)
+
+
+def draw_verification(path: Path, recording: Recording, time: Array, reference: Array) -> None:
+    """Speed beside its reference, and the torque."""
+    with _figure(path, 2, 7.0, sharex=True) as (above, below):
+        above.plot(time, reference * _RPM, color=_RED, linewidth=1.2, label="reference")
+        above.plot(recording.time, recording.velocity * _RPM, color=_BLUE, linewidth=1.0, label="measured")
+        above.set(ylabel="speed, r/min")
+        above.legend(frameon=False)
+        below.plot(recording.time, recording.torque, color=_BLUE, linewidth=0.8)
+        below.set(xlabel="time, s", ylabel="torque, N m")

@@ -1,0 +1,142 @@
+"""What the user asked for and allows."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import Field, ValidationError
+
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.motor_file import RAD_S_PER_RPM
+
+
+class PlateMotor(Section):
+    """``[motor]``: what is known of the winding; all optional."""
+
+    name: str = "motor"
+    resistance_ohm: float | None = Field(default=None, gt=0)
+    inductance_d_h: float | None = Field(default=None, gt=0)
+    inductance_q_h: float | None = Field(default=None, gt=0)
+    pole_pairs: int | None = Field(default=None, gt=0, le=200)
+
+
+class PlateRating(Section):
+    """``[rating]``: what is printed on the motor; all optional."""
+
+    torque_nm: float | None = Field(default=None, gt=0)
+    speed_rpm: float | None = Field(default=None, gt=0)
+    current_a: float | None = Field(default=None, gt=0)
+    """Rms, as 0x6075 is."""
+    current_max_a: float | None = Field(default=None, gt=0)
+    dc_bus_voltage_v: float | None = Field(default=None, gt=0)
+
+
+class PlateEncoder(Section):
+    """``[encoder]``"""
+
+    counts_per_revolution: int | None = Field(default=None, ge=4, le=2**32 - 1)
+
+
+class PlateLimits(Section):
+    """``[limits]``: how far commissioning may go; each has a cautious default."""
+
+    speed_max_rpm: float | None = Field(default=None, gt=0)
+    """Half of the rated speed if absent."""
+    torque_max_percent: float = Field(default=50.0, gt=0, le=300)
+    """Of the rated torque."""
+    power_max_w: float | None = Field(default=None, gt=0)
+    """Rated torque times the speed limit if absent."""
+    energy_max_j: float | None = Field(default=None, gt=0)
+    """Mechanical work in one step; three seconds of the power limit if absent."""
+    turns_max: float | None = Field(default=None, gt=0)
+    """How far the shaft may turn to either side of where it stood; absent: without end."""
+    following_error_max_turns: float = Field(default=0.5, gt=0)
+    temperature_max_c: float = Field(default=80.0, gt=0)
+
+
+class PlateTemperature(Section):
+    """``[temperature]``: the drive's own object for it, for the profile has none."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF, description="the object's index")
+    sub: int = Field(default=0, ge=0, le=255)
+    celsius: float = Field(default=1.0, gt=0)
+    """Degrees of one raw unit."""
+
+
+class Nameplate(Section):
+    """A nameplate file: what somebody reads off motor and machine before anything moves."""
+
+    motor: PlateMotor = PlateMotor()
+    rating: PlateRating = PlateRating()
+    encoder: PlateEncoder = PlateEncoder()
+    limits: PlateLimits = PlateLimits()
+    temperature: PlateTemperature | None = None
+
+
+def load_nameplate(path: Path) -> Nameplate:
+    """The nameplate in the file at ``path``. Raises BadInput or BadInputs."""
+    tables = read_toml(path, "nameplate file", NamedBy("--motor", "", str(path)))
+    try:
+        return Nameplate.model_validate(tables)
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, Nameplate))
+
+
+@dataclass(frozen=True, slots=True)
+class CommissionRequest:
+    """One commissioning."""
+
+    bus: str
+    node: int
+    out: Path
+    eds: Path | None = None
+    nameplate: Nameplate = field(default_factory=Nameplate)
+    bitrate_bit_s: int = 1_000_000
+    period_us: int | None = None
+    """None: 1 ms, or longer where the bus has no room."""
+    dry_run: bool = False
+    store: bool = False
+    heartbeat_timeout_ms: int = 150
+    """Silence that the host bears of the drive, and the drive of the host."""
+
+    @property
+    def heartbeat_ms(self) -> int:
+        """Period of both heartbeats: three fit into the time-out."""
+        return max(1, self.heartbeat_timeout_ms // 3)
+
+    @property
+    def journal(self) -> Path:
+        """Where changes are noted."""
+        return self.out / "journal.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """What the host allows, in SI units at the motor shaft."""
+
+    torque_nm: float
+    torque_slew_nm_s: float
+    speed_rad_s: float
+    power_w: float
+    energy_j: float
+    travel_rad: float | None
+    following_rad: float
+
+
+def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: float | None) -> MotionLimits:
+    """From the nameplate, and where it is silent from what the drive tells."""
+    wanted = plate.limits
+    rated_rpm = plate.rating.speed_rpm or drive_speed_rpm or 1000.0
+    speed = (wanted.speed_max_rpm or 0.5 * rated_rpm) * RAD_S_PER_RPM
+    torque = wanted.torque_max_percent / 100.0 * rated_torque_nm
+    power = wanted.power_max_w or rated_torque_nm * speed
+    return MotionLimits(
+        torque_nm=torque,
+        torque_slew_nm_s=rated_torque_nm / 0.02,
+        speed_rad_s=speed,
+        power_w=power,
+        energy_j=wanted.energy_max_j or 3.0 * power,
+        travel_rad=None if wanted.turns_max is None else wanted.turns_max * math.tau,
+        following_rad=wanted.following_error_max_turns * math.tau,
+    )

@@ -1,0 +1,106 @@
+"""The guided sequence: each step says what it will do, is asked for, done, checked, repeated or skipped."""
+
+from collections.abc import Sequence
+
+from drivers.errors import BusDown, PeerFault
+from hil.commissioning.dialog import Choice
+from hil.commissioning.session import EmergencyStopped, Session
+from hil.commissioning.step import Outcome, Step, StepFailed, StepRecord, Verdict
+from hil.machine.stopping import Interrupted
+
+
+class Abandoned(PeerFault):
+    """Commissioning ended before its end; everything was put back."""
+
+    exit_status = 1
+
+
+def run_sequence(session: Session, steps: Sequence[Step], records: list[StepRecord]) -> None:
+    """Carry out ``steps``; each leaves a record in ``records``, the one that ends it all too.
+
+    Raises Abandoned if an essential step failed or the user quits, Interrupted by a stop signal or key,
+    BusDown if the bus goes away.
+    """
+    done: set[str] = set()
+    shown: set[str] = set()
+    """Steps of a dry run that were only told of."""
+    for number, step in enumerate(steps, start=1):
+        session.check_stop()
+        record = StepRecord(step.name, step.title, "", Verdict.NOT_DONE)
+        records.append(record)
+        reason = _why_not(session, step, done)
+        if reason is not None:
+            record.verdict, record.reason = Verdict.LEFT_OUT, reason
+            session.dialog.tell(f"{number:2}. {step.title}: left out, {reason}")
+            continue
+        record.plan = step.plan(session)
+        session.dialog.tell(f"{number:2}. {step.title}\n    {record.plan}")
+        if session.request.dry_run and (step.writes or step.moves or not shown.isdisjoint(step.needs)):
+            record.reason = "dry run"
+            done.add(step.name)  # what rests on it is told of too
+            shown.add(step.name)
+            continue
+        _carry_out(session, step, record)
+        if record.verdict is Verdict.DONE:
+            done.add(step.name)
+
+
+def _why_not(session: Session, step: Step, done: set[str]) -> str | None:
+    missing = [name for name in step.needs if name not in done]
+    if missing:
+        return f"it rests on {', '.join(missing)}"
+    return step.left_out(session)
+
+
+def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
+    choices = (Choice.GO, Choice.QUIT) if step.essential else (Choice.GO, Choice.SKIP, Choice.QUIT)
+    choice = session.dialog.choose("    do it?", choices, session.idle)
+    while True:
+        if choice is Choice.QUIT:
+            raise Abandoned("ended on request", f"at the step '{step.title}'")
+        if choice is Choice.SKIP:
+            record.verdict = Verdict.SKIPPED
+            record.reason = (
+                session.dialog.line("    why?", session.idle) or record.reason or "no reason given"
+            )
+            return
+        failure = _attempt(session, step, record)
+        if failure is None:
+            _show(session, record.outcome)
+            return
+        record.verdict, record.reason = Verdict.FAILED, str(failure)
+        session.dialog.tell(f"    failed: {failure}")
+        if not session.dialog.attended:
+            if record.attempts == 1 and not isinstance(failure, StepFailed):
+                # The bus or the machine may have been disturbed; what a step has judged stands.
+                session.dialog.tell("    once more, as nobody is there to ask")
+                record.attempts += 1
+                continue
+            if step.essential:
+                raise Abandoned(f"the step '{step.title}' failed", str(failure)) from failure
+            return
+        choices = (Choice.REPEAT, Choice.QUIT) if step.essential else (
+            Choice.REPEAT, Choice.SKIP, Choice.QUIT)  # fmt: skip
+        choice = session.dialog.choose("    what now?", choices, session.idle)
+        record.attempts += 1
+
+
+def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | None:
+    """Do the step once; what failed, if it did."""
+    session.begin_step()
+    try:
+        record.outcome = step.run(session)
+    except (BusDown, Interrupted, EmergencyStopped):
+        record.verdict, record.reason = Verdict.FAILED, "cut short"
+        raise
+    except PeerFault as error:
+        return error
+    record.verdict, record.reason = Verdict.DONE, ""
+    return None
+
+
+def _show(session: Session, outcome: Outcome) -> None:
+    for line in outcome.lines:
+        session.dialog.tell(f"    {line}")
+    for fault in outcome.faults:
+        session.dialog.tell(f"    FOUND: {fault}")

@@ -1,0 +1,289 @@
+"""What the steps of one commissioning share: the drive, the limits, and what was found so far."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from canopen.objectdictionary import ObjectDictionary
+
+from drivers.dictionary import LoadedDictionary
+from drivers.drive_setup import DriveSettings, Identity
+from drivers.errors import BusDown, PeerFault
+from drivers.pdo import PdoPlan, bus_load_percent_max
+from drivers.pdo_capability import capability_of
+from drivers.pdo_plans import mode_plan
+from drivers.profile402 import Mode
+from drivers.scaling import ScaleOverride, Scaling
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
+from hil.assembly import COMMAND_FRAME, SYNC_FRAME
+from hil.commissioning.dialog import Dialog, EmergencyStop
+from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
+from hil.commissioning.exercise import EnergyMeter, Exerciser
+from hil.commissioning.identify import Mechanics
+from hil.commissioning.journal import ObjectKey
+from hil.commissioning.journaled import JournaledNetwork
+from hil.commissioning.request import CommissionRequest, MotionLimits
+from hil.commissioning.step import StepFailed
+from hil.loop import Actuation, LoopTiming
+from hil.machine.stopping import Interrupted
+from hil.world import World
+from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
+
+ENABLE_LIMIT_S: Final = 3.0
+STOP_LIMIT: Final = Duration(5 * NS_PER_S)
+MILLISECOND: Final = Duration(NS_PER_MS)
+PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
+SETTLE: Final = Duration(20 * NS_PER_MS)
+"""Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
+_FRAMES_TO_ACT: Final = 5.8
+"""From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
+BUS_LOAD_MAX_PERCENT: Final = 70.0
+
+
+class EmergencyStopped(Interrupted):
+    """A key was hit while the shaft could turn."""
+
+    exit_status = 3
+
+
+@dataclass(slots=True)
+class Findings:
+    """What the steps learnt; None: not yet, or not to be had."""
+
+    identity: Identity | None = None
+    nmt: int | None = None
+    dump: dict[tuple[int, int], bytes] = field(default_factory=dict)
+    told: Scaling | None = None
+    """By the drive's own objects."""
+    override: ScaleOverride = field(default_factory=ScaleOverride)
+    """Where they are wrong."""
+    modes: tuple[Mode, ...] = ()
+    """Those of the drive in which something can be commanded."""
+    plan: PdoPlan | None = None
+    period: Duration = MILLISECOND
+    limits: MotionLimits | None = None
+    mechanics: Mechanics | None = None
+    rough: Mechanics | None = None
+    """From the pulses: enough to guide an exercise."""
+    speed_noise_rad_s: float = 0.0
+    """Rms of the velocity 606Ch about the derivative of the position."""
+    torque_constant_nm_a: float | None = None
+    """N m per A rms, as the drive's own figures have it."""
+    velocity_ratio: float | None = None
+    """Velocity over position derivative, both as told."""
+    network: dict[str, Any] = field(default_factory=dict)
+    reading_delay_us: float | None = None
+    effect_delay_us: float | None = None
+    torque_lag_us: float | None = None
+    controller: dict[str, Any] = field(default_factory=dict)
+    settings: dict[ObjectKey, bytes] = field(default_factory=dict)
+    """What the drive was set to for good, not for a step only; known at the end."""
+
+
+class Session:
+    """One commissioning under way."""
+
+    def __init__(
+        self,
+        request: CommissionRequest,
+        world: World,
+        network: JournaledNetwork,
+        dialog: Dialog,
+        stop: EmergencyStop,
+        sheet: LoadedDictionary | None,
+    ) -> None:
+        self.request = request
+        self.world = world
+        self.network = network
+        self.dialog = dialog
+        self.stop = stop
+        self.dictionary: ObjectDictionary | None = None if sheet is None else sheet.dictionary
+        self.capability = None if sheet is None else capability_of(sheet)
+        self.drive = ServoDrive(network, request.node, "drive")
+        self.objects = self.drive.objects
+        self.found = Findings()
+        self.configured = False
+        self.energy = EnergyMeter()
+        self.port: DrivePort | None = None
+
+    def begin_step(self) -> None:
+        """Each step has its own bound on the work it may do."""
+        self.energy = EnergyMeter()
+
+    # ---- time -----------------------------------------------------------------------------------------
+
+    @property
+    def clock_now(self) -> Instant:
+        """On the bench's clock."""
+        return self.network.clock.now()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; frames and heartbeats go on."""
+        self.network.pump(Instant(self.clock_now + duration_s(seconds)))
+
+    def deadline(self, seconds: float) -> Instant:
+        """The instant so many seconds from now."""
+        return self.network.deadline_after(duration_s(seconds))
+
+    def idle(self) -> None:
+        """What happens while somebody thinks."""
+        self.wait(0.02)
+        self.check_stop()
+
+    def check_stop(self) -> None:
+        """Raises Interrupted if somebody wants the end."""
+        if self.stop():
+            if self.stop.key:
+                raise EmergencyStopped("emergency stop by a key")
+            raise Interrupted(f"ended by {self.stop.signal_name}")
+
+    # ---- the drive ------------------------------------------------------------------------------------
+
+    @property
+    def limits(self) -> MotionLimits:
+        """What the host allows."""
+        assert self.found.limits is not None, "the step 'limits' comes first"
+        return self.found.limits
+
+    def torque_mode(self) -> Mode | None:
+        """A mode in which torque is commanded; None if the drive has none."""
+        return self._mode_for((Quantity.TORQUE,))
+
+    def motion_mode(self) -> Mode | None:
+        """The mode for exercises: torque if there is one, else speed, else position."""
+        return self._mode_for(tuple(Quantity))
+
+    def _mode_for(self, quantities: tuple[Quantity, ...]) -> Mode | None:
+        for mode, quantity in QUANTITY_OF_MODE.items():
+            if quantity in quantities and mode in self.found.modes:
+                return mode
+        return None
+
+    def configure(self, mode: Mode | None = None, plan: PdoPlan | None = None) -> list[str]:
+        """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take."""
+        mode = mode or self.motion_mode()
+        if mode is None:
+            raise StepFailed("the drive has no mode in which the bench could move it")
+        request, found = self.request, self.found
+        settings = DriveSettings(
+            sync_period_ns=found.period,
+            plan=plan,
+            capability=self.capability,
+            mode=mode,
+            drive_heartbeat_ms=request.heartbeat_ms,
+            drive_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
+            host_heartbeat_ms=request.heartbeat_ms,
+            host_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
+            torque_max_nm=self.limits.torque_nm,
+            speed_max_rad_s=self.limits.speed_rad_s * 1.3,
+            scale=found.override,
+        )
+        notes = self.drive.configure(settings)
+        found.plan = self.drive.plan
+        self.configured = True
+        port = DrivePort(self.drive, mode, found.period / NS_PER_S)
+        if self.port is not None:
+            port.torque_sign, port.velocity_sign = self.port.torque_sign, self.port.velocity_sign
+        self.port = port
+        return notes
+
+    def choose_period(self, mode: Mode) -> tuple[Duration, float]:
+        """The shortest period that the bus bears, ns, and its load in percent."""
+        plan = mode_plan(self.request.node, mode, device_stamp=True)
+        wanted = self.request.period_us
+        for period_us in (wanted,) if wanted is not None else PERIODS_US:
+            period = Duration(period_us * NS_PER_US)
+            load = bus_load_percent_max([plan], period, self.request.bitrate_bit_s)
+            if load <= BUS_LOAD_MAX_PERCENT:
+                return period, load
+        raise StepFailed(
+            f"the PDOs would take {load:.0f} % of the bus",
+            f"at a period of {period_us} us and {self.request.bitrate_bit_s} bit/s",
+            "give a longer period, or a higher bit rate",
+        )
+
+    def timing(self, decide_part: float = 0.7) -> LoopTiming:
+        """The loop's times."""
+        period, bitrate = self.found.period, self.request.bitrate_bit_s
+        return LoopTiming(
+            period=period,
+            decide_after=Duration(round(decide_part * period)),
+            settle=Duration(max(3 * period, SETTLE)),
+            actuation=Actuation.ON_ARRIVAL,
+            sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
+            command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+        )
+
+    def exerciser(self, limits: MotionLimits | None = None) -> Exerciser:
+        """To run exercises with; the drive must be enabled."""
+        assert self.port is not None, "the drive is configured first"
+        return Exerciser(
+            self.network,
+            self.port,
+            self.timing(),
+            limits or self.limits,
+            self.stop,
+            self.check_stop,
+            self.energy,
+        )
+
+    @contextmanager
+    def enabled(self) -> Iterator[None]:
+        """Inside, the drive is enabled, and a key stops it; afterwards it is at rest and disabled."""
+        assert self.port is not None
+        self.check_temperature()
+        with self.stop.armed():
+            try:
+                self.drive.enable(self.deadline(ENABLE_LIMIT_S))
+                yield
+                self.check_stop()
+            finally:
+                self.calm()
+
+    def check_temperature(self) -> None:
+        """Raises StepFailed if the drive is hotter than the nameplate allows; nothing if none is named."""
+        told, limit_c = self.request.nameplate.temperature, self.request.nameplate.limits.temperature_max_c
+        if told is None:
+            return
+        raw = self.objects.read_if_there(told.index, told.sub, "i")
+        if raw is None:
+            raise StepFailed(
+                f"{told.index:04X}h:{told.sub:02X} tells no temperature", "", "mend the nameplate file"
+            )
+        if raw * told.celsius > limit_c:
+            raise StepFailed(
+                f"the drive is at {raw * told.celsius:.1f} C", f"{limit_c:g} C are allowed", "let it cool"
+            )
+
+    def calm(self) -> None:
+        """Bring the drive to rest and disable it; what the drive says against it is told and passed on."""
+        try:
+            self.drive.quick_stop(self.network.deadline_after(STOP_LIMIT))
+        except BusDown:
+            raise
+        except PeerFault as error:
+            self.dialog.tell(f"  while stopping: {error}")
+
+    def overridden(self, **changes: Any) -> None:
+        """Take better factors; they act from the next :meth:`configure` on."""
+        self.found.override = replace(self.found.override, **changes)
+
+    def picture(self, name: str, draw: Callable[[Path], None]) -> str:
+        """Have a plot drawn into the report's folder; its name there."""
+        folder = self.request.out / "plots"
+        folder.mkdir(parents=True, exist_ok=True)
+        draw(folder / f"{name}.png")
+        return f"plots/{name}.png"
+
+
+def held_s(session: Session) -> float | None:
+    """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
+    if session.torque_mode() is None:
+        return None
+    found = session.found
+    if found.reading_delay_us is not None and found.effect_delay_us is not None:
+        return 1e-6 * (found.reading_delay_us + found.effect_delay_us)
+    return _FRAMES_TO_ACT * session.timing().command_latency / NS_PER_S

@@ -1,0 +1,31 @@
+"""The steps of commissioning, in order."""
+
+from hil.commissioning.step import Step
+from hil.commissioning.steps_design import Suggest, Verify
+from hil.commissioning.steps_dynamics import Delays, Response
+from hil.commissioning.steps_mechanics import MechanicsStep, TorqueConstant
+from hil.commissioning.steps_setup import EnableAtZero, SetUp, Watchdog
+from hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck, UnitsTold
+from hil.commissioning.steps_units import MotionUnits, Polarity, Turn
+
+
+def all_steps() -> list[Step]:
+    """New steps, for one commissioning."""
+    return [
+        BusCheck(),
+        IdentityCheck(),
+        DumpStep(),
+        UnitsTold(),
+        SetUp(),
+        Watchdog(),
+        EnableAtZero(),
+        Polarity(),
+        MotionUnits(),
+        Turn(),
+        MechanicsStep(),
+        TorqueConstant(),
+        Response(),
+        Delays(),
+        Suggest(),
+        Verify(),
+    ]

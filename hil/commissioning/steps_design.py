@@ -1,0 +1,219 @@
+"""Steps that make something of the figures: limits, period, controller, and a run with them."""
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from design.errors import DesignError
+from design.motor import PmsmParameters, Transform
+from design.speed_design import least_gain
+from design.speed_loop import Feedback, speed_model
+from drivers.pdo import bus_load_percent_max
+from drivers.scaling import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_US, Duration
+from hil.commissioning.plots import draw_verification
+from hil.commissioning.session import PERIODS_US
+from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.steps_dynamics import total_delay_s
+from hil.controllers import Pid, PidGains
+from hil.scenario import Ramp, Segment, SpeedProfile
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+_MARGIN: Final = 1.6
+"""The controller is designed for so many times the measured delay."""
+_NOISE_TORQUE: Final = 0.05
+"""Rms of the torque that the velocity's noise may make, of the rated torque."""
+_GAIN_DELAY: Final = 0.6
+"""Crossing frequency times delay of the designs, about."""
+_LOAD_MAX_PERCENT: Final = 60.0
+_ROOM: Final = 1.25
+_VERIFY_SHARE: Final = 0.5
+_RAMP_S: Final = 0.25
+_HOLD_S: Final = 0.5
+_ERROR_MAX: Final = 0.02
+"""Of the plateau's speed, rms."""
+_UNITS_MAX: Final = 3.0
+
+
+class Suggest(Step):
+    """Limits, sampling period and controller out of what was measured."""
+
+    name = "suggest"
+    title = "Suggested limits, period and controller"
+    needs = ("mechanics", "delays")
+
+    def left_out(self, session: "Session") -> str | None:
+        return (
+            None if session.torque_mode() is not None else "the drive has no torque mode to close a loop with"
+        )
+
+    def plan(self, session: "Session", /) -> str:
+        if session.found.reading_delay_us is None:
+            return f"design a PI speed controller for {_MARGIN:g} times the measured delay"
+        delay_us = 1e6 * total_delay_s(session)
+        return f"design a PI speed controller for {_MARGIN:g} times the measured delay of {delay_us:.0f} us"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        mechanics, found = session.found.mechanics, session.found
+        assert mechanics is not None
+        designed_s = _MARGIN * total_delay_s(session)
+        lag_s = max(1e-5, 1e-6 * (found.torque_lag_us or 100.0))
+        viscous = max(mechanics.viscous_friction_nm_s, 1e-9)
+        # With one N m per ampere the gains come out in N m.
+        model = speed_model(_shaft(mechanics.inertia_kg_m2, viscous, lag_s), integral=True)
+        # The gain goes with the inverse of the delay: where noise forbids it, a longer one is designed for.
+        quiet = _NOISE_TORQUE * session.drive.rated_torque_nm / max(found.speed_noise_rad_s, 1e-12)
+        delay_s = max(designed_s, _GAIN_DELAY * mechanics.inertia_kg_m2 / quiet)
+        if delay_s > designed_s:
+            outcome.say(
+                f"the velocity's noise allows {quiet:.3g} N m s/rad, "
+                f"so it is designed for {1e6 * delay_s:.0f} us"
+            )
+        try:
+            design = least_gain(model, delay_s, Feedback.SPEED)
+        except DesignError as error:
+            raise StepFailed("no controller was found", str(error)) from error
+        proportional, integral = -float(design.K[1]), -float(design.K[2])
+        found.controller = {
+            "kind": "pid",
+            "proportional_nm_s_rad": proportional,
+            "integral_nm_rad": integral,
+            "feedforward_nm_s_rad": mechanics.viscous_friction_nm_s,
+        }
+        period_us = _period_us(session)
+        crossing = proportional / mechanics.inertia_kg_m2
+        outcome.say(
+            f"PI: {proportional:.4g} N m s/rad and {integral:.4g} N m/rad, crossing at {crossing:.0f} rad/s; "
+            f"a load of 1 N m moves the speed by at most {design.gain:.3g} rad/s as a sine"
+        )
+        outcome.say(f"sampling period {period_us} us")
+        outcome.figures = {
+            "proportional_nm_s_rad": proportional,
+            "integral_nm_rad": integral,
+            "crossing_rad_s": crossing,
+            "designed_for_delay_us": 1e6 * delay_s,
+            "period_us": period_us,
+            **_suggested_limits(session),
+        }
+        limits = _suggested_limits(session)
+        outcome.say(
+            f"limits: {limits['speed_max_rpm']:.0f} r/min, {limits['torque_max_nm']:.4g} N m, "
+            f"{limits['torque_slew_max_nm_s']:.4g} N m/s"
+        )
+        return outcome
+
+
+def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
+    """A motor with one N m per ampere whose current follows with ``lag_s``."""
+    return PmsmParameters(
+        name="identified",
+        resistance_ohm=1.0,
+        inductance_d_h=lag_s,
+        inductance_q_h=lag_s,
+        flux_linkage_wb=1.0,
+        pole_pairs=1,
+        inertia_kg_m2=inertia,
+        viscous_friction_nm_s=viscous,
+        coulomb_friction_nm=0.0,
+        transform=Transform.POWER_INVARIANT,
+        rated_torque_nm=1.0,
+        rated_speed_rad_s=1.0,
+        current_max_a=1.0,
+        dc_bus_voltage_v=1.0,
+    )
+
+
+def _period_us(session: "Session") -> int:
+    """The shortest that bus and delays allow: readings are in before the command has to go."""
+    found = session.found
+    assert found.plan is not None
+    needed_us = _ROOM * ((found.reading_delay_us or 0.0) + 0.5 * (found.effect_delay_us or 0.0))
+    for period_us in (500, *PERIODS_US):
+        period = Duration(period_us * NS_PER_US)
+        load = bus_load_percent_max([found.plan], period, session.request.bitrate_bit_s)
+        if load <= _LOAD_MAX_PERCENT and period_us >= needed_us:
+            return period_us
+    return PERIODS_US[-1]
+
+
+def _suggested_limits(session: "Session") -> dict[str, float]:
+    plate, found = session.request.nameplate, session.found
+    rated_nm = session.drive.rated_torque_nm
+    assert found.limits is not None
+    speed_rpm = plate.rating.speed_rpm or 2.0 * found.limits.speed_rad_s / RAD_S_PER_RPM
+    peak = 2.0
+    if plate.rating.current_max_a and plate.rating.current_a:
+        peak = min(peak, plate.rating.current_max_a / plate.rating.current_a)
+    return {
+        "speed_max_rpm": speed_rpm,
+        "torque_max_nm": peak * rated_nm,
+        "torque_slew_max_nm_s": rated_nm / 0.005,
+    }
+
+
+class Verify(Step):
+    """The suggested controller on the drive."""
+
+    name = "verify"
+    title = "Verification run"
+    needs = ("suggest",)
+    moves = True
+    writes = True
+
+    def plan(self, session: "Session", /) -> str:
+        speed = self._speed(session) / RAD_S_PER_RPM
+        return f"follow ramps to +-{speed:.0f} r/min with the suggested controller"
+
+    def _speed(self, session: "Session") -> float:
+        limits = session.limits
+        speed = _VERIFY_SHARE * limits.speed_rad_s
+        if limits.travel_rad is not None:
+            speed = min(speed, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
+        return speed
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        speed = self._speed(session)
+        mechanics, told = session.found.mechanics, session.found.told
+        assert mechanics is not None
+        assert told is not None
+        over = max(_RAMP_S, mechanics.inertia_kg_m2 * speed / (0.5 * session.limits.torque_nm))
+        reference: list[Segment] = []
+        time = 0.1
+        plateaus = []
+        for target in (speed, 0.0, -speed, 0.0):
+            reference.append(Ramp(time, target, over))
+            plateaus.append((time + over + 0.5 * _HOLD_S, time + over + _HOLD_S, target))
+            time += over + _HOLD_S
+        gains = dict(session.found.controller)
+        gains.pop("kind")
+        with session.enabled():
+            exerciser = session.exerciser()
+            recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
+        wanted = SpeedProfile(reference)
+        at = recording.time
+        errors = np.array([wanted.value(float(t)) for t in at]) - recording.speed
+        settled = [errors[(at >= low) & (at < high)] for low, high, target in plateaus if target]
+        rms = max(float(np.sqrt(np.mean(part**2))) for part in settled)
+        unit = session.found.override.velocity_rad_s or told.velocity_rad_s
+        outcome.say(
+            f"on the plateaus the speed is off by {rms:.3g} rad/s rms ({100.0 * rms / speed:.2f} %), "
+            f"on the way by at most {float(np.abs(errors).max()):.3g} rad/s"
+        )
+        outcome.figures = {"plateau_rms_rad_s": rms, "error_max_rad_s": float(np.abs(errors).max())}
+        reference_drawn = np.array([wanted.value(float(t)) for t in at])
+        outcome.pictures.append(
+            session.picture("verify", lambda path: draw_verification(path, recording, at, reference_drawn))
+        )
+        if rms > _ERROR_MAX * speed + _UNITS_MAX * unit or math.isnan(rms):
+            raise StepFailed("the suggested controller does not hold the speed", outcome.lines[0])
+        return outcome
+
+
+def suggestion(session: "Session") -> dict[str, Any]:
+    """Limits for the files; without a drive that was set up there are none."""
+    return _suggested_limits(session) if session.configured else {}

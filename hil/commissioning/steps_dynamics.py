@@ -1,0 +1,379 @@
+"""Steps that measure how fast everything answers: torque to speed, and the ways of readings and commands."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.exchange import Command
+from drivers.scaling import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_S, Duration, Instant
+from hil.commissioning.excitation import Profile, SpeedGuide, multisine
+from hil.commissioning.exercise import runs_of
+from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
+from hil.commissioning.plots import draw_delays, draw_response
+from hil.commissioning.request import MotionLimits
+from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.configuration.network_file import Delays as DelayFigures
+from hil.configuration.network_file import Network
+from hil.scenario import Ramp
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+
+_BLOCK_S: Final = 1.0
+_BLOCKS: Final = 6
+_LINES: Final = 28
+_LOWEST_HZ: Final = 2.0
+_NYQUIST_PART: Final = 0.4
+_BASE_SHARE: Final = 0.4
+_GUIDE_RAD_S: Final = 4.0
+_COHERENT: Final = 0.8
+_MIDDLE_HZ: Final = (4.0, 60.0)
+
+_SWITCHES: Final = 500
+_SWITCHES_MIN: Final = 150
+_SWITCHING_S: Final = 4.0
+_HOLD_CYCLES: Final = 4
+_GOLDEN: Final = 0.6180339887498949
+_CLEAR: Final = 1.25
+_LONGEST_PART: Final = 0.7
+_LONGEST_NS: Final = 700_000.0
+"""Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
+_READINGS_S: Final = 1.0
+_SETTLED_LAGS: Final = 2.0
+_LOST_PART: Final = 0.3
+
+
+class Response(Step):
+    """Torque to speed by a multisine while the shaft turns one way."""
+
+    name = "response"
+    title = "Frequency response torque to speed"
+    needs = ("mechanics",)
+    moves = True
+    writes = True
+
+    def left_out(self, session: "Session") -> str | None:
+        if session.torque_mode() is None:
+            return "the drive has no torque mode"
+        if session.limits.travel_rad is not None:
+            return "the shaft would have to turn one way for seconds"
+        return None
+
+    def plan(self, session: "Session", /) -> str:
+        speed = _BASE_SHARE * session.limits.speed_rad_s / RAD_S_PER_RPM
+        return (
+            f"turn at {speed:.0f} r/min with {_LINES} sines of torque on top, from {_LOWEST_HZ:g} Hz on, "
+            f"for {_BLOCKS * _BLOCK_S:g} s"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        mechanics = session.found.mechanics
+        assert mechanics is not None
+        limits = session.limits
+        base = _BASE_SHARE * limits.speed_rad_s
+        with session.enabled():
+            exerciser = session.exerciser(_roomy(limits))
+            period = exerciser.period_s
+            lines = lines_hz(_LOWEST_HZ, _NYQUIST_PART / period, _LINES, _BLOCK_S)
+            room = mechanics.inertia_kg_m2 * math.tau * _LOWEST_HZ * 0.3 * base
+            amplitude = min(0.4 * limits.torque_nm, 3.0 * room)
+            added = multisine(lines, amplitude, seed=session.request.node)
+            over = max(0.3, mechanics.inertia_kg_m2 * base / (0.3 * limits.torque_nm))
+            start = over + 0.7
+            guide = SpeedGuide(
+                mechanics,
+                period,
+                added=lambda time: added(time) if time >= start - 0.4 else 0.0,
+                bandwidth_rad_s=_GUIDE_RAD_S,
+            )
+            recording = exerciser.run(guide, start + _BLOCKS * _BLOCK_S + 0.2, [Ramp(0.0, base, over)])
+        try:
+            found = frequency_response(
+                recording.time, recording.torque, recording.velocity, lines, _BLOCK_S, period, start
+            )
+        except ValueError as error:
+            raise StepFailed("too few samples for a frequency response", str(error)) from error
+        model = 1.0 / (
+            mechanics.inertia_kg_m2 * 1j * math.tau * found.frequency_hz + mechanics.viscous_friction_nm_s
+        )
+        _judge_response(found.frequency_hz, found.response, found.coherence, model, outcome)
+        outcome.pictures.append(session.picture("response", lambda path: draw_response(path, found, model)))
+        return outcome
+
+
+def _roomy(limits: MotionLimits) -> MotionLimits:
+    """The work of many swings adds up: this step is bounded by its time."""
+    return replace(limits, energy_j=4.0 * limits.energy_j)
+
+
+def _judge_response(
+    frequency: Array, response: ComplexArray, coherence: Array,
+    model: ComplexArray, outcome: Outcome,
+) -> None:  # fmt: skip
+    middle = (frequency >= _MIDDLE_HZ[0]) & (frequency <= _MIDDLE_HZ[1]) & (coherence > _COHERENT)
+    if not middle.any():
+        raise StepFailed("the speed does not follow the torque", f"best coherence {coherence.max():.2f}")
+    ratio = float(np.median(np.abs(model[middle]) / np.abs(response[middle])))
+    good = frequency[coherence > _COHERENT]
+    outcome.say(f"coherence above {_COHERENT:g} from {good.min():.0f} to {good.max():.0f} Hz")
+    outcome.say(
+        f"between {_MIDDLE_HZ[0]:g} and {_MIDDLE_HZ[1]:g} Hz the inertia is {ratio:.3f} of the identified one"
+    )
+    outcome.headline = outcome.lines[-1]
+    dips = np.abs(response) / np.abs(model)
+    usable = coherence > _COHERENT
+    peak = int(np.argmax(np.where(usable, dips, 0.0)))
+    outcome.say(f"largest rise above the rigid shaft: {dips[peak]:.2f} at {frequency[peak]:.0f} Hz")
+    outcome.figures = {
+        "inertia_ratio": ratio,
+        "coherence_min": float(coherence.min()),
+        "coherent_to_hz": float(good.max()),
+        "resonance_ratio": float(dips[peak]),
+        "frequency_hz": [float(value) for value in frequency],
+        "magnitude": [float(value) for value in np.abs(response)],
+        "phase_deg": [float(value) for value in np.degrees(np.angle(response))],
+        "coherence": [float(value) for value in coherence],
+    }
+    if not 0.8 < ratio < 1.25:
+        raise StepFailed("response and ramps disagree on the inertia", f"ratio {ratio:.3f}")
+
+
+class Delays(Step):
+    """How long readings and commands take, and how many are lost."""
+
+    name = "delays"
+    title = "Delays and losses"
+    needs = ("mechanics",)
+    moves = True
+    writes = True
+
+    def plan(self, session: "Session", /) -> str:
+        if session.torque_mode() is None:
+            return f"time {_READINGS_S:g} s of readings; what a command does cannot be timed without torque"
+        return (
+            f"switch the torque {switches(session)} times by a little, at shifting instants of the cycle, "
+            "and see in the readings when it arrives"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        if session.torque_mode() is None:
+            return _time_readings(session, outcome)
+        with session.enabled():
+            probe = _Probe(session)
+            probe.run()
+        readings = np.array(probe.delays_us)
+        if len(readings) < 100:
+            raise StepFailed("too few readings came", f"{len(readings)} of {probe.cycles}")
+        age, part = (np.array(column, dtype=float) for column in zip(*probe.answers, strict=True))
+        try:
+            lag = step_lag(age, part)
+        except ValueError as error:
+            raise StepFailed("the torque does not follow its command", str(error)) from error
+        found = session.found
+        found.reading_delay_us = float(np.median(readings))
+        probe.judge_commands(lag)
+        found.effect_delay_us, found.torque_lag_us = lag.half_us, lag.lag_us
+        network = probe.network(readings, lag.half_us)
+        found.network = network.model_dump(mode="json", exclude_none=True)
+        outcome.say(
+            f"readings arrive {found.reading_delay_us:.0f} us after the SYNC, 99 % within "
+            f"{np.percentile(readings, 99):.0f} us; {network.lost} of {network.cycles} were lost"
+        )
+        outcome.say(
+            f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
+            f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
+        )
+        outcome.say(f"{probe.commands_lost} of {probe.commands} commands were lost")
+        outcome.figures = {
+            "reading_delay_us": found.reading_delay_us,
+            "reading_delay_p99_us": float(np.percentile(readings, 99)),
+            "effect_delay_us": lag.half_us,
+            "dead_time_us": lag.dead_us,
+            "lag_us": lag.lag_us,
+            "readings_lost": network.lost,
+            "commands_lost": probe.commands_lost,
+            "commands": probe.commands,
+            "cycles": probe.cycles,
+        }
+        outcome.pictures.append(
+            session.picture("delays", lambda path: draw_delays(path, readings, age, part, lag))
+        )
+        return outcome
+
+
+def _time_readings(session: "Session", outcome: Outcome) -> Outcome:
+    """Only the way of the readings, with the drive at rest."""
+    with session.enabled():
+        exerciser = session.exerciser()
+        recording = exerciser.run(Profile(lambda _time: 0.0, exerciser.period_s), _READINGS_S)
+    readings = recording.sync_to_reading_us
+    if len(readings) < 100:
+        raise StepFailed("too few readings came", f"{len(readings)} of {recording.tally.cycles}")
+    tally = recording.tally
+    network = network_of(readings, tally.in_a_row, tally.lost, tally.cycles, session.found.period, 0.0, 0)
+    found = session.found
+    found.reading_delay_us = float(np.median(readings))
+    found.network = network.model_dump(mode="json", exclude_none=True)
+    outcome.say(
+        f"readings arrive {found.reading_delay_us:.0f} us after the SYNC, 99 % within "
+        f"{np.percentile(readings, 99):.0f} us; {tally.lost} of {tally.cycles} were lost"
+    )
+    outcome.figures = {"reading_delay_us": found.reading_delay_us, "readings_lost": tally.lost}
+    return outcome
+
+
+def network_of(
+    readings_us: Array,
+    in_a_row: tuple[int, ...],
+    lost: int,
+    cycles: int,
+    period: Duration,
+    effect_us: float,
+    commands_lost: int,
+) -> Network:
+    """What was measured, as a network file has it."""
+    tail = [float(np.percentile(readings_us, level)) for level in (50, 99, 99.9, 100)]
+    return Network(
+        period_us=max(1, round(period / 1000)),
+        losses_in_a_row_max=len(in_a_row),
+        delay_max_us=math.ceil(tail[-1] + effect_us),
+        command_losses_in_a_row_max=1 if commands_lost else 0,
+        cycles=cycles,
+        lost=lost,
+        loss_percent=100.0 * lost / max(1, cycles),
+        losses_in_a_row=in_a_row,
+        reading_delay_us=DelayFigures(p50=tail[0], p99=tail[1], p999=tail[2], max=tail[3]),
+    )
+
+
+def switches(session: "Session") -> int:
+    """How often the torque is switched: fewer where a cycle takes long."""
+    hold_s = _HOLD_CYCLES * session.found.period / NS_PER_S
+    return max(_SWITCHES_MIN, min(_SWITCHES, round(_SWITCHING_S / hold_s)))
+
+
+class _Probe:
+    """Torque switched to and fro at an instant of the cycle that shifts from switch to switch.
+
+    The drive shows its torque only at SYNCs; as the commands come at ever other times before them, the
+    samples show the answer to a switch at many ages (equivalent-time sampling).
+    """
+
+    def __init__(self, session: "Session") -> None:
+        self._session = session
+        self._network = session.network
+        assert session.port is not None
+        self._port = session.port
+        self._period = session.found.period
+        self._latency = session.timing().sync_latency
+        assert session.found.told is not None
+        rated = session.drive.rated_torque_nm
+        self._step_nm = max(0.02 * rated, min(0.25 * session.limits.torque_nm, 0.1 * rated))
+        self.delays_us: list[float] = []
+        self.answers: list[tuple[float, float]] = []
+        self.cycles = 0
+        self.firsts: list[tuple[float, float]] = []
+        """Of the answers, those of the first SYNC after a switch: before it is repeated."""
+        self.commands = 0
+        """Switches old enough at that SYNC to be judged."""
+        self.commands_lost = 0
+        self._missing: list[bool] = []
+
+    def run(self) -> None:
+        due = Instant(self._session.clock_now + self._period)
+        torque = self._step_nm
+        self._port.take_readings()
+        # Not so shortly before the SYNC that this would have to wait for the command to leave the bus.
+        command = self._session.timing().command_latency
+        shortest = _CLEAR * command
+        longest = max(2.0 * shortest, min(_LONGEST_PART * self._period, max(_LONGEST_NS, 6.0 * command)))
+        # Half of a hold first, so that the shaft swings about its place.
+        due = self._hold(due, torque, 0.5, _HOLD_CYCLES // 2, None)
+        for number in range(switches(self._session)):
+            before, torque = torque, -torque
+            lead = shortest + (longest - shortest) * ((number * _GOLDEN) % 1.0)
+            due = self._hold(due, torque, 1.0 - lead / self._period, _HOLD_CYCLES, before)
+        self._send(0.0, Instant(self._session.clock_now + self._period))
+
+    def _hold(self, due: Instant, torque: float, part: float, cycles: int, before: float | None) -> Instant:
+        """Switch to ``torque`` in the first cycle; it is repeated, so that a lost command is made up."""
+        sent_at: Instant | None = None
+        late = False
+        for cycle in range(cycles):
+            self._network.pump(due)
+            self._session.check_stop()
+            late = late or self._session.clock_now - due > self._period // 2
+            sync_at = self._network.send_sync()
+            self.cycles += 1
+            command_at = Instant(max(due + round(part * self._period), sync_at))
+            self._network.pump(command_at)
+            shown = self._take(sync_at)
+            if before is not None and sent_at is not None and shown is not None and not late:
+                self._answer(sync_at, sent_at, shown, before, torque, cycle)
+            at = self._send(torque, Instant(command_at + self._period))
+            if sent_at is None:
+                sent_at = at
+            due = Instant(max(due + self._period, self._session.clock_now))
+            self._port.check()
+        return due
+
+    def _take(self, sync_at: Instant) -> float | None:
+        """The torque of the reading that answers the SYNC; None if it was lost or is late."""
+        shown = None
+        for reading in self._port.take_readings():
+            since = reading.received_at - sync_at - self._latency
+            if since >= 0:
+                shown = reading.torque_nm
+                self.delays_us.append(since / 1e3)
+        self._missing.append(shown is None)
+        return shown
+
+    def _answer(
+        self, sync_at: Instant, sent_at: Instant, shown: float, before: float, torque: float, cycle: int
+    ) -> None:
+        age_us = (sync_at + self._latency - sent_at) / 1e3
+        part = (shown - before) / (torque - before)
+        if cycle == 1:
+            self.firsts.append((age_us, part))
+        self.answers.append((age_us, part))
+
+    def _send(self, torque_nm: float, expires_at: Instant) -> Instant:
+        return self._port.write(Command(0, torque_nm, expires_at, expires_at))
+
+    def judge_commands(self, lag: StepLag) -> None:
+        """Those that should have shown their effect by the first SYNC, and did not, were lost."""
+        old_us = lag.half_us + _SETTLED_LAGS * lag.lag_us
+        judged = [part for age_us, part in self.firsts if age_us > old_us]
+        self.commands = len(judged)
+        self.commands_lost = sum(part < _LOST_PART for part in judged)
+
+    def network(self, readings_us: Array, effect_us: float) -> Network:
+        """What was measured, as a network file has it."""
+        missing = self._missing
+        return network_of(
+            readings_us,
+            runs_of(missing),
+            sum(missing),
+            self.cycles,
+            self._period,
+            effect_us,
+            self.commands_lost,
+        )
+
+
+def total_delay_s(session: "Session") -> float:
+    """From a sample to the middle of the time for which a torque that rests on it acts, s."""
+    found = session.found
+    reading = found.reading_delay_us or 0.0
+    effect = found.effect_delay_us or 0.0
+    hold: Duration = found.period
+    return (reading + effect) * 1e-6 + 0.5 * hold / NS_PER_S

@@ -1,0 +1,356 @@
+"""Steps that identify inertia, friction and the torque constant."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from drivers.drive_setup import write_optional
+from drivers.errors import TransferAborted
+from drivers.objects import SettingRefused
+from drivers.objects402 import Object
+from drivers.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
+from drivers.pdo_plans import mode_plan
+from drivers.profile402 import Mode
+from drivers.scaling import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.drive_port import Quantity
+from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
+from hil.commissioning.exercise import Recording
+from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
+from hil.commissioning.plots import draw_current, draw_mechanics
+from hil.commissioning.session import held_s
+from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.scenario import Ramp, Segment
+from hil.scenario import Step as SpeedStep
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+_SPEED_SHARE: Final = 0.9
+_TORQUE_SHARE: Final = 0.6
+_RAMP_S: Final = 0.25
+_SLOWER: Final = 2.5
+_PLATEAU_S: Final = 0.4
+_PLATEAUS: Final = (0.3, 0.65, 1.0)
+_COAST_S_MAX: Final = 2.0
+_WINDOW_S: Final = 0.1
+_WINDOW_PERIODS: Final = 20
+_SLOWEST: Final = 0.03
+_UNCERTAIN: Final = 0.05
+"""An inertia with a larger relative error fails the step."""
+_SLOW_START_RPM: Final = 20.0
+_CURRENT_S: Final = 1.5
+_CONSTANT_TOLERANCE: Final = 0.1
+
+
+class MechanicsStep(Step):
+    """Speed ramps both ways and coasting: inertia, viscous and Coulomb friction."""
+
+    name = "mechanics"
+    title = "Inertia and friction"
+    needs = ("motion_units",)
+    moves = True
+    writes = True
+
+    def plan(self, session: "Session", /) -> str:
+        speed = top_speed(session)
+        coast = ", and let the shaft coast" if session.torque_mode() is not None else ""
+        return f"ramp to {speed / RAD_S_PER_RPM:.0f} r/min and back, both ways, with stops on the way{coast}"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        speed = top_speed(session)
+        if speed < _SLOW_START_RPM * RAD_S_PER_RPM:
+            raise StepFailed("too little travel or speed is allowed", f"{speed:.3g} rad/s could be reached")
+        recordings = _ramps(session, speed)
+        if session.torque_mode() is not None:
+            recordings += _coasts(session, speed)
+        data = [(recording.time, recording.position, recording.torque) for recording in recordings]
+        try:
+            window_s = max(_WINDOW_S, _WINDOW_PERIODS * session.found.period / NS_PER_S)
+            found = identify_mechanics(data, window_s, _SLOWEST * speed, held_s=held_s(session))
+        except NotIdentifiable as error:
+            raise StepFailed("inertia and friction cannot be told from this motion", str(error)) from error
+        if session.torque_mode() is None and found.inertia_kg_m2 < 0.0:
+            found = _turned_round(session, found, outcome)
+        _judge(found, outcome)
+        session.found.mechanics = found
+        session.found.speed_noise_rad_s = noise = _speed_noise(recordings)
+        outcome.figures["speed_noise_rad_s"] = noise
+        outcome.say(f"the velocity 606Ch scatters by {noise:.3g} rad/s rms")
+        outcome.pictures.append(
+            session.picture("mechanics", lambda path: draw_mechanics(path, recordings, found))
+        )
+        return outcome
+
+
+def _speed_noise(recordings: list[Recording]) -> float:
+    """Rms of the quick part of the velocity: of each sample less the mean of its neighbours."""
+    parts = [
+        recording.velocity[1:-1] - 0.5 * (recording.velocity[2:] + recording.velocity[:-2])
+        for recording in recordings
+    ]
+    # Of white noise the difference has 3/2 of the variance.
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2) / 1.5))
+
+
+def top_speed(session: "Session") -> float:
+    """The fastest that an exercise goes to, rad/s: within the speed limit and the allowed travel."""
+    limits = session.limits
+    speed = _SPEED_SHARE * limits.speed_rad_s
+    if limits.travel_rad is not None:
+        path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
+        speed = min(speed, 0.8 * limits.travel_rad / path_s)
+    return speed
+
+
+def _guide_mechanics(session: "Session") -> Mechanics:
+    known = session.found.mechanics or session.found.rough
+    assert known is not None, "the pulses come first"
+    return known
+
+
+def _ramp_time(session: "Session", change: float) -> float:
+    """How long a ramp has to take for its torque to stay well below the limit."""
+    known = session.found.mechanics or session.found.rough
+    if known is None:
+        return _RAMP_S
+    return max(_RAMP_S, known.inertia_kg_m2 * abs(change) / (_TORQUE_SHARE * session.limits.torque_nm))
+
+
+def _ramps(session: "Session", speed: float) -> list[Recording]:
+    """Up by plateaus and down again, both ways.
+
+    A drive that takes speeds runs its own speed loop, whose torque swings: there everything lasts longer. One
+    that plans its own ramps is given steps, lest it plan one for each cycle.
+    """
+    port = session.port
+    assert port is not None
+    own_ramps = port.mode is Mode.PROFILE_VELOCITY
+    slower = 1.0 if port.quantity is Quantity.TORQUE else _SLOWER
+    if own_ramps:
+        _write_ramps(session, speed / (slower * _RAMP_S))
+    recordings = []
+    for direction in (1.0, -1.0):
+        reference: list[Segment] = []
+        time, last = 0.05, 0.0
+        for share in (*_PLATEAUS, 0.0):
+            over = slower * _ramp_time(session, (share - last) * speed)
+            target = direction * share * speed
+            reference.append(SpeedStep(time, target) if own_ramps else Ramp(time, target, over))
+            time += over + slower * _PLATEAU_S
+            last = share
+        with session.enabled():
+            exerciser = session.exerciser()
+            if exerciser.port.quantity is Quantity.TORQUE:
+                guide = SpeedGuide(_guide_mechanics(session), exerciser.period_s)
+                recordings.append(exerciser.run(guide, time, reference))
+            else:
+                recordings.append(exerciser.run(SpeedCommand(), time, reference))
+    return recordings
+
+
+def _write_ramps(session: "Session", acceleration_rad_s2: float) -> None:
+    told = session.found.told
+    assert told is not None
+    raw = max(1, round(acceleration_rad_s2 / told.acceleration_rad_s2))
+    for index in (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION):
+        write_optional(session.objects, index, "I", raw, "ramp")
+
+
+def _coasts(session: "Session", speed: float) -> list[Recording]:
+    """Up to speed, then no torque at all until the shaft is slow, then back to rest."""
+    known = _guide_mechanics(session)
+    limits = session.limits
+    slowing = max(known.coulomb_friction_nm, 1e-3 * limits.torque_nm) / known.inertia_kg_m2
+    coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing)
+    if limits.travel_rad is not None:
+        coast_s = min(coast_s, 0.5 * limits.travel_rad / speed)
+    recordings = []
+    for direction in (1.0, -1.0):
+        over = _ramp_time(session, speed)
+        start = 0.05 + over + 0.1
+        end = start + coast_s
+        reference: list[Segment] = [Ramp(0.05, direction * speed, over), Ramp(end - 1e-6, 0.0, 1e-6)]
+        with session.enabled():
+            exerciser = session.exerciser()
+            guide = SpeedGuide(known, exerciser.period_s, free=_between(start, end))
+            recordings.append(exerciser.run(guide, end + 0.3, reference))
+    return recordings
+
+
+def _turned_round(session: "Session", found: Mechanics, outcome: Outcome) -> Mechanics:
+    """Torque against motion shows only here in a drive that is never given a torque."""
+    port = session.port
+    assert port is not None
+    port.torque_sign = -port.torque_sign
+    outcome.faults.append("polarity: torque 6077h counts against the position; the bench turns its sign")
+    return replace(
+        found,
+        inertia_kg_m2=-found.inertia_kg_m2,
+        viscous_friction_nm_s=-found.viscous_friction_nm_s,
+        coulomb_friction_nm=-found.coulomb_friction_nm,
+        offset_nm=-found.offset_nm,
+    )
+
+
+def _between(low: float, high: float) -> Callable[[float], bool]:
+    return lambda time: low <= time < high
+
+
+def _judge(found: Mechanics, outcome: Outcome) -> None:
+    outcome.figures = {
+        "inertia_kg_m2": found.inertia_kg_m2,
+        "viscous_friction_nm_s": found.viscous_friction_nm_s,
+        "coulomb_friction_nm": found.coulomb_friction_nm,
+        "offset_nm": found.offset_nm,
+        "inertia_error": found.inertia_error,
+        "viscous_error": found.viscous_error,
+        "coulomb_error": found.coulomb_error,
+        "equations": found.equations,
+        "residual_nm": found.residual_nm,
+    }
+    outcome.say(f"inertia {found.inertia_kg_m2:.5g} kg m^2 +- {found.inertia_error:.2g}")
+    outcome.say(f"viscous friction {found.viscous_friction_nm_s:.4g} N m s/rad +- {found.viscous_error:.2g}")
+    outcome.say(f"Coulomb friction {found.coulomb_friction_nm:.4g} N m +- {found.coulomb_error:.2g}")
+    outcome.say(f"torque offset {found.offset_nm:.3g} N m; {found.equations} equations")
+    if found.inertia_kg_m2 <= 0.0 or found.inertia_error > _UNCERTAIN * found.inertia_kg_m2:
+        raise StepFailed(
+            "the inertia is not to be trusted", "; ".join(outcome.lines), "is the load coupled softly?"
+        )
+
+
+class TorqueConstant(Step):
+    """Torque 6077h against current 6078h, while the shaft swings."""
+
+    name = "torque_constant"
+    title = "Torque constant against current"
+    needs = ("mechanics",)
+    writes = True
+    moves = True
+
+    def left_out(self, session: "Session") -> str | None:
+        if session.torque_mode() is None:
+            return "the drive has no torque mode"
+        if session.objects.read_if_there(Object.CURRENT_ACTUAL_VALUE, 0, "h") is None:
+            return "the drive has no current actual value 6078h"
+        return None
+
+    def plan(self, session: "Session", /) -> str:
+        return f"map 6078h into TPDO3 and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        mode = session.torque_mode()
+        assert mode is not None
+        try:
+            session.configure(mode, _plan_with_current(session))
+        except (TransferAborted, SettingRefused) as error:
+            session.configure(mode)
+            raise StepFailed("6078h cannot be mapped beside the rest", str(error)) from error
+        currents: list[tuple[Instant, int]] = []
+        cob_id = PdoDirection.TRANSMIT.default_cob_id(3, session.request.node)
+        session.network.link.tap(
+            lambda _direction, can_id, data, _extended, _remote, at: (
+                currents.append((at, int.from_bytes(data[:2], "little", signed=True)))
+                if can_id == cob_id
+                else None
+            )
+        )
+        try:
+            readings = _swing(session)
+        finally:
+            session.configure(mode)
+        torque, current = _paired(readings, currents)
+        self._judge(session, torque, current, outcome)
+        return outcome
+
+    def _judge(
+        self, session: "Session", torque: np.typing.NDArray[np.float64],
+        permille: np.typing.NDArray[np.float64], outcome: Outcome,
+    ) -> None:  # fmt: skip
+        rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
+        rating = session.request.nameplate.rating
+        rated_a = rated_ma / 1e3 if rated_ma else rating.current_a
+        if not rated_a:
+            raise StepFailed(
+                "no rated current", "6075h is missing or 0", "give rating.current_a in the nameplate"
+            )
+        current = permille * rated_a / 1e3
+        if float(np.ptp(current)) < 0.02 * rated_a:
+            raise StepFailed(
+                "the current 6078h does not follow the torque", f"{np.ptp(current):.3g} A of swing"
+            )
+        slope, offset = np.polyfit(current, torque, 1)
+        rest = torque - (slope * current + offset)
+        straightness = 1.0 - float(rest.var() / torque.var())
+        session.found.torque_constant_nm_a = float(abs(slope))
+        outcome.figures = {"torque_constant_nm_a": float(slope), "straightness": straightness}
+        outcome.say(f"{abs(slope):.5g} N m per A rms, straightness {straightness:.4f}, {len(torque)} pairs")
+        if slope < 0.0:
+            outcome.faults.append("current 6078h and torque 6077h have opposite signs")
+        if rating.torque_nm and rating.current_a:
+            wanted = rating.torque_nm / rating.current_a
+            outcome.say(f"the nameplate's ratings make {wanted:.5g} N m/A")
+            outcome.figures["nameplate_nm_a"] = wanted
+            if abs(abs(slope) / wanted - 1.0) > _CONSTANT_TOLERANCE:
+                outcome.faults.append(
+                    f"torque and current contradict the nameplate by {abs(slope) / wanted:.4g}: "
+                    "6075h, 6076h or the nameplate is wrong"
+                )
+        outcome.pictures.append(
+            session.picture(
+                "torque_constant", lambda path: draw_current(path, current, torque, slope, offset)
+            )
+        )
+
+
+def _plan_with_current(session: "Session") -> PdoPlan:
+    mode = session.torque_mode()
+    assert mode is not None
+    node = session.request.node
+    base = mode_plan(node, mode, device_stamp=session.objects.read_if_there(0x1013) is not None)
+    transmit = PdoDirection.TRANSMIT
+    entry = (PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h"),)
+    plan = PdoPlan((*base.tpdos, PdoMap(transmit, 3, transmit.default_cob_id(3, node), entry)), base.rpdos)
+    load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
+    if load > 90.0:
+        raise StepFailed("the bus has no room for the current", f"{load:.0f} % load")
+    return plan
+
+
+def _swing(session: "Session") -> list[tuple[Instant, float]]:
+    """Swing the shaft; the torques with the instants at which they came."""
+    known = _guide_mechanics(session)
+    limits = session.limits
+    amplitude = 0.6 * limits.torque_nm
+    omega = max(math.tau * 2.0, amplitude / (known.inertia_kg_m2 * 0.4 * limits.speed_rad_s))
+    readings: list[tuple[Instant, float]] = []
+    port = session.port
+    assert port is not None
+    port.listener = lambda taken: readings.extend((each.received_at, each.torque_nm) for each in taken)
+    with session.enabled():
+        exerciser = session.exerciser()
+        # By the cosine the speed has no mean.
+        exerciser.run(
+            Profile(
+                lambda time: amplitude * math.cos(omega * time) * min(1.0, time / 0.1), exerciser.period_s
+            ),
+            _CURRENT_S,
+        )
+    return readings
+
+
+def _paired(
+    readings: list[tuple[Instant, float]], currents: list[tuple[Instant, int]]
+) -> tuple["np.typing.NDArray[np.float64]", "np.typing.NDArray[np.float64]"]:
+    """Torque and current of the same SYNC: a reading is complete with the frame that holds the current."""
+    by_instant = dict(currents)
+    pairs = [(torque, by_instant[at]) for at, torque in readings if at in by_instant]
+    if len(pairs) < 50:
+        raise StepFailed("torque and current could not be paired", f"{len(pairs)} pairs")
+    torque, current = np.array(pairs, dtype=float).T
+    return torque, current

@@ -1,0 +1,221 @@
+"""Steps that set the drive up and prove its watch over the host, before anything turns."""
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from drivers.drive_setup import write_optional
+from drivers.errors import PeerFault
+from drivers.objects402 import Object
+from drivers.pdo import bus_load_percent_max
+from drivers.profile402 import HaltOption, Mode, State, state_of
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.commissioning.excitation import Profile
+from hil.commissioning.step import Outcome, Step, StepFailed
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+_PATIENCE: Final = 4.0
+"""So many time-outs are waited for the drive to react."""
+_LATE: Final = 1.5
+"""A reaction later than so many time-outs fails the step."""
+_SILENT_PERIODS: Final = 5
+_REST_S: Final = 0.3
+_REST_TURNS: Final = 0.01
+
+
+class SetUp(Step):
+    """Heartbeats, reactions, limits and the PDO plan, each written and read back."""
+
+    name = "setup"
+    title = "Limits, reactions and PDO plan"
+    needs = ("units",)
+    writes = True
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        limits = session.limits
+        return (
+            "write heartbeats (1016h, 1017h), reactions (6007h, 605Ah to 605Eh), "
+            "limits (6072h, 6073h, 6080h, 607Dh, 6065h) to "
+            f"{limits.torque_nm:.4g} N m and {limits.speed_rad_s:.4g} rad/s, and the PDOs"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        mode = self._first_mode_taken(session, outcome)
+        for note in _extra_limits(session):
+            outcome.say(note)
+        plan = session.drive.plan
+        assert plan is not None
+        for pdo in (*plan.tpdos, *plan.rpdos):
+            mapped = " ".join(f"{entry.index:04X}h/{entry.bits}" for entry in pdo.entries)
+            outcome.say(f"{pdo.name} {pdo.cob_id:03X}h type {pdo.transmission_type}: {mapped}")
+        load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
+        outcome.say(
+            f"mode {mode.name.lower().replace('_', ' ')}; at most {load:.0f} % bus load; all read back"
+        )
+        outcome.headline = outcome.lines[-1]
+        outcome.figures = {"mode": mode.name.lower(), "bus_load_percent_max": load}
+        return outcome
+
+    def _first_mode_taken(self, session: "Session", outcome: Outcome) -> Mode:
+        """Configure in the first mode that the drive takes; those that it does not are struck out."""
+        while True:
+            mode = session.motion_mode()
+            if mode is None:
+                raise StepFailed("the drive takes none of the modes in which the bench could move it")
+            try:
+                outcome.lines += session.configure(mode)
+            except PeerFault as error:
+                if len(session.found.modes) <= 1 or "mode" not in str(error):
+                    raise
+                outcome.say(f"mode {mode.name.lower()} is not taken: {error}")
+                session.found.modes = tuple(other for other in session.found.modes if other is not mode)
+            else:
+                return mode
+
+
+def _extra_limits(session: "Session") -> list[str]:
+    """Limits that the drive need not have, beside those of the drive client."""
+    objects, limits, found = session.objects, session.limits, session.found
+    assert found.told is not None
+    rated = found.override.rated_torque_nm or found.told.rated_torque_nm
+    share = min(0xFFFF, round(1000.0 * limits.torque_nm / rated))
+    held = objects.read_if_there(Object.MAX_CURRENT, 0, "H")
+    notes = []
+    if held is not None and share < held:
+        notes += write_optional(objects, Object.MAX_CURRENT, "H", share, "current limit")
+    option = HaltOption.QUICK_STOP_RAMP
+    notes += write_optional(objects, Object.HALT_OPTION, "h", int(option), "halt by quick stop ramp")
+    window = max(1, round(limits.following_rad / found.told.position_rad))
+    notes += write_optional(
+        objects, Object.FOLLOWING_ERROR_WINDOW, "I", min(window, 0xFFFF_FFFE), "following error"
+    )
+    if limits.travel_rad is not None:
+        here = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+        reach = round(limits.travel_rad / found.told.position_rad)
+        for sub, bound in ((1, here - reach), (2, here + reach)):
+            bound = min(max(bound, -0x8000_0000), 0x7FFF_FFFF)
+            notes += write_optional(
+                objects, Object.SOFTWARE_POSITION_LIMIT, "i", bound, "position limit", sub
+            )
+    return notes
+
+
+class Watchdog(Step):
+    """Stop the host's heartbeat while the drive is enabled, and time its reaction."""
+
+    name = "watchdog"
+    title = "Proof of the watch over the host"
+    needs = ("setup",)
+    writes = True
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        timeout = session.request.heartbeat_timeout_ms
+        return (
+            f"enable the drive at rest, stop the host's heartbeat, and time how long it stays enabled "
+            f"({timeout} ms are set in 1016h); a fault that this causes is reset"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        timeout_ms = session.request.heartbeat_timeout_ms
+        with session.stop.armed():
+            try:
+                session.drive.enable(session.deadline(3.0))
+                reaction_ms, state = _silence(session, timeout_ms)
+            finally:
+                session.network.produce_heartbeat(Duration(session.request.heartbeat_ms * NS_PER_MS))
+                session.wait(3e-3 * session.request.heartbeat_ms)
+        _recover(session)
+        if reaction_ms is None:
+            raise StepFailed(
+                "the drive stays enabled without its host",
+                f"{_PATIENCE * timeout_ms:.0f} ms after the last heartbeat",
+                "1016h or 6007h does not work in this drive: do not go on",
+            )
+        named = "an unknown state" if state is None else repr(state.value)
+        outcome.say(f"left 'operation enabled' for {named} {reaction_ms:.1f} ms after the last heartbeat")
+        outcome.figures = {"reaction_ms": reaction_ms, "timeout_ms": timeout_ms}
+        if reaction_ms > _LATE * timeout_ms + 20.0:
+            raise StepFailed("the drive reacts too late", f"{reaction_ms:.0f} ms, {timeout_ms} ms were set")
+        return outcome
+
+
+def _silence(session: "Session", timeout_ms: int) -> tuple[float | None, State | None]:
+    """Send one last heartbeat; ms until the drive says that it is enabled no more, and its state then.
+
+    A drive may tell it by statusword, by EMCY, or by falling silent: with the node's NMT state its PDOs end
+    too (1029h). The state itself is then asked for.
+    """
+    network, drive = session.network, session.drive
+    drive.take_readings()
+    emergencies = network.emergencies_seen
+    network.produce_heartbeat(Duration(session.request.heartbeat_ms * NS_PER_MS))
+    last_at = heard_at = session.clock_now
+    network.produce_heartbeat(Duration(0))
+    period = session.found.period
+    due = Instant(last_at + period)
+    while due < last_at + round(_PATIENCE * timeout_ms * NS_PER_MS):
+        network.pump(due)
+        session.check_stop()
+        for reading in drive.take_readings():
+            heard_at = reading.received_at
+            state = state_of(reading.statusword)
+            if state is not State.OPERATION_ENABLED:
+                return (heard_at - last_at) / NS_PER_MS, state
+        told = network.emergencies_seen != emergencies
+        if told or session.clock_now - heard_at > _SILENT_PERIODS * period:
+            state = drive.control.read_state()
+            if state is not State.OPERATION_ENABLED:
+                at = network.emergencies[-1].at if told else session.clock_now
+                return (at - last_at) / NS_PER_MS, state
+            emergencies, heard_at = network.emergencies_seen, session.clock_now
+        network.send_sync()
+        due = Instant(max(due + period, session.clock_now))
+    return None, State.OPERATION_ENABLED
+
+
+def _recover(session: "Session") -> None:
+    """From what the proof left behind, to disabled."""
+    drive = session.drive
+    if drive.control.read_state() in (State.FAULT, State.FAULT_REACTION):
+        drive.reset_fault(session.deadline(3.0))
+    session.calm()
+    # The loss may have taken the node out of the NMT state OPERATIONAL.
+    session.configure()
+
+
+class EnableAtZero(Step):
+    """Enable, ask for nothing, and see that nothing happens."""
+
+    name = "enable"
+    title = "Enable at zero torque"
+    needs = ("watchdog",)
+    writes = True
+    moves = True
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        what = "torque" if session.torque_mode() is not None else "speed"
+        return f"enable with {what} 0 for {_REST_S:g} s; the shaft must stay within {_REST_TURNS:g} turns"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        with session.enabled():
+            exerciser = session.exerciser()
+            recording = exerciser.run(Profile(lambda _time: 0.0, exerciser.period_s), _REST_S)
+        if not len(recording.position):
+            raise StepFailed("no reading came while the drive was enabled")
+        crept = float(recording.position.max() - recording.position.min()) / math.tau
+        outcome.say(f"the shaft turned by {crept:.5f} turns; mean torque {recording.torque.mean():.4g} N m")
+        outcome.figures = {"crept_turns": crept}
+        if crept > _REST_TURNS:
+            raise StepFailed(
+                f"the shaft creeps by {crept:.3f} turns in {_REST_S:g} s",
+                f"mean torque {recording.torque.mean():.4g} N m",
+                "take the load off, or hold it: the figures would be worth nothing",
+            )
+        return outcome

@@ -1,0 +1,251 @@
+"""Steps that only listen and read: bus, identity, dictionary, units."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.errors import NoAnswer, PeerFault
+from drivers.objects402 import Object
+from drivers.profile402 import Mode, supported_mode_bit
+from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scaling_from
+from hil.commissioning.drive_port import QUANTITY_OF_MODE
+from hil.commissioning.journal import DriveMark, Journal, JournalHead
+from hil.commissioning.known_objects import differing, dump, missing, whole
+from hil.commissioning.request import motion_limits
+from hil.commissioning.restore import ERROR_HISTORY
+from hil.commissioning.step import Outcome, Step, StepFailed
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+CONNECT_LIMIT_S = 5.0
+LISTEN_S = 0.5
+ROUND_TRIPS = 20
+_SHOWN = 40
+_RATING_TOLERANCE = 0.03
+
+
+class BusCheck(Step):
+    """Listen to the bus, and time the node's answers."""
+
+    name = "bus"
+    title = "Adapter and bus"
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        return (
+            f"listen for {LISTEN_S:g} s, then ask node {session.request.node} {ROUND_TRIPS} times for 1000h"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        network = session.network
+        began = session.clock_now
+        before = network.link.received_frames
+        session.wait(LISTEN_S)
+        heard = network.link.received_frames - before
+        load = session.world.load_percent(began, session.clock_now)
+        session.drive.connect(session.deadline(CONNECT_LIMIT_S))
+        trips_us = []
+        for _ in range(ROUND_TRIPS):
+            asked_at = session.clock_now
+            network.upload(session.request.node, 0x1000)
+            trips_us.append((session.clock_now - asked_at) / 1e3)
+        errors = session.world.error_frames()
+        outcome.say(f"{heard} frames in {LISTEN_S:g} s, bus load {load:.1f} %, {errors} error frames")
+        outcome.say(f"answers after {np.median(trips_us):.0f} us, at most {max(trips_us):.0f} us")
+        outcome.figures = {"frames": heard, "error_frames": errors, "sdo_us": float(np.median(trips_us))}
+        if errors:
+            raise StepFailed(f"{errors} error frames on the bus", "", "check bit rate, termination and cable")
+        return outcome
+
+
+class IdentityCheck(Step):
+    """Who is it, and does the data sheet belong to it."""
+
+    name = "identity"
+    title = "Identity against the data sheet"
+    needs = ("bus",)
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        sheet = session.request.eds
+        return "read 1000h, 1008h and 1018h" + (
+            f", and compare with {sheet.name}" if sheet else "; no data sheet"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
+        session.found.identity = identity
+        session.found.nmt = _nmt_heard(session)
+        outcome.say(str(identity))
+        outcome.figures = identity._asdict()
+        dictionary = session.dictionary
+        if dictionary is not None:
+            information = dictionary.device_information
+            for what, held, told in (
+                ("vendor", identity.vendor, information.vendor_number),
+                ("product", identity.product, information.product_number),
+            ):
+                if told and held and told != held:
+                    raise StepFailed(
+                        f"the data sheet is of another device: {what} {told:08X}h",
+                        f"the drive says {held:08X}h",
+                        "give the data sheet of this drive, or none",
+                    )
+            revision = information.revision_number
+            if revision and identity.revision and revision != identity.revision:
+                outcome.say(f"revision {identity.revision:08X}h, the data sheet is for {revision:08X}h")
+        if not session.request.dry_run:
+            mark = DriveMark(identity.vendor, identity.product, identity.serial)
+            errors = session.objects.read_if_there(ERROR_HISTORY, 0, "B")
+            head = JournalHead(session.request.bus, session.request.node, mark, session.found.nmt, errors)
+            session.network.begin_journal(Journal(session.request.journal, head))
+        return outcome
+
+
+def _nmt_heard(session: "Session") -> int | None:
+    """The NMT state by the drive's heartbeat; None if it sends none."""
+    try:
+        period_ms = session.objects.read_if_there(0x1017, 0, "H")
+    except NoAnswer:
+        period_ms = None
+    if not period_ms:
+        return None
+    session.network.status(session.request.node)
+    session.wait(2.5e-3 * period_ms)
+    state = session.network.status(session.request.node).state
+    return None if state is None else int(state)
+
+
+class DumpStep(Step):
+    """Read everything, and tell what differs from the factory's settings."""
+
+    name = "dump"
+    title = "All parameters"
+    needs = ("identity",)
+
+    def plan(self, session: "Session", /) -> str:
+        if session.dictionary is None:
+            return "read the objects of CiA 301 and CiA 402 into parameters.txt"
+        return "read every object of the data sheet into parameters.txt, and compare with its defaults"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        found = dump(session.network, session.request.node, session.dictionary, session.check_stop)
+        session.found.dump = found
+        lines = [f"{index:04X}h:{sub:02X} {value.hex()}" for (index, sub), value in sorted(found.items())]
+        session.request.out.mkdir(parents=True, exist_ok=True)
+        (session.request.out / "parameters.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        outcome.say(f"{len(found)} objects read into parameters.txt")
+        outcome.figures = {"objects": len(found)}
+        if session.dictionary is not None:
+            others = differing(found, session.dictionary)
+            outcome.say(f"{len(others)} settings differ from the data sheet's defaults")
+            outcome.lines += [f"- {line}" for line in others[:_SHOWN]]
+            gone = missing(found, session.dictionary)
+            if gone:
+                outcome.say(f"{len(gone)} objects of the data sheet cannot be read: {', '.join(gone[:5])}")
+            outcome.figures |= {"differing": len(others), "missing": len(gone)}
+        return outcome
+
+
+class UnitsTold(Step):
+    """What the drive's own objects say of its units, and what the nameplate says to that."""
+
+    name = "units"
+    title = "Units as told"
+    needs = ("identity",)
+    essential = True
+
+    def plan(self, _session: "Session", /) -> str:
+        return (
+            "read ratings, resolutions, gear, feed, unit words and polarity, and compare with the nameplate"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        found, plate, objects = session.found, session.request.nameplate, session.objects
+        values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
+        override = ScaleOverride()
+        if not values.get((Object.MOTOR_RATED_TORQUE, 0)) and plate.rating.torque_nm:
+            override = ScaleOverride(rated_torque_nm=plate.rating.torque_nm)
+            outcome.say(
+                f"6076h tells no rated torque; the nameplate's {plate.rating.torque_nm:g} N m is taken"
+            )
+        try:
+            told = scaling_from(values, override)
+        except PeerFault as error:
+            counts = plate.encoder.counts_per_revolution
+            if counts is None:
+                raise
+            outcome.faults.append(f"{error}; the nameplate's {counts} counts per turn are taken")
+            override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
+            told = scaling_from(values, override)
+        found.told, found.override = told, override
+        _compare_ratings(session, outcome, told.rated_torque_nm)
+        for name, value, unit in (
+            ("position", told.position_rad, "rad"),
+            ("velocity", told.velocity_rad_s, "rad/s"),
+            ("torque", told.torque_nm, "N m"),
+        ):
+            outcome.say(f"one {name} unit is {value:.6g} {unit} ({told.sources.get(name, 'told')})")
+        polarity = objects.read_if_there(Object.POLARITY, 0, "B")
+        outcome.say("no polarity object 607Eh" if polarity is None else f"polarity 607Eh is {polarity:02X}h")
+        outcome.figures |= {
+            "position_rad": told.position_rad,
+            "velocity_rad_s": told.velocity_rad_s,
+            "rated_torque_nm": told.rated_torque_nm,
+            "polarity": polarity,
+        }
+        found.modes = _modes(session)
+        named = ", ".join(mode.name.lower().replace("_", " ") for mode in found.modes) or "none of use here"
+        outcome.say(f"modes: {named}")
+        rated = found.override.rated_torque_nm or told.rated_torque_nm
+        rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
+        found.limits = motion_limits(plate, rated, rpm)
+        limits = found.limits
+        outcome.say(
+            f"host limits: {limits.torque_nm:.4g} N m, {limits.speed_rad_s / RAD_S_PER_RPM:.0f} r/min, "
+            f"{limits.power_w:.4g} W, {limits.energy_j:.4g} J a step"
+        )
+        mode = session.motion_mode()
+        if mode is not None:
+            found.period, load = session.choose_period(mode)
+            outcome.say(f"period {found.period / 1e3:.0f} us, at most {load:.0f} % bus load")
+        return outcome
+
+
+def _compare_ratings(session: "Session", outcome: Outcome, torque_nm: float) -> None:
+    """6076h and 6075h against the nameplate; the nameplate is believed for the torque."""
+    rating = session.request.nameplate.rating
+    if rating.torque_nm is None:
+        outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
+    elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
+        outcome.faults.append(
+            f"torque unit: 6076h says {torque_nm:g} N m, the nameplate {rating.torque_nm:g} N m; "
+            "the nameplate is taken"
+        )
+        session.overridden(rated_torque_nm=rating.torque_nm)
+        outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
+    current_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
+    if rating.current_a and current_ma and abs(current_ma / 1e3 / rating.current_a - 1.0) > _RATING_TOLERANCE:
+        outcome.faults.append(
+            f"current unit: 6075h says {current_ma / 1e3:g} A, the nameplate {rating.current_a:g} A rms"
+        )
+        outcome.figures["current_fault"] = current_ma / 1e3 / rating.current_a
+
+
+def _modes(session: "Session") -> tuple[Mode, ...]:
+    """By 6502h; a drive that does not say is tried with every mode later on."""
+    bits = session.objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
+    if not bits:
+        return tuple(QUANTITY_OF_MODE)
+    return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode))
+
+
+def told_integer(session: "Session", index: int, sub: int = 0) -> int | None:
+    """An object out of the dump, or from the drive."""
+    return whole(session.found.dump, index, sub) or session.objects.read_if_there(index, sub)

@@ -1,0 +1,300 @@
+"""Steps that find out which way the shaft turns, and whether its units are what the drive says."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from drivers.drive_setup import write_optional
+from drivers.objects402 import Object
+from drivers.timebase import NS_PER_S
+from hil.commissioning.drive_port import Quantity
+from hil.commissioning.excitation import Pulse, SpeedCommand
+from hil.commissioning.exercise import Exerciser, Recording
+from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
+from hil.commissioning.session import held_s
+from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.turn import can_home, hand_turn, index_turn
+from hil.scenario import Ramp, Segment
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+POSITION_BIT: Final = 0x80
+VELOCITY_BIT: Final = 0x40
+_NEAR_TURNS: Final = 0.003
+_NEAR_UNITS: Final = 4
+_PULSE_TURNS: Final = 0.05
+_LONG_PULSE_TURNS: Final = 0.25
+_NUDGES: Final = 4
+_PULSE_S: Final = 6.0
+_RATIO_TOLERANCE: Final = 0.03
+_ROUGH_WINDOW_S: Final = 0.03
+_ROUGH_PERIODS: Final = 15
+
+
+class Polarity(Step):
+    """A pulse each way: which way do position and velocity count."""
+
+    name = "polarity"
+    title = "Direction and polarity"
+    needs = ("enable",)
+    writes = True
+    moves = True
+    essential = True
+
+    def plan(self, session: "Session", /) -> str:
+        limits = session.limits
+        if session.torque_mode() is None:
+            return f"turn a few hundredths of a turn each way at up to {0.05 * limits.speed_rad_s:.3g} rad/s"
+        return (
+            f"raise the torque slowly, up to {limits.torque_nm:.4g} N m, until the shaft turns "
+            f"{_PULSE_TURNS:g} turns, the same backwards; then put 607Eh right"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        position, against = _signs(session, outcome)
+        velocity = position * against
+        outcome.figures = {"position_sign": position, "velocity_sign": velocity}
+        if position > 0 and velocity > 0:
+            outcome.say("positive set-points turn the shaft towards positive positions, at positive velocity")
+            return outcome
+        wrong = (POSITION_BIT if position < 0 else 0) | (VELOCITY_BIT if velocity < 0 else 0)
+        outcome.faults.append(
+            f"polarity: a positive set-point turns the position {'up' if position > 0 else 'down'} "
+            f"and shows {'positive' if velocity > 0 else 'negative'} velocity"
+        )
+        if self._by_object(session, wrong, outcome):
+            return outcome
+        port = session.port
+        assert port is not None
+        port.torque_sign, port.velocity_sign = float(position), float(against)
+        outcome.say("607Eh does not help; the bench turns the signs itself")
+        return outcome
+
+    def _by_object(self, session: "Session", wrong: int, outcome: Outcome) -> bool:
+        """Turn bits of 607Eh over, and look whether that helped; else put them back."""
+        held = session.objects.read_if_there(Object.POLARITY, 0, "B")
+        if held is None:
+            return False
+        wanted = held ^ wrong
+        if write_optional(session.objects, Object.POLARITY, "B", wanted, "polarity"):
+            return False
+        session.configure()
+        if _signs(session, Outcome()) == (1, 1):
+            outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {wanted:02X}h now"
+            outcome.figures["polarity"] = wanted
+            return True
+        session.objects.write(Object.POLARITY, 0, "B", held)
+        session.configure()
+        return False
+
+
+def _signs(session: "Session", outcome: Outcome) -> tuple[int, int]:
+    """Sign of the position against the set-point, and of the velocity against the position."""
+    recordings = pulses(session, _PULSE_TURNS)
+    signs = []
+    for direction, recording in zip((1.0, -1.0), recordings, strict=True):
+        moved = float(recording.position[-1] - recording.position[0])
+        outcome.say(f"set-point {'+' if direction > 0 else '-'}: {moved / math.tau:+.4f} turns")
+        signs.append(math.copysign(1.0, moved * direction))
+    if signs[0] != signs[1]:
+        raise StepFailed("the shaft turns the same way for both signs", "; ".join(outcome.lines))
+    ratio = _velocity_ratio(recordings)
+    if math.isnan(ratio) or ratio == 0.0:
+        raise StepFailed("the velocity 606Ch stays at 0 while the position changes")
+    return int(signs[0]), int(math.copysign(1.0, ratio))
+
+
+def pulses(session: "Session", far_turns: float) -> list[Recording]:
+    """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
+    limits, found = session.limits, session.found
+    far = far_turns * math.tau
+    if limits.travel_rad is not None:
+        far = min(far, 0.4 * limits.travel_rad)
+    recordings = []
+    with session.enabled():
+        exerciser = session.exerciser()
+        for direction in (1.0, -1.0):
+            if exerciser.port.quantity is not Quantity.TORQUE:
+                recordings.append(_nudges(exerciser, direction, far))
+                continue
+            assert found.told is not None
+            unit = found.override.position_rad or found.told.position_rad
+            near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * unit)
+            rise = limits.torque_slew_nm_s * 0.02  # the rated torque in a second
+            pulse = Pulse(direction * limits.torque_nm, rise, near, max(far, 2.0 * near), exerciser.period_s)
+            recording = exerciser.run(pulse, _PULSE_S, done=pulse.done, guard_speed=False)
+            if not pulse.moved:
+                raise StepFailed(
+                    f"the shaft does not turn with {limits.torque_nm:.4g} N m",
+                    f"{abs(recording.position[-1] - recording.position[0]) / math.tau:.5f} turns",
+                    "a brake, or a blocked shaft? limits.torque_max_percent in the nameplate allows more",
+                )
+            recordings.append(recording)
+    return recordings
+
+
+def _nudges(exerciser: Exerciser, direction: float, far: float) -> Recording:
+    """Short runs at a low speed until one leads far enough, for a drive that takes speeds."""
+    speed = min(0.02 * exerciser.limits.speed_rad_s, far / 0.5)
+    for _ in range(_NUDGES):
+        recording = _nudge(exerciser, direction * speed, far)
+        if abs(recording.position[-1] - recording.position[0]) >= 0.5 * far:
+            break
+        # The unit of the speed may be another than the drive tells.
+        speed = min(3.0 * speed, 0.5 * exerciser.limits.speed_rad_s)
+    return recording
+
+
+def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
+    over = 0.1
+    hold = max(0.3, abs(far / speed))
+    reference: list[Segment] = [Ramp(0.0, speed, over), Ramp(over + hold, 0.0, over)]
+    return exerciser.run(SpeedCommand(), hold + 2.0 * over + 0.3, reference, guard_speed=False)
+
+
+def _velocity_ratio(recordings: list[Recording]) -> float:
+    ratios = [ratio_of(recording.time, recording.velocity, recording.position) for recording in recordings]
+    return sum(ratios) / len(ratios)
+
+
+class MotionUnits(Step):
+    """Velocity against the derivative of the position; a first idea of inertia and friction."""
+
+    name = "motion_units"
+    title = "Velocity against position"
+    needs = ("polarity",)
+    writes = True
+    moves = True
+    essential = True
+
+    def plan(self, _session: "Session", /) -> str:
+        return f"turn {_LONG_PULSE_TURNS:g} turns each way and compare the velocity with the path"
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        found = session.found
+        recordings = pulses(session, _LONG_PULSE_TURNS)
+        told = found.told
+        assert told is not None
+        used = (found.override.velocity_rad_s or told.velocity_rad_s) / told.velocity_rad_s
+        found.velocity_ratio = ratio = abs(_velocity_ratio(recordings)) / used
+        outcome.figures = {"velocity_over_path": ratio}
+        outcome.say(f"velocity 606Ch is {ratio:.4g} of the derivative of the position 6064h")
+        if abs(ratio - 1.0) > _RATIO_TOLERANCE:
+            factor = plain_ratio(ratio)
+            outcome.faults.append(
+                f"velocity and position units contradict each other by {factor:.6g}; "
+                "which one is wrong a turn will show"
+            )
+            session.overridden(velocity_rad_s=told.velocity_rad_s / factor)
+            session.configure()
+        if session.torque_mode() is not None:
+            self._rough(session, recordings, outcome)
+        return outcome
+
+    def _rough(self, session: "Session", recordings: list[Recording], outcome: Outcome) -> None:
+        data = [(recording.time, recording.position, recording.torque) for recording in recordings]
+        try:
+            window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
+            session.found.rough = identify_mechanics(
+                data, window_s, with_viscous=False, with_offset=False, held_s=held_s(session)
+            )
+        except NotIdentifiable as error:
+            raise StepFailed("the pulses tell nothing of the inertia", str(error)) from error
+        rough = session.found.rough
+        if rough.inertia_kg_m2 <= 0.0:
+            raise StepFailed("the pulses give no positive inertia", f"{rough.inertia_kg_m2:.3g} kg m^2")
+        outcome.say(
+            f"for a start: inertia {rough.inertia_kg_m2:.3g} kg m^2, "
+            f"friction {rough.coulomb_friction_nm:.3g} N m"
+        )
+
+
+class Turn(Step):
+    """One real turn of the motor, measured in the drive's position units."""
+
+    name = "turn"
+    title = "Encoder counts by a turn"
+    needs = ("motion_units",)
+    writes = True
+    moves = True
+
+    def left_out(self, session: "Session") -> str | None:
+        travel = session.limits.travel_rad
+        if travel is not None and travel < 3.0 * math.tau:
+            return f"only {travel / math.tau:g} turns are allowed"
+        known = session.request.nameplate.encoder.counts_per_revolution is not None
+        if not (known or session.dialog.attended or can_home(session)):
+            return "no homing, nobody there to turn the shaft, and no nameplate that tells the encoder"
+        return None
+
+    def plan(self, _session: "Session", /) -> str:
+        return (
+            "look for two index pulses in a row by homing (method 34) at low speed, "
+            "or have the shaft turned by hand; compare with the position unit"
+        )
+
+    def run(self, session: "Session") -> Outcome:
+        outcome = Outcome()
+        found = session.found
+        told = found.told
+        assert told is not None
+        units, how = index_turn(session)
+        if units is None and session.dialog.attended:
+            units, how = hand_turn(session)
+        counts = session.request.nameplate.encoder.counts_per_revolution
+        if units is None and counts is not None:
+            units, how = float(counts), "the nameplate's encoder, whose counts are taken for position units"
+        if units is None:
+            raise StepFailed(
+                "no turn could be measured", how, "give encoder.counts_per_revolution in the nameplate"
+            )
+        believed = math.tau / told.position_rad
+        ratio = units / believed
+        outcome.figures = {"units_per_turn": units, "told_units_per_turn": believed}
+        outcome.say(f"one turn is {units:.6g} position units ({how}); the drive's objects say {believed:.6g}")
+        self._judge(session, ratio, outcome)
+        session.configure()
+        return outcome
+
+    def _judge(self, session: "Session", ratio: float, outcome: Outcome) -> None:
+        """Position by the turn, and velocity by the position."""
+        found = session.found
+        told = found.told
+        assert told is not None
+        assert found.velocity_ratio is not None
+        position = told.position_rad
+        if abs(ratio - 1.0) > _RATIO_TOLERANCE:
+            ratio = plain_ratio(ratio)
+            position /= ratio
+            outcome.faults.append(
+                f"position unit: {told.sources.get('position')} makes {told.position_rad:.6g} rad of it, "
+                f"it is {position:.6g} rad; that is taken"
+            )
+            outcome.figures["position_fault"] = ratio
+        # What the velocity unit is by the true position.
+        velocity = told.velocity_rad_s / found.velocity_ratio * position / told.position_rad
+        factor = velocity / told.velocity_rad_s
+        if abs(factor - 1.0) > _RATIO_TOLERANCE:
+            factor = plain_ratio(factor)
+            velocity = told.velocity_rad_s * factor
+            outcome.faults.append(
+                f"velocity unit: {told.sources.get('velocity')} makes {told.velocity_rad_s:.6g} rad/s of it, "
+                f"it is {velocity:.6g} rad/s; that is taken"
+            )
+            outcome.figures["velocity_fault"] = factor
+        else:
+            velocity = told.velocity_rad_s
+        session.overridden(position_rad=position, velocity_rad_s=velocity)
+        outcome.figures |= {"position_rad": position, "velocity_rad_s": velocity}
+        if found.rough is not None:
+            _rescale(session, position / told.position_rad)
+
+
+def _rescale(session: "Session", ratio: float) -> None:
+    """What the pulses told of the inertia was by the old position unit."""
+    rough = session.found.rough
+    assert rough is not None
+    session.found.rough = replace(rough, inertia_kg_m2=rough.inertia_kg_m2 / ratio)

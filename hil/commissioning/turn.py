@@ -1,0 +1,177 @@
+"""One turn of the motor in position units: by the encoder's index pulse, or by hand.
+
+Homing on the index pulse (methods 33 and 34 of CiA 402-2) sets the position to the home offset where the
+pulse is. The second homing in a row finds the next pulse, one turn on: there the position jumps back by what
+one turn is worth.
+
+    position      ____/|        /|
+                 /     |  ____ / |      the height of the second jump
+                /      |_/    /  |_
+"""
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from drivers.drive_setup import write_optional
+from drivers.errors import PeerFault
+from drivers.exchange import Reading
+from drivers.objects402 import Object
+from drivers.profile402 import Mode, State, Status, state_of, supported_mode_bit
+from drivers.timebase import NS_PER_S, Instant
+from hil.machine.stopping import Interrupted
+
+if TYPE_CHECKING:
+    from hil.commissioning.session import Session
+
+INDEX_POSITIVE: Final = 34
+_SPEEDS_TURNS_S: Final = (0.5, 2.0, 8.0)
+"""By the unit that the drive tells, which may be wrong: so the search begins slowly."""
+_SEARCH_S: Final = 5.0
+_SEARCHES: Final = 4
+_OVERSHOOT_MAX: Final = 0.4
+"""Of what is taken for a turn: behind half a turn it could be two."""
+_STALE_NS: Final = 20_000_000
+"""For so long the statusword may still tell of the homing before."""
+_SETTLED: Final = 36
+_HISTORY: Final = 12
+_JUMP_TURNS: Final = 0.01
+_START: Final = 1 << 4
+
+_FOUND: Final = Status.MODE_12
+_FAILED: Final = Status.MODE_13
+
+
+def can_home(session: "Session") -> bool:
+    """The drive has homing, as far as it tells."""
+    objects = session.objects
+    if objects.read_if_there(Object.HOMING_METHOD, 0, "b") is None:
+        return False
+    modes = objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
+    return not modes or bool(modes & supported_mode_bit(Mode.HOMING))
+
+
+def index_turn(session: "Session") -> tuple[float | None, str]:
+    """Position units of one turn, and how they were found; None with the reason if they were not."""
+    drive, objects, found = session.drive, session.objects, session.found
+    told = found.told
+    assert told is not None
+    if not can_home(session):
+        return None, "the drive has no homing"
+    unit_rad = found.override.position_rad or told.position_rad
+    velocity_rad_s = found.override.velocity_rad_s or told.velocity_rad_s
+    for turns_s in _SPEEDS_TURNS_S:
+        raw = max(1, round(turns_s * math.tau / velocity_rad_s))
+        refused = write_optional(objects, Object.HOMING_METHOD, "b", INDEX_POSITIVE, "homing on the index")
+        for sub in (1, 2):
+            refused += write_optional(objects, Object.HOMING_SPEEDS, "I", raw, "homing speed", sub)
+        if refused:
+            return None, "; ".join(refused)
+        with session.stop.armed():
+            try:
+                drive.change_mode(Mode.HOMING, session.deadline(1.0))
+                drive.enable(session.deadline(3.0))
+                turn_rad = _by_searches(session)
+                if turn_rad is not None:
+                    return turn_rad / unit_rad, f"index pulses at {turns_s:g} turns/s"
+            except Interrupted:
+                raise
+            except PeerFault as error:
+                return None, str(error)
+            finally:
+                session.calm()
+    return None, "no index pulse came"
+
+
+class _Found(NamedTuple):
+    """One homing to its end, rad."""
+
+    jump: float
+    """By how much the position was set back where the pulse was."""
+    overshoot: float
+    """How far the shaft went on behind it."""
+
+
+def _by_searches(session: "Session") -> float | None:
+    """What one turn is worth, rad by the units in use; None if no two pulses a turn apart were found.
+
+    A shaft that came to rest before the pulse that it had passed finds the same one again: that is no turn.
+    One that ran on over further pulses finds one several turns on: only a short way behind the pulse before
+    makes sure that it is the next.
+    """
+    last: _Found | None = None
+    for _ in range(_SEARCHES):
+        found = _search(session, _SEARCH_S)
+        if found is None:
+            return None
+        turn = abs(found.jump)
+        if last is not None and turn > 0.0 and last.overshoot < _OVERSHOOT_MAX * turn:
+            return turn
+        last = found
+    return None
+
+
+def _search(session: "Session", limit_s: float) -> _Found | None:
+    """Home once; None if no pulse came in time."""
+    control, network, drive = session.drive.control, session.network, session.drive
+    history: list[Reading] = []
+    jump = 0.0
+    control.set_bits(_START, 0)
+    session.wait(0.005)
+    drive.take_readings()
+    control.set_bits(_START, _START)
+    started = session.clock_now
+    deadline = session.deadline(limit_s)
+    passed_rad: float | None = None
+    settled = 0
+    try:
+        while network.clock.now() < deadline:
+            network.pump(Instant(network.clock.now() + session.found.period))
+            network.send_sync()
+            session.check_stop()
+            for reading in drive.take_readings():
+                word = reading.statusword
+                if state_of(word) is not State.OPERATION_ENABLED or word & _FAILED:
+                    return None
+                jump += _jump(history, reading)
+                history.append(reading)
+                del history[:-_HISTORY]
+                fresh = reading.received_at - started > _STALE_NS
+                if fresh and word & _FOUND and passed_rad is None:
+                    passed_rad = reading.position_rad
+                ended = fresh and word & _FOUND and word & Status.TARGET_REACHED
+                settled = settled + 1 if ended else 0
+                if settled > _SETTLED and passed_rad is not None:
+                    return _Found(jump, abs(reading.position_rad - passed_rad))
+        return None
+    finally:
+        control.set_bits(_START, 0)
+
+
+def _jump(history: list[Reading], reading: Reading) -> float:
+    """How much lower the position is than the motion before it leads to expect; 0 if it is as expected."""
+    if len(history) < _HISTORY:
+        return 0.0
+    first, last = history[0], history[-1]
+    passed_s = (last.received_at - first.received_at) / NS_PER_S
+    speed = (last.position_rad - first.position_rad) / passed_s if passed_s > 0.0 else 0.0
+    step_s = (reading.received_at - last.received_at) / NS_PER_S
+    expected = last.position_rad + speed * step_s
+    difference = expected - reading.position_rad
+    if abs(difference) < _JUMP_TURNS * math.tau:
+        return 0.0
+    history.clear()
+    return difference
+
+
+def hand_turn(session: "Session") -> tuple[float | None, str]:
+    """Have somebody turn the shaft by one turn, with the drive disabled."""
+    dialog, objects = session.dialog, session.objects
+    before = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+    reply = dialog.line(
+        "    Mark the shaft, turn it by hand by exactly one turn, and press Enter; s if it cannot.",
+        session.idle,
+    )
+    after = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+    if reply.lower().startswith("s") or after == before:
+        return None, "the shaft was not turned by hand"
+    return float(abs(after - before)), "by hand"

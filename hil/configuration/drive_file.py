@@ -1,0 +1,87 @@
+"""Drive files: what commissioning found of one drive, for a bench to run it with.
+
+``hil commission`` leaves one, ``drive.toml``; a bench file names it as ``drive.NAME.commissioned``.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from drivers.scaling import ScaleOverride
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+
+Sign = Literal[-1, 1]
+
+
+class DriveMarks(Section):
+    """``[drive]``: by what the drive is known again."""
+
+    node: int = Field(ge=1, le=127)
+    name: str = ""
+    vendor: int = Field(ge=0)
+    product: int = Field(ge=0)
+    revision: int = Field(default=0, ge=0)
+    serial: int = Field(default=0, ge=0)
+
+
+class Scale(Section):
+    """``[scale]``: factors that the drive's own objects tell wrong; absent: believe the drive."""
+
+    position_rad: float | None = Field(default=None, gt=0)
+    """rad of the motor shaft per position unit."""
+    velocity_rad_s: float | None = Field(default=None, gt=0)
+    rated_torque_nm: float | None = Field(default=None, gt=0)
+
+
+class Signs(Section):
+    """``[signs]``: what no object of the drive turns round."""
+
+    torque: Sign = 1
+    """-1: positive torque turns the position down."""
+    velocity: Sign = 1
+    """-1: the velocity counts against the position."""
+
+
+class SetObject(Section):
+    """``[[object]]``: a setting that the run rests on, written before the drive is set up."""
+
+    index: int = Field(ge=0x1000, le=0xFFFF)
+    sub: int = Field(default=0, ge=0, le=255)
+    bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
+
+
+class DriveFile(Section):
+    """A whole drive file. Limits and controller are suggestions, for a bench file to copy."""
+
+    drive: DriveMarks = Field(description="the table [drive]")
+    scale: Scale = Scale()
+    signs: Signs = Signs()
+    object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
+    limits: dict[str, Any] = Field(default_factory=dict)
+    controller: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def override(self) -> ScaleOverride:
+        """``scale`` as the drive client takes it."""
+        scale = self.scale
+        return ScaleOverride(
+            position_rad=scale.position_rad,
+            velocity_rad_s=scale.velocity_rad_s,
+            rated_torque_nm=scale.rated_torque_nm,
+        )
+
+    @property
+    def turned(self) -> bool:
+        """The bench has to turn signs itself."""
+        return self.signs.torque < 0 or self.signs.velocity < 0
+
+
+def load_drive_file(path: Path, named_by: NamedBy | None = None) -> DriveFile:
+    """The drive file at ``path``. Raises BadInput or BadInputs."""
+    tables = read_toml(path, "drive file", named_by)
+    try:
+        return DriveFile.model_validate(tables)
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, DriveFile))

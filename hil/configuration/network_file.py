@@ -1,0 +1,105 @@
+"""Network files: what a network does to readings and commands, measured by ``hil run`` or written by hand.
+
+A run leaves one, ``network.toml``, in its folder; ``hil design speed --network`` designs for it, and
+``hil run --network`` holds a controller's own against it before anything moves.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from drivers.errors import BadInput
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.toml_text import toml_text
+
+NETWORK_FILE = "network.toml"
+
+
+class Delays(Section):
+    """A distribution of delays, us."""
+
+    p50: float = Field(ge=0)
+    p99: float = Field(ge=0)
+    p999: float = Field(ge=0)
+    max: float = Field(ge=0)
+
+
+class DelayHistogram(Section):
+    """``histogram``: as a fault plan's [[measured_delay]] takes it, so that the network can be replayed."""
+
+    edges_us: Annotated[tuple[float, ...], Field(strict=False, min_length=2)]
+    counts: Annotated[tuple[int, ...], Field(strict=False, min_length=1)]
+
+
+class Network(Section):
+    """``[network]``: the first three keys are what a design needs, the others are evidence."""
+
+    period_us: int = Field(gt=0, le=1_000_000, description="the sampling period, us")
+    losses_in_a_row_max: int = Field(ge=0, le=1000, description="most readings missing in a row")
+    delay_max_us: int = Field(ge=0, description="largest delay from sample to actuator, us")
+    command_losses_in_a_row_max: int = Field(default=0, ge=0, le=1000)
+    """Commands lost in a row: the host cannot see them, who knows them adds them here."""
+    cycles: int = Field(default=0, ge=0)
+    """Readings asked for; all axes together."""
+    lost: int = Field(default=0, ge=0)
+    late: int = Field(default=0, ge=0)
+    stale: int = Field(default=0, ge=0)
+    loss_percent: float = Field(default=0.0, ge=0, le=100)
+    losses_in_a_row: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    """How often exactly 1, 2, ... readings were missing in a row."""
+    reading_delay_us: Delays | None = None
+    """From sample to host, of every reading that came."""
+    action_delay_us: Delays | None = None
+    """From sample to the actuation that can first rest on it."""
+    histogram: DelayHistogram | None = None
+    """Of the readings' delay."""
+
+    @property
+    def losses_max(self) -> int:
+        """D of [Ling2012] (2.13): losses in a row on both ways together, their (2.11)."""
+        return self.losses_in_a_row_max + self.command_losses_in_a_row_max
+
+    @property
+    def period_s(self) -> float:
+        """h, s."""
+        return self.period_us * 1e-6
+
+    @property
+    def delay_max_s(self) -> float:
+        """T, s."""
+        return self.delay_max_us * 1e-6
+
+    @property
+    def age_max_s(self) -> float:
+        """Longest time for which a sample acts, [Ling2012] (2.13): (D + 1) h + T, s."""
+        return (self.losses_max + 1) * self.period_s + self.delay_max_s
+
+
+class NetworkFile(Section):
+    """A whole file."""
+
+    network: Network = Field(description="the table [network]")
+
+
+def load_network(path: Path, option: str = "--network") -> Network:
+    """The network in the file at ``path``. Raises BadInput or BadInputs."""
+    tables = read_toml(path, "network file", NamedBy(option, "", str(path)))
+    try:
+        found = NetworkFile.model_validate(tables).network
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, NetworkFile))
+    if found.histogram and len(found.histogram.edges_us) != len(found.histogram.counts) + 1:
+        raise BadInput(
+            str(path),
+            "network.histogram.edges_us",
+            f"{len(found.histogram.edges_us)} edges",
+            f"one more than the {len(found.histogram.counts)} counts",
+        )
+    return found
+
+
+def network_text(network: Network) -> str:
+    """The file of ``network``."""
+    return toml_text({"network": network.model_dump(mode="json", exclude_none=True)})

@@ -1,0 +1,59 @@
+"""Plant files: the standard problem of an H-infinity synthesis, as TOML or JSON."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from design.hinf_plant import GeneralisedPlant
+from design.statespace import state_space
+from drivers.errors import BadInput
+from hil.configuration.config_errors import raise_all, translate
+from hil.configuration.config_files import NamedBy, Section, read_toml, require_file
+
+Row = Annotated[tuple[Annotated[float, Field(strict=False)], ...], Field(strict=False)]
+Matrix = Annotated[tuple[Row, ...], Field(strict=False)]
+
+
+class PlantFile(Section):
+    """x' = A x + B [w; u], [z; y] = C x + D [w; u]."""
+
+    A: Matrix = Field(description="n rows of n numbers")
+    B: Matrix = Field(description="n rows, the columns of w, then those of u")
+    C: Matrix = Field(description="the rows of z, then those of y, of n numbers")
+    D: Matrix = Field(description="the rows of z, then y; the columns of w, then u")
+    controls: int = Field(ge=1, description="how many of the inputs are controls u, the last ones")
+    measurements: int = Field(ge=1, description="how many of the outputs are measurements y, the last ones")
+
+
+def load_plant(path: Path) -> GeneralisedPlant:
+    """The plant in the file at ``path``. Raises BadInput or BadInputs."""
+    tables = _tables(path, NamedBy("PLANT.toml", "", str(path)))
+    try:
+        found = PlantFile.model_validate(tables)
+    except ValidationError as error:
+        raise_all(translate(error, str(path), tables, PlantFile))
+    for name in "ABCD":
+        if len({len(row) for row in getattr(found, name)}) > 1:
+            raise BadInput(str(path), name, "rows of different lengths", "rows of one length")
+    try:
+        system = state_space(found.A, found.B, found.C, found.D)
+        return GeneralisedPlant(system, found.controls, found.measurements)
+    except ValueError as error:
+        raise BadInput(
+            str(path), "", str(error), "matrices that fit: A (n, n), B (n, m), C (p, n), D (p, m)"
+        ) from None
+
+
+def _tables(path: Path, named_by: NamedBy) -> dict[str, Any]:
+    if path.suffix != ".json":
+        return read_toml(path, "plant file", named_by)
+    require_file(path, "plant file", named_by)
+    try:
+        tables = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BadInput(str(path), "", "no JSON", f"a JSON object ({error})") from None
+    if not isinstance(tables, dict):
+        raise BadInput(str(path), "", type(tables).__name__, "a JSON object with A, B, C, D")
+    return tables

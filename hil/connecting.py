@@ -1,0 +1,23 @@
+"""Waiting for a drive's first answer, in which a user may lose patience."""
+
+from drivers.drive_setup import Identity
+from drivers.errors import NoAnswer
+from drivers.servo import ServoDrive
+from drivers.timebase import duration_s
+from hil.machine.stopping import StopRequest
+
+_SLICE_S = 0.3
+"""How long a stop signal may wait to be heard."""
+
+
+def connect(drive: ServoDrive, timeout_s: float, stop: StopRequest) -> Identity:
+    """Who answers. Raises NoAnswer after ``timeout_s``, Interrupted once a stop signal has come."""
+    network = drive.network
+    deadline = network.deadline_after(duration_s(timeout_s))
+    while True:
+        stop.check()
+        try:
+            return drive.connect(min(deadline, network.deadline_after(duration_s(_SLICE_S))))
+        except NoAnswer:
+            if network.clock.now() >= deadline:
+                raise

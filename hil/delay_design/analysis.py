@@ -1,0 +1,215 @@
+"""What ``hil analyse speed`` answers: figures of a speed loop with delay, exact, certified and by chance."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from design.certificate import (
+    CLOSE_ENOUGH,
+    ORDER_MAX,
+    CertifiedGain,
+    certified_delay_s,
+    certified_gain,
+    certified_gain_auto,
+)
+from design.delay_loop import Array, DelayLoop
+from design.delay_norm import hinf_peak, largest_stable_delay_s
+from design.delay_response import step_peak
+from design.errors import NoSolution
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.lifting import sampled_gain
+from design.lmi import SOLVER
+from design.loss_patterns import Pattern, chain_of, deliveries_of, repeated
+from design.monte_carlo import Chance, Estimate, run_many
+from design.motor import PmsmParameters
+from design.sampled import SampledAnalysis, analyse_sampled
+from design.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopRequest:
+    """A loop to analyse."""
+
+    motor: PmsmParameters
+    K: Array
+    """Two gains, or three with the integral of the speed error."""
+    delay_s: float
+    order: int | None
+    """Of the certificate; None: the lowest that comes close to the exact gain."""
+    load_nm: float
+    speed_rad_s: float
+    """Load and speed for the figures in percent."""
+
+
+def finite(value: float) -> float | None:
+    """``value``; None if it is not finite, which JSON has no word for."""
+    return value if math.isfinite(value) else None
+
+
+def continuous_figures(request: LoopRequest) -> dict[str, Any]:
+    """The loop with the constant delay, [Ling2012] (2.15). No value is infinite; None stands for that."""
+    model = speed_model(request.motor, integral=len(request.K) == 3)
+    loop = model.loop(request.K, request.delay_s)
+    exact = hinf_peak(loop)
+    stable = math.isfinite(exact.gain)
+    certified, certificate = _certified(model, loop, request.order)
+    delay_max_s = largest_stable_delay_s(loop)
+    delay_certified_s, delay_order = _certified_delay(model, loop, request.order, delay_max_s)
+    peak = step_peak(loop)
+    floor = peak_floor_rad_s(request.motor, request.delay_s)
+    gamma_certified = math.inf if certified is None else certified.gain
+    return {
+        "stable": stable,
+        "gain": request.K.tolist(),
+        "delay_s": request.delay_s,
+        "gamma_exact": finite(exact.gain),
+        "peak_frequency_rad_s": exact.frequency_rad_s if stable else None,
+        "gamma_certified": finite(gamma_certified),
+        "order": None if certified is None else certified.order,
+        "order_limit_reached": request.order is None
+        and stable
+        and gamma_certified > CLOSE_ENOUGH * exact.gain,
+        "certificate": certificate,
+        "delay_max_exact_s": finite(delay_max_s),
+        "delay_max_certified_s": finite(delay_certified_s),
+        "delay_order": delay_order,
+        "step_load_nm": 1.0,
+        "step_peak_rad_s": finite(peak),
+        "step_peak_floor_rad_s": floor,
+        "percent": _percent(request, exact.gain, gamma_certified, peak, floor),
+    }
+
+
+def _certified(
+    model: SpeedModel, loop: DelayLoop, order: int | None
+) -> tuple[CertifiedGain | None, dict[str, Any]]:
+    try:
+        found = certified_gain_auto(model, loop) if order is None else certified_gain(model, loop, order)
+    except NoSolution as error:
+        return None, {"solver": SOLVER, "status": str(error), "min_margin": None}
+    proof = found.proof
+    return found, {"solver": proof.solver, "status": proof.status, "min_margin": proof.min_margin}
+
+
+def _certified_delay(
+    model: SpeedModel, loop: DelayLoop, order: int | None, exact_s: float
+) -> tuple[float, int]:
+    """The largest delay that is certified stable, and by which order."""
+    if order is not None:
+        return certified_delay_s(model, loop, order), order
+    best_s, best_order = 0.0, 0
+    for tried in range(ORDER_MAX + 1):
+        found_s = certified_delay_s(model, loop, tried)
+        if found_s > best_s:
+            best_s, best_order = found_s, tried
+        if best_s * CLOSE_ENOUGH >= exact_s:
+            break
+    return best_s, best_order
+
+
+def _percent(
+    request: LoopRequest, exact: float, certified: float, peak: float, floor: float
+) -> dict[str, float | None]:
+    share = 100.0 * request.load_nm / request.speed_rad_s
+    return {
+        "load_nm": request.load_nm,
+        "speed_rad_s": request.speed_rad_s,
+        "gamma_exact": finite(exact * share),
+        "gamma_certified": finite(certified * share),
+        "step_peak_rad_s": finite(peak * request.load_nm),
+        "step_peak": finite(peak * share),
+        "step_peak_floor": floor * share,
+    }
+
+
+def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, Any]:
+    """The loop that really runs, over ``network``."""
+    model = speed_model(request.motor, integral=len(request.K) == 3)
+    found = analyse_sampled(model, request.K, network)
+    certificate = found.certificate
+    by_losses = _by_losses(HeldLoop(model, request.K, network), found)
+    gain = max(figure.gain for figure in by_losses)
+    return {
+        "strategy": network.strategy.value,
+        "period_s": network.period_s,
+        "loss_max": network.losses_max,
+        "tau_max_s": network.delay_max_s,
+        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
+        "age_max_s": network.age_max_s,
+        "decay_per_s": finite(min(figure.decay_per_s for figure in by_losses)),
+        "gamma_sampled": finite(gain),
+        "gamma_sampled_percent": finite(100.0 * gain * request.load_nm / request.speed_rad_s),
+        "by_losses": [
+            {"lost": lost, "decay_per_s": finite(figure.decay_per_s), "gamma": finite(figure.gain)}
+            for lost, figure in enumerate(by_losses)
+        ],
+        "certified": found.certified,
+        "certified_decay_per_s": None if certificate is None else certificate.decay_per_s,
+        "refuted": found.refuted,
+        "worst_pattern": _pattern(found.worst),
+        "sequence_certificate": {
+            "solver": SOLVER,
+            "status": certificate.status if certificate else found.without_certificate,
+            "min_margin": certificate.min_margin if certificate else None,
+        },
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Regular:
+    """With d lost of every d + 1: the least decay and the largest gain over the delays of the others."""
+
+    decay_per_s: float
+    gain: float
+
+
+def _by_losses(loop: HeldLoop, found: SampledAnalysis) -> list[_Regular]:
+    """For d from 0 to D; where a delay makes a difference, all are delayed by T, by a part, or not at all."""
+    figures = []
+    for pattern, gain in zip(found.regular, found.gains, strict=True):
+        interval = pattern.deliveries[0].interval
+        others = [repeated(loop, (each,)) for each in deliveries_of(loop) if each.interval == interval]
+        prompt = others[0]
+        if prompt.deliveries != pattern.deliveries:
+            gain = max(gain, sampled_gain(loop, chain_of(loop, prompt)))
+        figures.append(_Regular(min(other.decay_per_s for other in [pattern, *others]), gain))
+    return figures
+
+
+def _pattern(pattern: Pattern) -> dict[str, Any]:
+    return {
+        "decay_per_s": finite(pattern.decay_per_s),
+        "deliveries": [
+            {"delay_s": delivery.delay_s, "lost_after": delivery.interval - 1}
+            for delivery in pattern.deliveries
+        ],
+    }
+
+
+def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
+    """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
+    found = run_many(request.motor, request.K, network, chance)
+    share = 100.0 / request.speed_rad_s
+    quantiles = {f"p{100 * q:g}": found.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
+    return {
+        "runs": chance.runs,
+        "seed": chance.seed,
+        "duration_s": chance.duration_s,
+        "loss_probability": chance.loss_probability,
+        "load_nm": chance.load_nm,
+        "diverged": _estimate(found.diverged),
+        "peak_rad_s": {name: _estimate(value) for name, value in quantiles.items()},
+        "peak_percent": {name: _estimate(value, share) for name, value in quantiles.items()},
+        "largest_peak_rad_s": finite(float(np.max(found.peaks_rad_s))),
+    }
+
+
+def _estimate(found: Estimate, factor: float = 1.0) -> Mapping[str, float | None]:
+    return {
+        "value": finite(found.value * factor),
+        "low": finite(found.low * factor),
+        "high": finite(found.high * factor),
+    }

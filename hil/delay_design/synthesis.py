@@ -1,0 +1,293 @@
+"""What ``hil design speed`` answers: the best speed feedback for a delay, a network, or a wanted gain."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from design.certificate import CertifiedGain, certified_gain, certified_gain_auto
+from design.cone_complementarity import largest_ccl_delay
+from design.delay_loop import Array
+from design.delay_norm import hinf_norm
+from design.errors import DesignError, NoSolution
+from design.exact_delay import certified_starts, largest_exact_delay
+from design.held_loop import SampledNetwork, Strategy
+from design.lmi import SOLVER
+from design.lmi_design import largest_certified_delay, least_certified_gain
+from design.motor import PmsmParameters
+from design.sampled import SampledAnalysis, analyse_sampled
+from design.sampled_design import least_sampled_gain
+from design.speed_design import least_gain
+from design.speed_loop import Feedback, SpeedModel, peak_floor_rad_s, percent_of_speed, speed_model
+from hil.delay_design.analysis import finite
+
+_CCL_BISECTIONS = 12
+_CCL_SPAN = 1.5
+"""Over the least certified gain: where the bisection for Algorithm 4.2 begins."""
+_KEPT = 1.0 + 1e-6
+"""Share of the wanted gain that still counts as keeping it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignRequest:
+    """What is known, and what is wanted; ``gamma`` or the delay may be open, not both."""
+
+    motor: PmsmParameters
+    gamma: float | None
+    """Wanted gain from load torque to speed error, rad/s per N m; None: the least."""
+    delay_s: float | None
+    """The constant delay; None: the largest."""
+    network: SampledNetwork | None
+    """The network behind the delay, for the figures of the sampled loop."""
+    method: str
+    """exact, lmi or ccl."""
+    feedback: Feedback
+    integral: bool
+    load_nm: float
+    speed_rad_s: float
+    """For figures in percent."""
+    integral_time_s: float | None = None
+    for_sampled: bool = False
+    """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignResult:
+    """A feedback and what is proved of it."""
+
+    request: DesignRequest
+    K: Array
+    delay_s: float
+    gamma: float
+    """That the method vouches for at the delay; of the sampled loop, if that was made best."""
+    gamma_exact: float
+    """Of the loop with the constant delay; inf: unstable, though the sampled loop may not be."""
+    certified: CertifiedGain | None
+    """Of the loop with the constant delay; None if the sampled loop was made best."""
+    sampled: SampledAnalysis | None
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """For JSON."""
+        request = self.request
+        percent = percent_of_speed(self.gamma, request.load_nm, request.speed_rad_s)
+        floor = peak_floor_rad_s(request.motor, self.delay_s)
+        found: dict[str, Any] = {
+            "feasible": True,
+            "gain": self.K.tolist(),
+            "gamma": self.gamma,
+            "delay_s": self.delay_s,
+            "method": request.method,
+            "feedback": request.feedback.value,
+            "integral": request.integral,
+            "target": "sampled" if request.for_sampled else "constant",
+            "certificate": self._certificate(),
+            "gamma_exact": finite(self.gamma_exact),
+            "error_percent": percent,
+            "load_nm": request.load_nm,
+            "speed_rad_s": request.speed_rad_s,
+            "peak_floor_percent": percent_of_speed(floor, request.load_nm, request.speed_rad_s),
+        }
+        if self.sampled is not None and request.network is not None:
+            found["sampled"] = _sampled_figures(request.network, self.sampled)
+        return found
+
+    def _certificate(self) -> dict[str, Any]:
+        if self.certified is None:
+            assert self.sampled is not None
+            sequences = self.sampled.certificate
+            return {
+                "decay_per_s": None if sequences is None else sequences.decay_per_s,
+                "solver": SOLVER,
+                "status": self.sampled.without_certificate if sequences is None else sequences.status,
+                "min_margin": None if sequences is None else sequences.min_margin,
+            }
+        return {
+            "gamma": self.certified.gain,
+            "order": self.certified.order,
+            "solver": self.certified.proof.solver,
+            "status": self.certified.proof.status,
+            "min_margin": self.certified.proof.min_margin,
+        }
+
+
+def _sampled_figures(network: SampledNetwork, found: SampledAnalysis) -> dict[str, Any]:
+    certificate = found.certificate
+    return {
+        "strategy": network.strategy.value,
+        "period_s": network.period_s,
+        "loss_max": network.losses_max,
+        "tau_max_s": network.delay_max_s,
+        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
+        "gamma_sampled": finite(found.gain),
+        "decay_per_s": finite(min(found.decay_per_s, found.worst.decay_per_s)),
+        "certified": found.certified,
+        "certified_decay_per_s": None if certificate is None else certificate.decay_per_s,
+        "min_margin": None if certificate is None else certificate.min_margin,
+        "status": found.without_certificate if certificate is None else certificate.status,
+    }
+
+
+@dataclass(eq=False)
+class Unreachable(DesignError):
+    """The wanted gain is beyond reach at the delay; what is not, and what would bring it within reach."""
+
+    request: DesignRequest
+    delay_s: float
+    best: "_Found"
+    delay_needed_s: float | None
+    """At which the wanted gain could just be kept; None if at none that was found."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """For JSON: what was asked, the best there is, and each single change that would do."""
+        request = self.request
+        gamma = request.gamma or math.nan
+        return {
+            "feasible": False,
+            "method": request.method,
+            "demand": {
+                "gamma": gamma,
+                "delay_s": self.delay_s,
+                "error_percent": percent_of_speed(gamma, request.load_nm, request.speed_rad_s),
+            },
+            "best": {
+                "gain": self.best.K.tolist(),
+                "gamma": self.best.gamma,
+                "delay_s": self.delay_s,
+                "error_percent": percent_of_speed(self.best.gamma, request.load_nm, request.speed_rad_s),
+            },
+            "would_do": {
+                "load_nm": request.load_nm * gamma / self.best.gamma,
+                "delay_s": self.delay_needed_s,
+                **self._network_changes(),
+            },
+        }
+
+    def _network_changes(self) -> dict[str, Any]:
+        network, needed_s = self.request.network, self.delay_needed_s
+        if network is None or needed_s is None:
+            return {}
+        room_s = needed_s - network.delay_max_s
+        period_s = room_s / (network.losses_max + 1)
+        losses = math.floor(room_s / network.period_s * (1.0 + 1e-9)) - 1
+        return {
+            "period_s": period_s if period_s > 0.0 else None,
+            "loss_max": losses if losses >= 0 else None,
+        }
+
+    def __str__(self) -> str:
+        request, found = self.request, self.figures
+        demand, best, do = found["demand"], found["best"], found["would_do"]
+        ways = [f"a load step of at most {do['load_nm']:.4g} N m instead of {request.load_nm:g}"]
+        if do["delay_s"] is not None:
+            ways.append(f"a delay of at most {1e3 * do['delay_s']:.4g} ms")
+        if do.get("period_s") is not None:
+            ways.append(f"a period of at most {1e3 * do['period_s']:.4g} ms with the same losses")
+        if do.get("loss_max") is not None:
+            ways.append(f"at most {do['loss_max']} losses in a row at the same period")
+        if request.network is not None and not request.for_sampled:
+            ways.append("perhaps --target sampled, which makes the loop best that really runs")
+        return (
+            f"{_amount(demand)} is out of reach at a delay of {1e3 * self.delay_s:.4g} ms by the method "
+            f"{request.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
+        )
+
+
+def _amount(figures: dict[str, Any]) -> str:
+    return f"{figures['error_percent']:.4g} % of the speed ({figures['gamma']:.5g} rad/s per N m)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What a method ends with."""
+
+    K: Array
+    delay_s: float
+    gamma: float
+
+
+def design_speed(request: DesignRequest) -> DesignResult:
+    """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
+    model = speed_model(request.motor, integral=request.integral)
+    if request.for_sampled:
+        return _for_sampled(model, request)
+    if request.delay_s is None:
+        assert request.gamma is not None
+        found = _largest(model, request, request.gamma)
+    else:
+        found = _least(model, request, request.delay_s)
+        if request.gamma is not None and found.gamma > request.gamma * _KEPT:
+            raise Unreachable(request, request.delay_s, found, _needed(model, request))
+    loop = model.loop(found.K, found.delay_s)
+    exact = request.method == "exact"
+    certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
+    sampled = analyse_sampled(model, found.K, request.network) if request.network else None
+    return DesignResult(request, found.K, found.delay_s, found.gamma, hinf_norm(loop), certified, sampled)
+
+
+def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
+    network, delay_s = request.network, request.delay_s
+    assert network is not None
+    assert delay_s is not None
+    found = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
+    if request.gamma is not None and found.gain > request.gamma * _KEPT:
+        raise Unreachable(request, delay_s, _Found(found.K, delay_s, found.gain), None)
+    exact = hinf_norm(model.loop(found.K, delay_s))
+    sampled = analyse_sampled(model, found.K, network)
+    return DesignResult(request, found.K, delay_s, found.gain, exact, None, sampled)
+
+
+def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:
+    if request.method == "exact":
+        exact = largest_exact_delay(model, gamma, request.feedback, request.integral_time_s)
+        return _Found(exact.K, exact.delay_s, exact.gain)
+    if request.method == "lmi":
+        starts = certified_starts(model, gamma, request.feedback)
+        certified = largest_certified_delay(model, gamma, request.feedback, starts=starts)
+        return _Found(certified.K, certified.delay_s, certified.certified.gain)
+    linearised = largest_ccl_delay(model, gamma)
+    return _Found(linearised.K, linearised.delay_s, linearised.certified.gain)
+
+
+def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> _Found:
+    if request.method == "exact":
+        exact = least_gain(model, delay_s, request.feedback, request.integral_time_s)
+        return _Found(exact.K, delay_s, exact.gain)
+    certified = least_certified_gain(model, delay_s, request.feedback)
+    if request.method == "lmi":
+        return _Found(certified.K, delay_s, certified.certified.gain)
+    return _least_by_ccl(model, delay_s, certified.certified.gain)
+
+
+def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Found:
+    """Algorithm 4.2 asked for the delay: bisection over gamma, which lies above the least ``certified``."""
+    low, high = certified, certified * _CCL_SPAN
+    best: _Found | None = None
+    for _ in range(_CCL_BISECTIONS):
+        gamma = high if best is None else 0.5 * (low + high)
+        try:
+            found = largest_ccl_delay(model, gamma)
+        except NoSolution:
+            found = None
+        if found is not None and found.delay_s >= delay_s:
+            gain = certified_gain(model, model.loop(found.K, delay_s), 0).gain
+            high = min(gamma, gain)
+            if best is None or gain < best.gamma:
+                best = _Found(found.K, delay_s, gain)
+        elif best is None:
+            low, high = high, high * _CCL_SPAN
+        else:
+            low = gamma
+        if best is not None and high - low < 1e-3 * high:
+            break
+    if best is None:
+        raise NoSolution(f"Algorithm 4.2 for a delay of {delay_s * 1e3:g} ms", "no gain was found")
+    return best
+
+
+def _needed(model: SpeedModel, request: DesignRequest) -> float | None:
+    assert request.gamma is not None
+    try:
+        return _largest(model, request, request.gamma).delay_s
+    except NoSolution:
+        return None

@@ -1,0 +1,58 @@
+"""How a bench file wants its drives, and what their data sheets say of them."""
+
+from pathlib import Path
+
+from drivers.dictionary import LoadedDictionary, load_dictionary
+from drivers.drive_setup import DriveSettings, Identity
+from drivers.fitness import assess
+from drivers.pdo_capability import capability_of
+from drivers.scaling import ScaleOverride
+from hil.configuration.config import BenchConfig
+from hil.loop import Actuation, LoopTiming
+
+
+def data_sheets(config: BenchConfig) -> dict[str, LoadedDictionary]:
+    """The dictionaries of the axes that name one, by axis. Raises BadInput for a file that cannot be read."""
+    return {
+        name: load_dictionary(Path(drive.eds), drive.node)
+        for name, drive in config.drive.items()
+        if drive.eds is not None
+    }
+
+
+def drive_settings(
+    config: BenchConfig, axis: str, timing: LoopTiming, sheet: LoadedDictionary | None
+) -> DriveSettings:
+    """What the drive of an axis is told before it is enabled."""
+    wanted, host = config.drive[axis], config.host
+    limits = wanted.limits
+    return DriveSettings(
+        sync_period_ns=timing.period,
+        synchronous_command=timing.actuation is Actuation.ON_SYNC,
+        position_every_cycles=config.loop.position_every_cycles,
+        drive_heartbeat_ms=wanted.heartbeat_ms,
+        drive_heartbeat_timeout_ms=wanted.heartbeat_timeout_ms,
+        host_heartbeat_ms=host.heartbeat_ms,
+        host_heartbeat_timeout_ms=host.heartbeat_timeout_ms,
+        torque_max_nm=limits.torque_max_nm,
+        speed_max_rad_s=limits.speed_max_rad_s,
+        quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
+        capability=None if sheet is None else capability_of(sheet),
+        unwatched=wanted.unwatched,
+        scale=ScaleOverride() if wanted.commissioned is None else wanted.commissioned.override,
+    )
+
+
+def identity_notes(identity: Identity, sheet: LoadedDictionary, node_id: int) -> list[str]:
+    """Where the drive that answers is another one than the sheet is for; what is not told does not differ."""
+    told = assess(sheet, node_id).identity
+    pairs = (
+        ("vendor", told.vendor, identity.vendor),
+        ("product", told.product, identity.product),
+        ("revision", told.revision, identity.revision),
+    )
+    return [
+        f"the data sheet is for {name} {of_sheet:08X}h, the drive is {of_drive:08X}h"
+        for name, of_sheet, of_drive in pairs
+        if of_sheet and of_drive and of_sheet != of_drive
+    ]

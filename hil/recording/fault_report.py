@@ -1,0 +1,69 @@
+"""``fault.txt`` in the folder of a run that bus or drive ended: the error, the EMCYs, and the last frames."""
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.nmt import Emergency
+from drivers.timebase import NS_PER_MS, Instant
+from hil.recording.run_folder import FRAMES_FILE
+from hil.testing.frame_names import frame_name
+
+FAULT_FILE = "fault.txt"
+FRAMES_MAX = 300
+EMERGENCIES_MAX = 50
+_LINE_BYTES_MAX = 80
+_FRAME = re.compile(r"^\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#([0-9A-F]*)")
+
+Make = tuple[int, str]
+"""Vendor-ID and device name."""
+
+
+def write_fault_report(
+    folder: Path, error: str, emergencies: Iterable[Emergency], makes: Mapping[int, Make], ended_at: Instant
+) -> None:
+    """Write it beside the other files of a run whose recording is closed; a full disk is borne.
+
+    ``makes``: of the nodes that told theirs, so that their EMCYs are in their maker's words.
+    """
+    lines = ["What ended the run:", *(f"  {line}" for line in error.splitlines()), ""]
+    told = list(emergencies)[-EMERGENCIES_MAX:]
+    lines += [
+        "EMCYs, the last ones, in ms before the end:",
+        *(_emergency(each, makes, ended_at) for each in told),
+    ]
+    lines += [] if told else ["  none"]
+    frames = last_frames(folder / FRAMES_FILE)
+    lines += ["", f"The last {len(frames)} frames, in ms before the last:", *frames]
+    with suppress(OSError):
+        (folder / FAULT_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _emergency(each: Emergency, makes: Mapping[int, Make], ended_at: Instant) -> str:
+    before_ms = (ended_at - each.at) / NS_PER_MS
+    return f"  {before_ms:10.3f}  node {each.node_id}: {each.told(*makes.get(each.node_id, (0, '')))}"
+
+
+def last_frames(path: Path, count: int = FRAMES_MAX) -> list[str]:
+    """The end of a candump file, each frame with its name; empty if there is none."""
+    try:
+        with path.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - count * _LINE_BYTES_MAX))
+            text = file.read().decode("ascii", errors="replace")
+    except OSError:
+        return []
+    found = [match for line in text.splitlines() if (match := _FRAME.match(line))][-count:]
+    if not found:
+        return []
+    end_s = float(found[-1][1])
+    return [_frame(match, end_s) for match in found]
+
+
+def _frame(match: re.Match[str], end_s: float) -> str:
+    digits = match[4]
+    data = bytes.fromhex(digits) if len(digits) % 2 == 0 else b""
+    name = frame_name(int(match[3], 16), data)
+    return f"  {(end_s - float(match[1])) * 1e3:10.3f}  {match[3]}#{digits:<16}  {name}"

@@ -1,0 +1,234 @@
+"""``hil scan``: the adapters of this machine, and who is on the bus behind one of them."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import can
+
+from drivers.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
+from drivers.bitrate import can_listen_only, detect_bitrate, open_listening
+from drivers.bus_scan import BusScan, NodeFound, Traffic
+from drivers.can_links import CanLink, can_links
+from drivers.errors import MISSING, BadInput, BusDown, NoAnswer
+from drivers.link import BusLink, StampSource
+from drivers.lss import LssAddress, LssMaster
+from drivers.network import CanopenNetwork
+from drivers.serial_adapters import SerialPort, serial_adapters
+from drivers.timebase import Duration, MonotonicClock
+from virtual_bus.can_bus.hub_place import HubPlace, known_hubs, try_lock
+from virtual_bus.hub import HubBus
+
+
+@dataclass(frozen=True, slots=True)
+class Adapters:
+    """What on this machine can be a bus."""
+
+    can_links: tuple[CanLink, ...]
+    serial_ports: tuple[SerialPort, ...]
+    others: tuple[str, ...]
+    """``interface:channel`` that python-can finds through vendors' libraries."""
+    hubs: tuple[str, ...]
+    """Hubs of this user that run."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "can_links": [{"spec": link.spec, **link._asdict()} for link in self.can_links],
+            "serial_ports": [{"spec": port.spec, **port._asdict()} for port in self.serial_ports],
+            "others": list(self.others),
+            "hubs": list(self.hubs),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPlan:
+    """What is to be done on a bus."""
+
+    spec: BusSpec
+    bitrate_bit_s: int | None
+    """None: the bus's own, found out by listening where that needs to be."""
+    listen: Duration
+    passive: bool = False
+    """Nothing is sent at all."""
+    assign: tuple[int, ...] = ()
+    """Node-IDs for the devices that have none, in the order in which they are found."""
+    store: bool = False
+    """They are to keep their node-IDs without power."""
+
+
+@dataclass(slots=True)
+class BusReport:
+    """What was found on a bus."""
+
+    spec: str
+    bitrate_bit_s: int | None
+    bitrate_detected: bool
+    traffic: Traffic = field(default_factory=Traffic)
+    nodes: list[NodeFound] = field(default_factory=list)
+    unconfigured: list[LssAddress] = field(default_factory=list)
+    assigned: list[tuple[int, LssAddress]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "spec": self.spec,
+            "bitrate_bit_s": self.bitrate_bit_s,
+            "bitrate_detected": self.bitrate_detected,
+            "frames_heard": self.traffic.frames,
+            "broadcasts_heard": dict(self.traffic.broadcasts),
+            "running": self.traffic.running,
+            "nodes": [{**asdict(node), "profile": node.profile} for node in self.nodes],
+            "unconfigured": [address._asdict() for address in self.unconfigured],
+            "assigned": [{"node_id": node_id, **address._asdict()} for node_id, address in self.assigned],
+            "notes": list(self.notes),
+        }
+
+
+def find_adapters() -> Adapters:
+    """Look at this machine; no adapter is opened and nothing is sent."""
+    from hil.machine.doctor_bus import detected_adapters
+
+    return Adapters(
+        tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), tuple(_running_hubs())
+    )
+
+
+def _running_hubs() -> list[str]:
+    """A hub that was killed leaves its socket, but not the lock that its broker holds."""
+    running = []
+    for name in known_hubs():
+        place = HubPlace(name)
+        if place.alive.exists():
+            descriptor = try_lock(place.alive)
+            if descriptor is None:
+                running.append(name)
+            else:
+                os.close(descriptor)
+    return running
+
+
+class _Opened(NamedTuple):
+    """A bus to be looked at."""
+
+    bus: OpenBus
+    bitrate_bit_s: int | None
+    detected: bool
+
+
+def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
+    """Look at the bus of ``plan``; ``say`` is told what is being done.
+
+    Raises BadInput, BusDown, or NoAnswer if the bit rate is wanted and cannot be heard.
+    """
+    if plan.passive and plan.assign:
+        raise BadInput("--assign", "", plan.assign[0], "a scan that may send", "leave --passive out")
+    opened = _open(plan, say)
+    report = BusReport(str(plan.spec), opened.bitrate_bit_s, opened.detected)
+    clock = MonotonicClock()
+    try:
+        link = BusLink(opened.bus.bus, clock, opened.bus.stamps, str(plan.spec))
+        network = CanopenNetwork(link, clock)
+        scan = BusScan(network)
+        say(f"listening for {plan.listen / 1e9:g} s")
+        scan.listen(plan.listen)
+        report.traffic = scan.traffic
+        if not plan.passive:
+            say("asking the nodes 1 to 127")
+            scan.probe()
+            _look_for_unconfigured(network, plan, scan, report, say)
+        report.nodes = scan.found()
+        if scan.traffic.running:
+            report.notes.append("a network is running: SYNC or process data are on the bus")
+        if link.error_frames:
+            report.notes.append(f"{link.error_frames} error frames")
+    finally:
+        opened.bus.bus.shutdown()
+    return report
+
+
+def _look_for_unconfigured(
+    network: CanopenNetwork, plan: ScanPlan, scan: BusScan, report: BusReport, say: Callable[[str], None]
+) -> None:
+    """LSS: who has no node-ID; and who gets one."""
+    if scan.traffic.broadcasts["LSS request"]:
+        report.notes.append("no search for devices without node-ID: another LSS master is at work")
+        return
+    taken = set(plan.assign) & set(scan.nodes)
+    if taken:
+        expected = f"a node-ID that nobody has; on the bus are {', '.join(map(str, sorted(scan.nodes)))}"
+        raise BadInput("--assign", "", min(taken), expected)
+    say("looking for devices without node-ID (LSS fast scan)")
+    with _lss(network) as master:
+        report.unconfigured = master.find_all()
+        for node_id, address in zip(plan.assign, report.unconfigured, strict=False):
+            master.assign(address, node_id, plan.store)
+            report.assigned.append((node_id, address))
+    if not report.assigned:
+        if plan.assign:
+            raise NoAnswer(
+                f"no device without node-ID is on {plan.spec}",
+                f"nodes there: {', '.join(map(str, sorted(scan.nodes))) or 'none'}",
+                "a device that has a node-ID keeps it; change it by its own switches or tool",
+            )
+        return
+    report.unconfigured = report.unconfigured[len(report.assigned) :]
+    say("asking the new nodes")
+    scan.probe()
+
+
+@contextmanager
+def _lss(network: CanopenNetwork) -> Iterator[LssMaster]:
+    master = LssMaster(network)
+    try:
+        yield master
+    finally:
+        master.close()
+
+
+def _open(plan: ScanPlan, say: Callable[[str], None]) -> _Opened:
+    spec, wanted = plan.spec, plan.bitrate_bit_s
+    if spec.simulated:
+        raise BadInput("--bus", "", str(spec), "a bus that other processes can join", "use hub:NAME")
+    if spec.interface == HUB:
+        try:
+            bus = HubBus(spec.channel, bitrate=wanted)
+        except can.CanError as error:
+            raise BusDown(f"cannot join {spec}", str(error), "leave --bitrate out") from error
+        return _Opened(OpenBus(bus, StampSource.MONOTONIC, str(spec)), bus.bitrate_bit_s, wanted is None)
+    if spec.interface == SOCKETCAN:
+        rates = [link.bitrate_bit_s for link in can_links() if link.spec == str(spec)]
+        rate = rates[0] if rates else None
+        return _Opened(open_bus(spec, wanted or rate or 1_000_000), rate, False)
+    detected = wanted is None
+    if wanted is None:
+        wanted = _detect(spec, say)
+    if plan.passive and can_listen_only(spec):
+        bus_that_listens = open_listening(spec, wanted)
+        return _Opened(OpenBus(bus_that_listens, StampSource.RECEIPT, str(spec)), wanted, detected)
+    return _Opened(open_bus(spec, wanted), wanted, detected)
+
+
+def _detect(spec: BusSpec, say: Callable[[str], None]) -> int:
+    if not can_listen_only(spec):
+        expected = "a bit rate, because this adapter cannot listen without taking part"
+        raise BadInput("--bitrate", "", MISSING, expected, "--bitrate 500000, or what the bus runs at")
+    say("listening for the bit rate")
+    found = detect_bitrate(spec, MonotonicClock())
+    if found.bitrate_bit_s is not None:
+        return found.bitrate_bit_s
+    if found.silent:
+        raise NoAnswer(
+            f"the bit rate of {spec} cannot be heard",
+            "nothing is being sent on the bus",
+            "switch the devices on, or say what the bus runs at: --bitrate 500000",
+        )
+    raise NoAnswer(
+        f"the bit rate of {spec} was not found",
+        "errors and no whole frames at each rate that the adapter has: "
+        + ", ".join(str(trial.bitrate_bit_s) for trial in found.trials),
+        "check termination and wiring, or say what the bus runs at: --bitrate",
+    )

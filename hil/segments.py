@@ -1,0 +1,71 @@
+"""Several segments and one loop: a master on each of them, and all are served whoever waits.
+
+    loop ---- SegmentMasters ----+---- FramePump, BusLink ---- segment 1: its drives
+                                 +---- FramePump, BusLink ---- segment 2: its drives
+
+SYNC goes out on every segment at the same instant. What arrives is handled in the order of arrival, and in
+the order of the segments where it arrives at one instant.
+"""
+
+from collections.abc import Callable, Sequence
+
+from drivers.exchange import Master
+from drivers.frame_port import FrameTap
+from drivers.network import CanopenNetwork
+from drivers.timebase import Instant
+from hil.world import FurtherSegment, World
+
+
+class SegmentMasters(Master):
+    """The masters of ``networks`` as one.
+
+    From now on a network that waits, for an answer to an SDO or for a state, serves the others too: their
+    heartbeats go out and their drives are heard.
+    """
+
+    def __init__(self, networks: Sequence[CanopenNetwork], wait: Callable[[Instant], object]) -> None:
+        """``wait``: let time pass until a frame is there on any of the segments, or until an instant."""
+        super().__init__()
+        self._pumps = [network.frame_pump for network in networks]
+        self._now = networks[0].clock.now
+        self._wait = wait
+        for network in networks:
+            network.pump, network.pump_one = self.pump, self.pump_one
+
+    def send_sync(self) -> Instant:
+        sent = [pump.send_sync() for pump in self._pumps]
+        self.sync_count += 1
+        return sent[0]
+
+    def pump(self, until: Instant) -> None:
+        while self.pump_one(until):
+            pass
+
+    def pump_one(self, until: Instant) -> bool:
+        while True:
+            now = self._now()
+            for pump in self._pumps:
+                if pump.pump_one(now):
+                    return True
+            if now >= until:
+                return False
+            self._wait(min(until, *[pump.housekeeping_at for pump in self._pumps]))
+
+
+def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:
+    """A network on each segment of ``world``, by name, None for the ``first``; and what the loop calls."""
+    networks: dict[str | None, CanopenNetwork] = {None: first}
+    if not world.further:
+        return networks, first.frame_pump
+    for segment in world.further:
+        networks[segment.name] = CanopenNetwork(segment.link, world.clock, first.node_id)
+    return networks, SegmentMasters(list(networks.values()), world.wait)
+
+
+def record_frames(world: World, tap_of: Callable[[int], FrameTap]) -> None:
+    """Let ``tap_of(number)`` of each segment have its frames, error frames among them."""
+    ends: list[World | FurtherSegment] = [world, *world.further]
+    for number, end in enumerate(ends):
+        tap = tap_of(number)
+        end.link.tap(tap)
+        end.tap_errors(tap.frame)

@@ -1,0 +1,49 @@
+"""The load machine of ``hil simulate``: an instrument at a pseudo-terminal, its brake on a drive's shaft."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from design.motor import PmsmParameters
+from drivers.errors import BadInput
+from virtual_bus.dynamometer.brake import Brake, ServoShaft
+from virtual_bus.dynamometer.hosting import InstrumentAtTerminal
+from virtual_bus.dynamometer.instrument import Instrument
+from virtual_bus.serial_line.line_faults import LineFaults
+from virtual_bus.serial_line.pseudo_terminal import PseudoTerminal
+from virtual_bus.servo import SimulatedServo
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedLoadMachine:
+    """What the command line asks for."""
+
+    link: Path
+    faults: LineFaults
+    torque_max_nm: float
+
+    @classmethod
+    def wanted(
+        cls, link: Path | None, faults: Sequence[str], motor: PmsmParameters
+    ) -> "SimulatedLoadMachine | None":
+        """None if there is to be none. Raises BadInput for faults of nothing."""
+        if link is None:
+            if faults:
+                raise BadInput("--load-machine-fault", "", faults[0], "--load-machine PATH beside it")
+            return None
+        parsed = LineFaults.parse(list(faults), "--load-machine-fault")
+        return cls(link, parsed, motor.torque_max_nm)
+
+    @contextmanager
+    def coupled_to(
+        self, servo: SimulatedServo, seed: int, announce: Callable[[str], None]
+    ) -> Iterator[InstrumentAtTerminal]:
+        """The instrument on the shaft of ``servo``, to be hosted beside it."""
+        terminal = PseudoTerminal(self.link)
+        try:
+            announce(f"load machine on node {servo.node_id}: serial port {terminal.name}")
+            brake = Brake(ServoShaft(servo), self.torque_max_nm)
+            yield InstrumentAtTerminal(Instrument(brake), terminal, self.faults, seed)
+        finally:
+            terminal.unplug()

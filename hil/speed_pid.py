@@ -1,0 +1,79 @@
+"""``hil design pid``: the rule of :mod:`design.speed_pid` for a motor file and a current controller file."""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from design.current_design import complementary
+from design.margins import margins
+from design.mixed_sensitivity import axis_plant
+from design.motor import PmsmParameters
+from design.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
+from design.statespace import StateSpace, series
+from hil.configuration.config_files import NamedBy
+from hil.configuration.current_controller_file import load_current_controller
+from hil.configuration.toml_text import toml_text
+
+
+@dataclass(frozen=True, slots=True)
+class PidRequest:
+    """What was asked for."""
+
+    motor: PmsmParameters
+    current_control: Path | None
+    current_bandwidth_hz: float
+    period_s: float
+    latency_s: float
+    phase_margin_deg: float
+    ratio: float
+
+
+def design_pid(request: PidRequest) -> SpeedPid:
+    """The gains. Raises BadInput for a controller file, InfeasibleDesign for a margin that cannot be had."""
+    closed, crossover = _current_loop(request)
+    return pid_by_rule(
+        request.motor,
+        closed,
+        crossover,
+        request.period_s,
+        request.latency_s,
+        request.phase_margin_deg,
+        request.ratio,
+    )
+
+
+def _current_loop(request: PidRequest) -> tuple[StateSpace, float]:
+    """The closed loop of i_q and its crossover, rad/s."""
+    if request.current_control is None:
+        bandwidth = math.tau * request.current_bandwidth_hz
+        return first_order_current_loop(bandwidth), bandwidth
+    named_by = NamedBy("--current-control", "", str(request.current_control))
+    found = load_current_controller(request.current_control, named_by, "q")
+    controller = found.continuous()
+    plant = axis_plant(request.motor.resistance_ohm, request.motor.inductance_q_h)
+    return complementary(plant, controller), margins(series(plant, controller)).phase_margin_rad_s
+
+
+def pid_figures(found: SpeedPid) -> dict[str, Any]:
+    """What ``--json`` prints."""
+    figures = asdict(found)
+    figures |= figures.pop("margins")
+    return {key: value if math.isfinite(value) else None for key, value in figures.items()}
+
+
+def controller_text(request: PidRequest, found: SpeedPid) -> str:
+    """A controller file for ``controller = ...`` of a bench; the friction is fed forward."""
+    table = {
+        "kind": "pid",
+        "proportional_nm_s_rad": _digits(found.proportional_nm_s_rad),
+        "integral_nm_rad": _digits(found.integral_nm_rad),
+        "derivative_nm_s2_rad": _digits(found.derivative_nm_s2_rad),
+        "derivative_filter_s": found.derivative_filter_s,
+        "feedforward_nm_s_rad": request.motor.viscous_friction_nm_s,
+    }
+    return toml_text({"controller": table})
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.6g}")

@@ -1,0 +1,75 @@
+"""``hil adapter``: an emulated SLCAN adapter on a pseudo-terminal."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+
+
+def adapter(
+    bus: Annotated[
+        str,
+        typer.Option(
+            "--bus", metavar="SPEC", help="Where its CAN side hangs: hub:NAME, socketcan:vcan0, ..."
+        ),
+    ],
+    link: Annotated[
+        Path | None,
+        typer.Option("--link", metavar="PATH", help="Symbolic link to make to its serial port."),
+    ] = None,
+    bitrate: Annotated[
+        int | None,
+        typer.Option(
+            "--bitrate", min=10_000, help="Bit rate of the bus, bit/s; a hub that runs keeps its own."
+        ),
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="NAME=VALUE",
+            help="A fault of the serial line, e.g. garble=0.01, truncate=0.01, baud=115200, refuse=0.1,"
+            " unplug_after_s=3; may be repeated.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the faults.")] = 0,
+) -> None:
+    """An emulated SLCAN adapter: a serial port here, a CAN bus there, until Ctrl-C unplugs it.
+
+    Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
+    """
+    with reported_errors():
+        from drivers.adapters import parse_bus_spec
+        from drivers.errors import BadInput
+        from drivers.timebase import MonotonicClock
+        from hil.machine.realtime import realtime_process
+        from hil.machine.stopping import stop_signals
+        from virtual_bus.serial_line.line_faults import LineFaults
+        from virtual_bus.slcan.server import serve_adapter
+
+        spec = parse_bus_spec(bus)
+        if spec.simulated:
+            remedy = "use hub:NAME"
+            raise BadInput("--bus", "", bus, "a bus that other processes can join", remedy)
+        faults = LineFaults.parse(fault or [])
+        with stop_signals() as stop, realtime_process() as refused:
+            for request in refused:
+                print(f"not granted by the kernel: {request}", file=sys.stderr)
+            serve_adapter(
+                spec,
+                bitrate_bit_s=bitrate,
+                link=link,
+                faults=faults,
+                seed=seed,
+                clock=MonotonicClock(),
+                stop=stop,
+                announce=_announce,
+            )
+
+
+def _announce(port: str, text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+    print(port, flush=True)

@@ -1,0 +1,196 @@
+"""``hil analyse speed``: what delay, sampling and loss do to a speed loop."""
+
+import json
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from drivers.errors import BadInput
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.speed_options import (
+    JsonOption,
+    LoadOption,
+    MotorArgument,
+    SpeedOption,
+    gain_of,
+    motor_of,
+    print_figures,
+)
+
+if TYPE_CHECKING:
+    from design.held_loop import SampledNetwork
+    from design.monte_carlo import Chance
+
+
+class StrategyName(StrEnum):
+    """When a sample is applied."""
+
+    ARRIVAL = "arrival"
+    STAMP = "stamp"
+    HISTORY = "history"
+
+
+GainOption = Annotated[
+    str,
+    typer.Option("--gain", metavar="K1,K2", help="Gain on [i_q error, speed error]; K3: its integral."),
+]
+DelayMsOption = Annotated[
+    float | None,
+    typer.Option(
+        "--delay-ms", metavar="D", min=0.0, help="Constant delay; with stamp and history the agreed one."
+    ),
+]
+OrderOption = Annotated[
+    int | None,
+    typer.Option("--order", metavar="N", min=0, max=12, help="Of the certificate; 0 is Theorem 3.3."),
+]
+PeriodMsOption = Annotated[
+    float | None,
+    typer.Option("--period-ms", metavar="H", min=1e-6, help="Sampling period: the sampled loop."),
+]
+StrategyOption = Annotated[StrategyName | None, typer.Option("--strategy", help="When a sample is applied.")]
+LossMaxOption = Annotated[
+    int | None,
+    typer.Option("--loss-max", metavar="D", min=0, max=50, help="Most samples lost in a row."),
+]
+TauMaxMsOption = Annotated[
+    float | None,
+    typer.Option("--tau-max-ms", metavar="T", min=0.0, help="Largest delay from sample to actuator."),
+]
+MonteCarloOption = Annotated[
+    int | None, typer.Option("--monte-carlo", metavar="N", min=1, help="Random runs of the sampled loop.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**63 - 1, help="Of the random runs.")]
+LossProbabilityOption = Annotated[
+    float, typer.Option("--loss-probability", min=0.0, max=1.0, help="Of each sample in the random runs.")
+]
+UncertaintyPercentOption = Annotated[
+    float,
+    typer.Option("--uncertainty-percent", min=0.0, max=99.0, help="Of R, L, J, B and K_t in the runs."),
+]
+DurationSOption = Annotated[
+    float, typer.Option("--duration-s", min=1e-3, max=3600.0, help="Length of a random run.")
+]
+
+
+def speed(
+    motor: MotorArgument,
+    gain: GainOption,
+    delay_ms: DelayMsOption = None,
+    order: OrderOption = None,
+    speed_rpm: SpeedOption = None,
+    load_nm: LoadOption = None,
+    period_ms: PeriodMsOption = None,
+    strategy: StrategyOption = None,
+    loss_max: LossMaxOption = None,
+    tau_max_ms: TauMaxMsOption = None,
+    monte_carlo: MonteCarloOption = None,
+    seed: SeedOption = 0,
+    loss_probability: LossProbabilityOption = 0.1,
+    uncertainty_percent: UncertaintyPercentOption = 0.0,
+    duration_s: DurationSOption = 1.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Stability, gain and largest delay of a speed loop: exact, certified, sampled, and by chance.
+
+    Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
+    """
+    with reported_errors():
+        gains, parameters = gain_of(gain), motor_of(motor)
+        network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
+        if delay_ms is None and network is None:
+            raise BadInput(
+                "--delay-ms", "", None, "the constant delay, ms", "or give --period-ms and the network"
+            )
+
+        from design.errors import DesignError
+        from hil.configuration.motor_file import RAD_S_PER_RPM
+        from hil.delay_design.analysis import (
+            LoopRequest,
+            chance_figures,
+            continuous_figures,
+            sampled_figures,
+        )
+
+        request = LoopRequest(
+            motor=parameters,
+            K=gains,
+            delay_s=_delay_s(delay_ms, network),
+            order=order,
+            load_nm=load_nm or parameters.rated_torque_nm,
+            speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
+        )
+        chance = _chance(
+            monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm
+        )
+        if chance is not None and network is None:
+            raise BadInput(
+                "--monte-carlo", "", monte_carlo, "a sampled loop with it: --period-ms and the network"
+            )
+        try:
+            figures = continuous_figures(request)
+            if network is not None:
+                figures |= sampled_figures(request, network)
+                if chance is not None:
+                    figures["monte_carlo"] = chance_figures(request, network, chance)
+        except DesignError as error:
+            raise BadInput(str(motor), "", str(error), "a loop that can be analysed") from error
+        if as_json:
+            typer.echo(json.dumps(figures, allow_nan=False))
+        else:
+            print_figures(figures)
+
+
+def _network(
+    period_ms: float | None,
+    strategy: StrategyName | None,
+    loss_max: int | None,
+    tau_max_ms: float | None,
+    delay_ms: float | None,
+) -> "SampledNetwork | None":
+    """The network that the options describe; None if they describe none. Raises BadInput."""
+    if period_ms is None:
+        given: dict[str, Any] = {"--strategy": strategy, "--loss-max": loss_max, "--tau-max-ms": tau_max_ms}
+        for option, value in given.items():
+            if value is not None:
+                raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
+        return None
+    from design.errors import UnsuitableNetwork
+    from design.held_loop import SampledNetwork, Strategy
+
+    wanted = Strategy((strategy or StrategyName.ARRIVAL).value)
+    period_s, tau_s, most = 1e-3 * period_ms, 1e-3 * (tau_max_ms or 0.0), loss_max or 0
+    # [Ling2012] (2.13)
+    agreed_s = 1e-3 * delay_ms if delay_ms is not None else (most + 1) * period_s + tau_s
+    if wanted is Strategy.ARRIVAL:
+        agreed_s = 0.0
+    try:
+        return SampledNetwork(wanted, period_s, most, tau_s, agreed_s)
+    except UnsuitableNetwork as error:
+        raise BadInput("--strategy", "", error.found, error.expected) from None
+
+
+def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
+    """The constant delay of the continuous figures: as given, else the longest of [Ling2012] (2.13)."""
+    if delay_ms is not None or network is None:
+        return 1e-3 * (delay_ms or 0.0)
+    return (network.losses_max + 1) * network.period_s + network.delay_max_s
+
+
+def _chance(
+    runs: int | None, seed: int, loss: float, uncertainty_percent: float, duration_s: float, load_nm: float
+) -> "Chance | None":
+    if runs is None:
+        return None
+    from design.monte_carlo import Chance, Uncertainty
+
+    width = 0.01 * uncertainty_percent
+    return Chance(
+        runs=runs,
+        seed=seed,
+        duration_s=duration_s,
+        loss_probability=loss,
+        load_nm=load_nm,
+        uncertainty=Uncertainty(width, width, width, width, width),
+    )

@@ -1,0 +1,147 @@
+"""``hil commission`` and ``hil restore``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.terminal.exit_status import ExitStatus, reported_errors
+
+BusOption = Annotated[
+    str, typer.Option("--bus", metavar="SPEC", help="hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")
+]
+NodeOption = Annotated[int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")]
+BitrateOption = Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+]
+
+
+def commission(
+    bus: BusOption,
+    node: NodeOption,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, files and journal.")],
+    eds: Annotated[
+        Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF of the drive.")
+    ] = None,
+    motor: Annotated[
+        Path | None,
+        typer.Option("--motor", metavar="NAMEPLATE.toml", help="What is printed on the motor, and limits."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; every step is done.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only read; say what the other steps would do.")
+    ] = False,
+    store: Annotated[
+        bool,
+        typer.Option("--store", help="Keep the settings in the drive (1010h) instead of putting them back."),
+    ] = False,
+    period_us: Annotated[
+        int | None, typer.Option("--period-us", min=250, max=100_000, help="Cycle; chosen if absent.")
+    ] = None,
+    heartbeat_timeout_ms: Annotated[
+        int,
+        typer.Option("--heartbeat-timeout-ms", min=20, max=60_000, help="Silence that host and drive bear."),
+    ] = 150,
+    bitrate: BitrateOption = 1_000_000,
+    rehearse: Annotated[
+        int | None,
+        typer.Option("--rehearse", metavar="SEED", min=0, help="On --bus simulated: the drive of that seed."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Commission a drive: identity, units, polarity, limits, friction, inertia, delays, controller, report.
+
+    Each step says what it will do, asks, does it and checks it. All changes are put back at the end, unless
+    --store; DIR/journal.jsonl is what hil restore needs after a crash. Any key stops a moving shaft.
+
+    Exit status: 0 done, 1 a step failed or the end came early, 2 bad input, 3 bus or drive fault.
+    """
+    with reported_errors():
+        from hil.commissioning.request import CommissionRequest, Nameplate, load_nameplate
+
+        plate = load_nameplate(motor) if motor is not None else Nameplate()
+        request = CommissionRequest(
+            bus=bus,
+            node=node,
+            out=out,
+            eds=eds,
+            nameplate=plate,
+            bitrate_bit_s=bitrate,
+            period_us=period_us,
+            dry_run=dry_run,
+            store=store,
+            heartbeat_timeout_ms=heartbeat_timeout_ms,
+        )
+        from hil.commissioning.command import run_command
+
+        result, figures = run_command(request, yes=yes, rehearse=rehearse, plate_given=motor is not None)
+        if as_json:
+            typer.echo(json.dumps(figures, allow_nan=False))
+        raise typer.Exit(result)
+
+
+def restore(
+    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning.")],
+    bus: BusOption,
+    node: NodeOption,
+    bitrate: BitrateOption = 1_000_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Put back every object that a commissioning changed, byte for byte, after a crash or a lost bus."""
+    with reported_errors():
+        from hil.commissioning.command import run_restore
+
+        outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
+        if as_json:
+            typer.echo(json.dumps(outcome))
+        else:
+            for line in outcome["text"]:
+                print(line, file=sys.stderr)
+        raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
+
+
+def rehearse(
+    bus: BusOption,
+    node: NodeOption,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Which drive: all that is hidden is drawn from it.")
+    ],
+    nameplate: Annotated[
+        Path | None,
+        typer.Option(
+            "--nameplate", metavar="FILE", help="Write what is printed on the motor, for hil commission."
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", metavar="FILE", help="Write what was drawn, to compare with.")
+    ] = None,
+    faults: Annotated[
+        Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
+    ] = None,
+    drift_ppm: Annotated[
+        float,
+        typer.Option("--drift-ppm", min=-1000, max=1000, help="How much too fast the drive's clock runs."),
+    ] = 0.0,
+    bitrate: BitrateOption = 1_000_000,
+) -> None:
+    """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
+    with reported_errors():
+        from hil.commissioning.rehearsal import rehearse as serve_unknown
+        from hil.configuration.bench_file import load_faults
+        from hil.configuration.config_files import NamedBy
+
+        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
+        serve_unknown(
+            bus_spec=bus,
+            node=node,
+            seed=seed,
+            nameplate=nameplate,
+            truth_file=truth,
+            faults=plan,
+            clock_drift_ppm=drift_ppm,
+            bitrate_bit_s=bitrate,
+            announce=lambda text: print(text, file=sys.stderr, flush=True),
+        )

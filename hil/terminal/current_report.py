@@ -1,0 +1,104 @@
+"""What ``hil design current`` prints: the controller, its margins, its bounds as a picture, and advice."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+
+from design.mixed_sensitivity import loop_functions
+from hil.figures.terminal_plot import plot
+
+if TYPE_CHECKING:
+    from design.current_design import AxisDesign
+    from hil.current_control import CurrentResult
+
+_POINTS = 220
+
+
+def print_result(result: "CurrentResult") -> None:
+    """Everything, the figures in the order of ``--json``."""
+    print_figures(result.figures)
+    typer.echo("")
+    typer.echo(bounds_picture(result.chosen))
+    for line in advice(result.figures):
+        typer.echo(line)
+
+
+def print_figures(figures: dict[str, Any], indent: str = "") -> None:
+    """A figure a line, tables indented."""
+    for key, value in figures.items():
+        if isinstance(value, dict):
+            typer.echo(f"{indent}{key}")
+            print_figures(value, indent + "  ")
+        elif isinstance(value, float):
+            typer.echo(f"{indent}{key:<28} {value:.6g}")
+        elif isinstance(value, list):
+            texts = [_number(item) for item in value]
+            typer.echo(f"{indent}{key:<28} {'  '.join(texts)}")
+        else:
+            typer.echo(f"{indent}{key:<28} {value}")
+
+
+def _number(item: Any) -> str:
+    if isinstance(item, list):
+        return f"{item[0]:.6g}" if item[1] == 0.0 else f"{item[0]:.6g}{item[1]:+.6g}j"
+    return f"{item:.6g}"
+
+
+def bounds_picture(design: "AxisDesign") -> str:
+    """|S|, |KS| and |T| (letters) under their bounds 1/|w| (dots)."""
+    crossover = design.margins.phase_margin_rad_s
+    omega = crossover * np.logspace(-4.0, 3.5, _POINTS)
+    gains = loop_functions(design.plant, design.controller, omega)
+    weights = {"S": design.weights.error, "KS": design.weights.control, "T": design.weights.output}
+    parts = []
+    for name, gain in gains.items():
+        bound = -20.0 * np.log10([weights[name].gain(float(w)) for w in omega])
+        shown = 20.0 * np.log10(np.maximum(gain, 1e-12))
+        top = 10.0 * np.ceil(0.1 * max(bound.max(), shown.max()))
+        span = max(60.0, 10.0 * np.ceil(0.1 * (top - max(bound.min(), -100.0))))
+        curves = {".": bound.tolist(), name[0]: shown.tolist()}
+        parts.append(plot(f"|{name}| and its bound (.)", omega.tolist(), curves, (top - span, top)))
+    return "\n".join(parts)
+
+
+def advice(figures: dict[str, Any]) -> list[str]:
+    """Plain sentences about what the figures mean for a drive."""
+    lines = []
+    norm, gamma = figures["closed_loop_norm"], figures["gamma"]
+    if figures["structure"] != "full":
+        lines.append(
+            f"The structure {figures['structure']} reaches a norm of {norm:.4g}; gamma_min of the full "
+            f"order is {figures['gamma_min']:.4g}."
+        )
+    elif norm > gamma:
+        lines.append(f"The norm {norm:.4g} is above gamma {gamma:.4g}.")
+    coupled = figures["robust"]["coupled"]
+    speed = f"{coupled['speed_rad_s']:.4g} rad/s"
+    if coupled["certified"]:
+        lines.append(f"Both axes stay stable at {speed} over +-50 % of r, L_d and L_q.")
+    else:
+        lines.append(
+            f"At {speed} both axes are certain to stay stable for +-{coupled['stable_up_to_percent']:.3g} % "
+            "of r, L_d and L_q only, because the drive decouples with the nominal inductances."
+        )
+    if "sampled" in figures:
+        lines += _about_sampling(figures["sampled"])
+    return lines
+
+
+def _about_sampling(sampled: dict[str, Any]) -> list[str]:
+    lowest, coupled = sampled["lowest_rate"], sampled["coupled"]
+    lines = []
+    if lowest["rate_hz"] is None:
+        lines.append("No inner rate keeps both axes stable at that speed.")
+    else:
+        lines.append(
+            f"An inner rate of {lowest['rate_hz']:.0f} Hz or more holds a modulus margin of "
+            f"{lowest['modulus_margin']:.3g} and keeps both axes stable at speed."
+        )
+    for name in ("decoupled", "as_asked"):
+        if name in coupled and max(coupled[name]) >= 1.0:
+            speeds = [w for w, rho in zip(coupled["speed_rad_s"], coupled[name], strict=True) if rho >= 1.0]
+            lines.append(f"At {sampled['rate_hz']:g} Hz, {name}: unstable from {min(speeds):.4g} rad/s on.")
+    return lines

@@ -1,0 +1,49 @@
+"""``hil design hinf``: H-infinity synthesis for a plant of one's own."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+
+
+def hinf(
+    plant: Annotated[
+        Path, typer.Argument(metavar="PLANT.toml", help="A, B, C, D, controls, measurements; TOML or JSON.")
+    ],
+    gamma: Annotated[float | None, typer.Option("--gamma", min=1e-12, help="The norm to stay below.")] = None,
+    gamma_factor: Annotated[
+        float, typer.Option("--gamma-factor", min=1.0, help="Without --gamma: times gamma_min.")
+    ] = 1.1,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+    ] = False,
+) -> None:
+    """Design the central controller of x' = A x + B [w; u], [z; y] = C x + D [w; u] for ||z/w|| < gamma."""
+    with reported_errors():
+        from design.hinf import gamma_min, synthesise, verified_norm
+        from hil.configuration.plant_file import load_plant
+        from hil.terminal.current_report import print_figures
+        from hil.terminal.design_errors import refused
+
+        loaded = load_plant(plant)
+        with refused(str(plant)):
+            least = gamma_min(loaded)
+            found = synthesise(loaded, gamma if gamma is not None else gamma_factor * least)
+        K = found.controller  # noqa: N806 - the paper's letter
+        figures: dict[str, Any] = {
+            "gamma_min": least,
+            "gamma": found.gamma,
+            "closed_loop_norm": verified_norm(loaded, K),
+            "controller": {name: getattr(K, name).tolist() for name in "ABCD"},
+        }
+        if as_json:
+            typer.echo(json.dumps(figures, allow_nan=False))
+        else:
+            matrices = figures.pop("controller")
+            print_figures(figures)
+            for name, rows in matrices.items():
+                for k, row in enumerate(rows):
+                    typer.echo(f"{name if k == 0 else '':<3} {'  '.join(f'{value:.6g}' for value in row)}")

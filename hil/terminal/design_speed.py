@@ -1,0 +1,227 @@
+"""``hil design speed``: the best speed feedback for a delay, a measured network, or a wanted gain."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.errors import BadInput
+from hil.terminal.analyse_speed import StrategyName
+from hil.terminal.exit_status import ExitStatus, reported_errors
+from hil.terminal.speed_options import (
+    JsonOption,
+    LoadOption,
+    MotorArgument,
+    SpeedOption,
+    motor_of,
+    print_figures,
+)
+
+if TYPE_CHECKING:
+    from design.held_loop import SampledNetwork
+    from hil.delay_design.synthesis import DesignRequest
+
+
+_LOSSES_MAX = 50
+_ARRIVE_EARLIER = "or, in a bench, a later loop.decide_after_us: readings are then used in their own cycle"
+
+
+class MethodName(StrEnum):
+    """How the feedback is found."""
+
+    EXACT = "exact"
+    LMI = "lmi"
+    CCL = "ccl"
+
+
+class FeedbackName(StrEnum):
+    """Which states it may use."""
+
+    FULL = "full"
+    SPEED = "speed"
+
+
+class TargetName(StrEnum):
+    """Which loop is made best."""
+
+    CONSTANT = "constant"
+    SAMPLED = "sampled"
+
+
+GammaOption = Annotated[
+    float | None, typer.Option("--gamma", metavar="G", min=1e-9, help="Gain to keep, rad/s per N m.")
+]
+ErrorPercentOption = Annotated[
+    float | None,
+    typer.Option(
+        "--error-percent", metavar="P", min=1e-9, help="The same: error in % of the speed under the load."
+    ),
+]
+DelayMsOption = Annotated[
+    float | None, typer.Option("--delay-ms", metavar="D", min=0.0, help="The constant delay.")
+]
+NetworkOption = Annotated[
+    Path | None,
+    typer.Option("--network", metavar="NETWORK.toml", help="A network, e.g. as hil run has measured it."),
+]
+StrategyOption = Annotated[
+    StrategyName, typer.Option("--strategy", help="When a sample is applied on that network.")
+]
+DelayMarginPercentOption = Annotated[
+    float,
+    typer.Option("--delay-margin-percent", min=0.0, max=1000.0, help="On the network's largest delay."),
+]
+ExtraLossesOption = Annotated[
+    int,
+    typer.Option("--extra-losses", min=0, max=1000, help="In a row, beyond those that were measured."),
+]
+MethodOption = Annotated[
+    MethodName,
+    typer.Option("--method", help="exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
+]
+FeedbackOption = Annotated[FeedbackName, typer.Option("--feedback", help="Current and speed, or speed only.")]
+IntegralOption = Annotated[bool, typer.Option("--integral", help="With integral action on the speed error.")]
+IntegralTimeMsOption = Annotated[
+    float | None,
+    typer.Option(
+        "--integral-time-ms", metavar="TI", min=1e-3, help="K2/K3; in proportion to the delay if absent."
+    ),
+]
+TargetOption = Annotated[
+    TargetName,
+    typer.Option(
+        "--target", help="Make best the loop with constant delay, or the sampled one on the network."
+    ),
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="CONTROLLER.toml", help="The controller, for a bench file."),
+]
+
+
+def speed(
+    motor: MotorArgument,
+    gamma: GammaOption = None,
+    error_percent: ErrorPercentOption = None,
+    load_nm: LoadOption = None,
+    speed_rpm: SpeedOption = None,
+    delay_ms: DelayMsOption = None,
+    network: NetworkOption = None,
+    strategy: StrategyOption = StrategyName.ARRIVAL,
+    delay_margin_percent: DelayMarginPercentOption = 0.0,
+    extra_losses: ExtraLossesOption = 0,
+    method: MethodOption = MethodName.EXACT,
+    feedback: FeedbackOption = FeedbackName.FULL,
+    integral: IntegralOption = False,
+    integral_time_ms: IntegralTimeMsOption = None,
+    target: TargetOption = TargetName.CONSTANT,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Design a speed feedback: what is known is given, what is open is optimised.
+
+    With a gain or an error: the largest delay. With a delay or a network: the least gain. With
+    both: the least gain, and whether it is enough. A network's delay is that of [Ling2012] (2.13),
+    and the loop that really runs over it is certified as well.
+    """
+    with reported_errors():
+        if gamma is not None and error_percent is not None:
+            raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
+        if delay_ms is not None and network is not None:
+            raise BadInput("--network", "", str(network), "either --delay-ms or --network")
+        if all(value is None for value in (gamma, error_percent, delay_ms, network)):
+            expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
+            raise BadInput("hil design speed", "", None, expected)
+        if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
+            expected = "full feedback without integral: Algorithm 4.2 knows no other"
+            raise BadInput("--method", "", method.value, expected)
+        if integral_time_ms is not None and not (integral and method is MethodName.EXACT):
+            raise BadInput(
+                "--integral-time-ms", "", integral_time_ms, "--integral and --method exact with it"
+            )
+        if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
+            raise BadInput("--target", "", target.value, "--network and --method exact with it")
+        parameters = motor_of(motor)
+
+        from design.speed_loop import Feedback, gain_for_error
+        from hil.configuration.motor_file import RAD_S_PER_RPM
+        from hil.delay_design.synthesis import DesignRequest
+
+        load = load_nm or parameters.rated_torque_nm
+        at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
+        over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
+        _finish(
+            DesignRequest(
+                motor=parameters,
+                gamma=gain_for_error(error_percent, load, at_rad_s) if error_percent else gamma,
+                delay_s=_delay_s(delay_ms, over),
+                network=over,
+                method=method.value,
+                feedback=Feedback(feedback.value),
+                integral=integral,
+                load_nm=load,
+                speed_rad_s=at_rad_s,
+                integral_time_s=None if integral_time_ms is None else 1e-3 * integral_time_ms,
+                for_sampled=target is TargetName.SAMPLED,
+            ),
+            out,
+            as_json,
+        )
+
+
+def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
+    from design.errors import UnsuitableNetwork
+    from design.held_loop import SampledNetwork, Strategy
+    from hil.configuration.network_file import load_network
+
+    found = load_network(path)
+    wanted = Strategy(strategy.value)
+    tau_s, most = found.delay_max_s * (1.0 + 0.01 * margin_percent), found.losses_max + extra
+    if most > _LOSSES_MAX:
+        remedy = (
+            "an outage is no pattern to design for: take it out of the file, and let a limit stop the bench"
+        )
+        raise BadInput(
+            str(path), "network.losses_in_a_row_max", most, f"at most {_LOSSES_MAX} in all", remedy
+        )
+    agreed_s = 0.0 if wanted is Strategy.ARRIVAL else (most + 1) * found.period_s + tau_s
+    try:
+        return SampledNetwork(wanted, found.period_s, most, tau_s, agreed_s)
+    except UnsuitableNetwork as error:
+        raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
+
+
+def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float | None:
+    """[Ling2012] (2.13) for a network."""
+    if network is not None:
+        return (network.losses_max + 1) * network.period_s + network.delay_max_s
+    return None if delay_ms is None else 1e-3 * delay_ms
+
+
+def _finish(request: "DesignRequest", out: Path | None, as_json: bool) -> None:
+    from design.errors import DesignError
+    from hil.delay_design.synthesis import Unreachable, design_speed
+
+    try:
+        result = design_speed(request)
+    except Unreachable as error:
+        if as_json:
+            typer.echo(json.dumps(error.figures, allow_nan=False))
+        typer.echo(f"hil: {error}", err=True)
+        raise typer.Exit(ExitStatus.BAD_INPUT) from None
+    except DesignError as error:
+        raise BadInput("hil design speed", "", str(error), "a design that exists") from error
+    if as_json:
+        typer.echo(json.dumps(result.figures, allow_nan=False))
+    else:
+        print_figures(result.figures)
+    if out is not None:
+        from hil.delay_design.controller_text import write_controller
+
+        if result.sampled is not None and not result.sampled.certified:
+            expected = "a loop that is certified; another --strategy or a shorter period may be"
+            raise BadInput("--out", "", result.sampled.without_certificate, expected)
+        write_controller(out, result)
+        typer.echo(f"written {out}", err=True)

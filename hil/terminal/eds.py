@@ -1,0 +1,70 @@
+"""``hil eds``: a data sheet read, mended, and held against what a bench needs."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.terminal.exit_status import ExitStatus, reported_errors
+
+ANY_NODE = 1
+"""What $NODEID stands for where neither the user nor the file says it."""
+
+
+class ModeName(StrEnum):
+    """Modes of operation that a plan is made for."""
+
+    CST = "cst"
+    CSV = "csv"
+    CSP = "csp"
+    PT = "pt"
+    PV = "pv"
+    PP = "pp"
+
+
+def eds(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="EDS or DCF of a device.")],
+    node: Annotated[
+        int | None,
+        typer.Option("--node", min=1, max=127, help="Node id for $NODEID; a DCF's own, or 1, if absent."),
+    ] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Show the PDO plan and what it costs on the bus.")
+    ] = False,
+    mode: Annotated[
+        ModeName | None, typer.Option("--mode", help="Mode to plan for; the best that it has if absent.")
+    ] = None,
+    period_us: Annotated[int, typer.Option("--period-us", min=100, help="Period of the loop, us.")] = 1000,
+    bitrate: Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate, bit/s.")] = 1_000_000,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+    ] = False,
+) -> None:
+    """Read an EDS or DCF and say what the device offers a bench, and what was mended to read the file.
+
+    Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
+    """
+    with reported_errors():
+        from drivers.dictionary import load_dictionary
+        from drivers.fitness import assess
+        from hil.terminal.eds_json import sheet
+        from hil.terminal.eds_report import print_sheet
+        from hil.terminal.eds_sheet import plan_for
+
+        loaded = load_dictionary(file, node)
+        if loaded.dictionary.node_id is None:
+            loaded = load_dictionary(file, ANY_NODE)
+        node_id = loaded.dictionary.node_id or ANY_NODE
+        fitness = assess(loaded, node_id)
+        planned = (
+            plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
+            if plan or mode
+            else None
+        )
+        if as_json:
+            typer.echo(json.dumps(sheet(file, loaded, fitness, planned), allow_nan=False))
+        else:
+            print_sheet(file, loaded, fitness, planned)
+        raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)

@@ -1,0 +1,218 @@
+"""A data sheet on the terminal."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from drivers.dictionary import LoadedDictionary
+from drivers.eds.repairs import Repair
+from drivers.fitness import FileIdentity, Fitness, mode_name
+from drivers.pdo_budget import LOAD_LIMIT_PERCENT, Budget
+from hil.terminal.eds_sheet import Planned
+from hil.terminal.eds_units import unit_lines
+
+
+def print_sheet(
+    file: Path,
+    loaded: LoadedDictionary,
+    fitness: Fitness,
+    planned: Planned | None,
+    console: Console | None = None,
+) -> None:
+    """Identity, profile, modes, PDOs, lacks, repairs, and at last the verdict."""
+    console = console or Console(highlight=False)
+    _say(console, _facts(file, loaded, fitness))
+    _say(console, Text("PDOs as the device has them", style="bold"), _pdo_table(fitness))
+    if planned is not None:
+        _print_plan(console, planned)
+    _print_units(console, loaded, fitness)
+    _print_lacks(console, fitness)
+    _print_repairs(console, loaded.repairs)
+    _print_verdict(console, fitness)
+
+
+def _say(console: Console, *parts: Table | Text) -> None:
+    for part in parts:
+        console.print(part, soft_wrap=isinstance(part, Text))
+    console.print()
+
+
+def _facts(file: Path, loaded: LoadedDictionary, fitness: Fitness) -> Table:
+    identity, objects = fitness.identity, loaded.objects
+    entries = sum(len(found.entries) for found in objects.values())
+    kind = "EDS" if loaded.commissioning is None else "DCF"
+    size = f"{len(objects)} objects, {entries} entries"
+    rates = ", ".join(map(str, loaded.device.bit_rates_kbit_s))
+    lines = {
+        "File": f"{file} ({kind}, node {loaded.dictionary.node_id}, {size})",
+        "Made": " ".join(
+            part for part in (loaded.file.modified or loaded.file.created, _version(loaded)) if part
+        ),
+        "Device": _device(identity),
+        "Identity": _numbers(identity),
+        "Profile": _profile(fitness),
+        "Modes": f"{', '.join(map(mode_name, fitness.modes)) or 'none'}, by {fitness.modes_told_by}",
+        "Bit rates": f"{rates} kbit/s" if rates else "",
+        "Commissioning": _commissioning(loaded),
+    }
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for title, line in lines.items():
+        if line:
+            table.add_row(title, Text(line))
+    return table
+
+
+def _version(loaded: LoadedDictionary) -> str:
+    file = loaded.file
+    return f"version {file.version}.{file.revision or 0}" if file.version else ""
+
+
+def _device(identity: FileIdentity) -> str:
+    names = [identity.vendor_name, identity.product_name]
+    if identity.device_name not in ("", identity.product_name):
+        names.append(f"(device name {identity.device_name})")
+    return " ".join(name for name in names if name)
+
+
+def _numbers(identity: FileIdentity) -> str:
+    parts = (
+        ("vendor", identity.vendor),
+        ("product", identity.product),
+        ("revision", identity.revision),
+        ("device type", identity.device_type),
+    )
+    return ", ".join(f"{name} {value:08X}h" for name, value in parts if value is not None) or "none given"
+
+
+def _profile(fitness: Fitness) -> str:
+    profile = "not given" if fitness.profile is None else f"CiA {fitness.profile}"
+    return f"{profile}, {fitness.axes} {'axis' if fitness.axes == 1 else 'axes'} with a controlword"
+
+
+def _commissioning(loaded: LoadedDictionary) -> str:
+    found = loaded.commissioning
+    if found is None:
+        return ""
+    parts = [
+        f"node {found.node_id}" if found.node_id is not None else "",
+        found.node_name,
+        f"{found.bit_rate_kbit_s} kbit/s" if found.bit_rate_kbit_s else "",
+        f"serial {found.serial_number:08X}h" if found.serial_number is not None else "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _pdo_table(fitness: Fitness) -> Table | Text:
+    if not fitness.pdos:
+        return Text("none", style="yellow")
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for title in ("PDO", "COB-ID", "type", "inhibit", "event", "mapping"):
+        table.add_column(title, justify="right" if title in ("type", "inhibit", "event") else "left")
+    for pdo in fitness.pdos:
+        identifier = "-" if pdo.cob_id is None else f"{pdo.cob_id:03X}h"
+        inhibit = "-" if not pdo.inhibit_time_us else f"{pdo.inhibit_time_us / 1000:g} ms"
+        event = "-" if not pdo.event_timer_ms else f"{pdo.event_timer_ms} ms"
+        kind = "-" if pdo.transmission_type is None else str(pdo.transmission_type)
+        mapping = " ".join(pdo.mapping) or "nothing"
+        room = f"{pdo.entries_max} entries" if pdo.mapping_writable else "fixed"
+        state = identifier if pdo.valid else f"{identifier} off"
+        table.add_row(pdo.name, state, kind, inhibit, event, Text(f"{mapping} ({room})"))
+    return table
+
+
+def _print_plan(console: Console, planned: Planned) -> None:
+    title = Text(f"PDO plan for {planned.mode}", style="bold")
+    if planned.result is None or planned.budget is None:
+        _say(console, title, Text(f"none: {planned.reason}", style="bold red"))
+        return
+    notes = [Text(f"note: {note}", style="yellow") for note in planned.result.notes]
+    _say(console, title, _budget_table(planned.budget), *_budget_lines(planned.budget), *notes)
+
+
+def _budget_table(budget: Budget) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for name in ("frame", "COB-ID", "bytes", "bits", "us", "a cycle", "content"):
+        table.add_column(name, justify="left" if name in ("frame", "content") else "right")
+    for line in budget.lines:
+        table.add_row(
+            line.name,
+            f"{line.cob_id:03X}h",
+            str(line.data_bytes),
+            str(line.bits_max),
+            f"{line.time_ns / 1e3:.0f}",
+            f"{line.a_cycle:g}",
+            Text(line.content),
+        )
+    return table
+
+
+def _budget_lines(budget: Budget) -> list[Text]:
+    load = budget.load_percent
+    rate = f"{budget.bitrate_bit_s / 1000:g} kbit/s"
+    style = "bold red" if load > 100.0 else "yellow" if load > LOAD_LIMIT_PERCENT else ""
+    return [
+        Text(
+            f"{budget.busy_ns / 1e3:.0f} us of {budget.period_ns / 1e3:.0f} us at {rate}: "
+            f"{load:.1f} % of the bus, {budget.fullest_cycle_percent:.1f} % in the fullest cycle",
+            style=style,
+        ),
+        Text(
+            f"shortest cycle {budget.shortest_period_ns / 1e3:.0f} us "
+            f"with {100 - LOAD_LIMIT_PERCENT:.0f} % left; "
+            f"room for {budget.sdo_transfers_a_s:.0f} SDO transfers a second"
+        ),
+    ]
+
+
+def _print_units(console: Console, loaded: LoadedDictionary, fitness: Fitness) -> None:
+    lines, notes = unit_lines(loaded, fitness)
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    for line in lines:
+        value = "" if line.value is None else f"{line.value:.6g} {line.unit}"
+        table.add_row(line.name, value, Text(line.source))
+    _say(
+        console,
+        Text("One raw unit, of the motor shaft, by the values in the file", style="bold"),
+        table,
+        *[Text(f"note: {note}", style="yellow") for note in notes],
+    )
+
+
+def _print_lacks(console: Console, fitness: Fitness) -> None:
+    if not fitness.lacks:
+        return
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    for lack in fitness.lacks:
+        table.add_row(f"{lack.index:04X}h", Text(lack.name), Text(lack.consequence))
+    _say(console, Text("Recommended objects that it does not have", style="bold"), table)
+
+
+def _print_repairs(console: Console, repairs: Iterable[Repair]) -> None:
+    made = tuple(repairs)
+    if not made:
+        _say(console, Text("The file needed no repair."))
+        return
+    title = Text(f"{len(made)} {'repair' if len(made) == 1 else 'repairs'} to read the file", style="bold")
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    for repair in made:
+        line = f"line {repair.line}" if repair.line else ""
+        table.add_row(line, Text(f"[{repair.section}]"), Text(f"{repair.fault}: {repair.action}"))
+    _say(console, title, table)
+
+
+def _print_verdict(console: Console, fitness: Fitness) -> None:
+    for remark in fitness.remarks:
+        console.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
+    if fitness.serves:
+        best = fitness.best
+        mode = f", best in {mode_name(best.mode)}" if best is not None else ""
+        console.print(Text(f"It can serve a bench{mode}.", style="bold green"))
+        return
+    console.print(Text("It cannot serve a bench:", style="bold red"))
+    for obstacle in fitness.obstacles:
+        console.print(Text(f"  {obstacle}"), soft_wrap=True)

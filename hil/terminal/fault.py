@@ -1,0 +1,47 @@
+"""``hil fault``: what a drive says of its faults, and their reset on the user's word."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from hil.terminal.exit_status import ExitStatus, reported_errors
+
+
+def fault(
+    bus: Annotated[
+        str, typer.Option("--bus", metavar="SPEC", help="hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")
+    ],
+    node: Annotated[int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")],
+    reset: Annotated[bool, typer.Option("--reset", help="Reset the fault. Nothing else ever does.")] = False,
+    bitrate: Annotated[
+        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
+    ] = 1_000_000,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+    ] = False,
+) -> None:
+    """Show a drive's state and its faults in words: 603Fh, 1001h and 1003h.
+
+    Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
+    """
+    with reported_errors():
+        from drivers.adapters import parse_bus_spec
+        from drivers.errors import BadInput
+        from drivers.network import CanopenNetwork
+        from hil.drive_fault import look_at_fault
+        from hil.world import WorldPlan, open_world
+
+        spec = parse_bus_spec(bus, "--bus")
+        if spec.simulated:
+            raise BadInput("--bus", "", bus, "a bus with a drive on it", "use hub:NAME and `hil simulate`")
+        with open_world(WorldPlan(spec, bitrate, False, None, 0), ()) as world:
+            told = look_at_fault(CanopenNetwork(world.link, world.clock), node, reset)
+        if as_json:
+            typer.echo(json.dumps(told.as_json()))
+        else:
+            for line in told.lines():
+                typer.echo(line)
+            if told.was_reset:
+                typer.echo("the fault was reset")
+        raise typer.Exit(ExitStatus.FAILED if told.in_fault else ExitStatus.PASSED)

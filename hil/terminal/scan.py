@@ -1,0 +1,137 @@
+"""``hil scan``: adapters of this machine, and nodes on a bus."""
+
+import json
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hil.scanning import Adapters, BusReport
+
+
+def scan(
+    bus: Annotated[
+        str | None,
+        typer.Option(
+            "--bus", metavar="SPEC", help="Look for nodes on this bus: socketcan:can0, slcan:PORT, ..."
+        ),
+    ] = None,
+    bitrate: Annotated[
+        int | None,
+        typer.Option("--bitrate", min=10_000, help="Bit rate, bit/s; found out by listening if absent."),
+    ] = None,
+    assign: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--assign", metavar="NODE", help="Give a device without node-ID this one (LSS); may be repeated."
+        ),
+    ] = None,
+    store: Annotated[
+        bool, typer.Option("--store", help="With --assign: the device keeps its node-ID without power.")
+    ] = False,
+    passive: Annotated[bool, typer.Option("--passive", help="Only listen; send nothing at all.")] = False,
+    listen: Annotated[
+        float, typer.Option("--listen", min=0.0, max=600.0, help="How long to listen before asking, s.")
+    ] = 1.5,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+    ] = False,
+) -> None:
+    """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
+    with reported_errors():
+        from drivers.adapters import parse_bus_spec
+        from drivers.errors import BadInput
+        from drivers.timebase import duration_s
+        from hil.scanning import ScanPlan, find_adapters, scan_bus
+        from hil.terminal.node_list import UNCONFIGURED, node_ids
+
+        plan = None
+        if bus is not None:
+            wanted = node_ids(assign, "--assign") if assign else []
+            if UNCONFIGURED in wanted:
+                raise BadInput("--assign", "", UNCONFIGURED, "a node-ID 1..127")
+            spec = parse_bus_spec(bus)
+            plan = ScanPlan(spec, bitrate, duration_s(listen), passive, tuple(wanted), store)
+        elif assign or passive or bitrate is not None:
+            raise BadInput("--bus", "", None, "the bus to look at")
+        if plan is None:
+            adapters = find_adapters()
+            if as_json:
+                typer.echo(json.dumps({"adapters": adapters.as_json(), "bus": None}))
+            else:
+                _print_adapters(adapters)
+            return
+        report = scan_bus(plan, lambda text: print(text, file=sys.stderr, flush=True))
+        if as_json:
+            typer.echo(json.dumps({"adapters": find_adapters().as_json(), "bus": report.as_json()}))
+        else:
+            _print_bus(report)
+
+
+def _print_adapters(adapters: "Adapters") -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    table = _table("adapter", "what", "bit rate", "state")
+    for link in adapters.can_links:
+        rate = f"{link.bitrate_bit_s}" if link.bitrate_bit_s else "-"
+        state = f"up, {link.state.lower()}" if link.up and link.state else "up" if link.up else "down"
+        table.add_row(link.spec, f"kernel, {link.kind or 'can'}", rate, state)
+    for port in adapters.serial_ports:
+        what = ", ".join(part for part in (port.usb_id, port.description, port.hint) if part)
+        table.add_row(port.spec, what, "-", "ready" if port.permitted else "no permission (group dialout)")
+    for other in adapters.others:
+        table.add_row(other, "python-can", "-", "-")
+    for hub in adapters.hubs:
+        table.add_row(f"hub:{hub}", "hub of this user", "-", "-")
+    if table.row_count:
+        console.print(table)
+        console.print("\nWho is on a bus: hil scan --bus ADAPTER")
+    else:
+        console.print("No CAN adapter and no USB serial port. What this machine can do: hil doctor")
+
+
+def _print_bus(report: "BusReport") -> None:
+    rate = f"{report.bitrate_bit_s} bit/s" if report.bitrate_bit_s else "bit rate unknown"
+    how = ", found by listening" if report.bitrate_detected and not report.spec.startswith("hub:") else ""
+    print(f"{report.spec}: {rate}{how}; {report.traffic.frames} frames heard before anything was asked")
+    for node in report.nodes:
+        print(f"\nnode {node.node_id:<4} {node.profile or 'a device'}{f', {node.name}' if node.name else ''}")
+        state = node.nmt_state or "unknown"
+        if "heartbeat" not in node.heard and node.heartbeat_ms == 0:
+            state += " (it sends no heartbeat)"
+        print(f"          state {state}; error register {_hex(node.error_register, 2)}")
+        if node.vendor_id is not None:
+            print(
+                f"          vendor {_hex(node.vendor_id, 8)}, product {_hex(node.product_code, 8)},"
+                f" revision {_hex(node.revision_number, 8)}, serial {_hex(node.serial_number, 8)}"
+            )
+        if node.note:
+            print(f"          {node.note}")
+    if not report.nodes:
+        print("no node was heard or answered")
+    for address in report.unconfigured:
+        print(f"\nwithout node-ID: {address}")
+        print(f"          give it one: hil scan --bus {report.spec} --assign NODE")
+    for node_id, address in report.assigned:
+        print(f"\nnode {node_id} is now the device with {address}")
+    for note in report.notes:
+        print(f"\n{note}")
+
+
+def _table(*titles: str) -> "Table":
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for title in titles:
+        table.add_column(title, overflow="fold")
+    return table
+
+
+def _hex(value: int | None, digits: int) -> str:
+    return "-" if value is None else f"{value:0{digits}X}h"

@@ -1,0 +1,121 @@
+"""``hil simulate``: simulated drives as a process of their own."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+
+BusOption = Annotated[
+    str, typer.Option("--bus", metavar="SPEC", help="A real-time bus: hub:NAME, socketcan:vcan0, ...")
+]
+NodeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--node",
+        metavar="N...",
+        help="Node ids: 1, or 1,2, or 1-3, or unconfigured (LSS gives one); may be repeated. "
+        "If absent: the one of the DCF.",
+    ),
+]
+MotorOption = Annotated[
+    Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
+]
+FaultsOption = Annotated[
+    Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
+]
+EdsOption = Annotated[
+    Path | None,
+    typer.Option("--eds", metavar="FILE", help="EDS or DCF of the device to rehearse: its dictionary."),
+]
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
+]
+BackgroundOption = Annotated[
+    Path | None,
+    typer.Option("--background", metavar="FILE", help="Other nodes' traffic: a file of tables 'background'."),
+]
+LoadMachineOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--load-machine",
+        metavar="PATH",
+        help="A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
+    ),
+]
+LoadMachineFaultOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load-machine-fault",
+        metavar="NAME=VALUE",
+        help="A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
+    ),
+]
+CurrentControlOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--current-control", metavar="FILE", help="Current controller of the q or d axis, repeatable."
+    ),
+]
+
+
+def simulate(
+    bus: BusOption,
+    node: NodeOption = None,
+    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
+    motor: MotorOption = None,
+    faults: FaultsOption = None,
+    eds: EdsOption = None,
+    store: StoreOption = None,
+    background: BackgroundOption = None,
+    load_machine: LoadMachineOption = None,
+    load_machine_fault: LoadMachineFaultOption = None,
+    current_control: CurrentControlOption = None,
+    bitrate: Annotated[
+        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
+    ] = 1_000_000,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
+    ] = None,
+) -> None:
+    """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
+    with reported_errors():
+        from hil.configuration.background import load_background
+        from hil.configuration.bench_file import load_faults
+        from hil.configuration.config_files import NamedBy
+        from hil.configuration.motor_file import LING2012, load_motor
+        from hil.device_files import DeviceFiles
+        from hil.terminal.node_list import node_ids
+
+        files = DeviceFiles(eds, store)
+        typed = [*(node or []), *(more_nodes or [])]
+        if not typed and (commissioned := files.commissioned_node()) is not None:
+            typed = [str(commissioned)]
+        nodes = node_ids(typed)
+        motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
+        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
+        named_by = NamedBy("--background", "", str(background))
+        others = load_background(background, named_by) if background else ()
+
+        from hil.simulated_drives import simulate as simulate_drives
+        from hil.simulated_load import SimulatedLoadMachine
+
+        instrument = SimulatedLoadMachine.wanted(
+            load_machine, load_machine_fault or [], motor_file.parameters
+        )
+        simulate_drives(
+            bus_spec=bus,
+            nodes=nodes,
+            motor=motor_file.parameters,
+            faults=plan,
+            bitrate_bit_s=bitrate,
+            seed=seed or 0,
+            announce=lambda text: print(text, file=sys.stderr, flush=True),
+            files=files,
+            background=others,
+            current_control=current_control or (),
+            load_machine=instrument,
+        )

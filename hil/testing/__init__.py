@@ -1,0 +1,1 @@
+"""What the pytest plugin hands to tests: drives, benches, and assertions on what they did."""

@@ -1,0 +1,152 @@
+"""Runs of whole benches for tests: a bench file, what the test changes in it, and the bus of the test."""
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from drivers.adapters import parse_bus_spec
+from drivers.errors import BenchError
+from drivers.timebase import Duration, wall_clock_offset
+from hil.bench import run_bench
+from hil.configuration.bench_file import bench_from, load_faults
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_files import NamedBy, read_toml
+from hil.configuration.motor_file import MotorFile
+from hil.controllers import Controller
+from hil.machine.stopping import Interrupted
+from hil.terminal.progress import no_progress
+from hil.testing.hosted import DriveHost
+from hil.testing.run import Run
+
+PathLike = str | os.PathLike[str]
+
+
+class BenchRunner:
+    """The fixture ``servo_bench``: call it with a bench to run it."""
+
+    def __init__(self, bus: str, host: DriveHost, scratch: Path, folder: Path) -> None:
+        """``folder``: where paths of a bench start that is no file."""
+        self.bus = bus
+        """SPEC of the bus that the runs are on."""
+        self._host = host
+        self._scratch = scratch
+        self._folder = folder
+        self._numbers = itertools.count(1)
+
+    def load(
+        self,
+        bench: PathLike | Mapping[str, Any],
+        changes: Mapping[str, Any] | None = None,
+        *,
+        faults: PathLike | Mapping[str, Any] | None = None,
+        motor: PathLike | MotorFile | None = None,
+    ) -> BenchConfig:
+        """A checked bench: a file, or its tables; see :meth:`__call__`. Raises BadInput or BadInputs."""
+        if isinstance(bench, Mapping):
+            source, folder, tables = "bench", self._folder, deepcopy(dict(bench))
+        else:
+            path = Path(bench)
+            source, folder, tables = str(path), path.parent, read_toml(path, "bench file")
+        for key, value in (changes or {}).items():
+            _change(tables, key, value)
+        if motor is not None:
+            named = (
+                motor.model_dump(mode="json") if isinstance(motor, MotorFile) else str(Path(motor).absolute())
+            )
+            for drive in tables.get("drive", {}).values():
+                drive["motor"] = named
+        if isinstance(faults, Mapping):
+            tables.pop("faults", None)
+            if faults:
+                tables["faults"] = dict(faults)
+        config = bench_from(tables, source, folder)
+        if faults is not None and not isinstance(faults, Mapping):
+            config = config.with_faults(load_faults(Path(faults), NamedBy("faults", "", str(faults))))
+        return config
+
+    def __call__(
+        self,
+        bench: PathLike | Mapping[str, Any],
+        changes: Mapping[str, Any] | None = None,
+        *,
+        faults: PathLike | Mapping[str, Any] | None = None,
+        motor: PathLike | MotorFile | None = None,
+        seed: int | None = None,
+        time: str | None = None,
+        controllers: Mapping[str, Controller] | None = None,
+        ends_in: type[BenchError] | None = None,
+    ) -> Run:
+        """Run a bench on the bus of this test, and return its recording.
+
+        ``bench``: the path of a bench file, or its tables. ``changes``: values for dotted keys of it, e.g.
+        ``{"loop.deadline_us": 1500}``; what is not there yet is added. ``faults``: a plan in place of the
+        bench's, as the path of a plan or of a recorded faults.jsonl, or as tables; ``{}``: none. ``motor``:
+        for every drive. ``time``: "real" paces a simulated bus. ``controllers``: by axis, an object of the
+        test in place of the controller that the bench describes.
+
+        On a bus in real time the drives that no fixture has put there are started as processes. An error
+        that ends the run is raised, unless it is of the kind ``ends_in``; then the run is returned with it,
+        and it is an AssertionError if the run does not end so.
+        """
+        __tracebackhide__ = True
+        config = self.load(bench, changes, faults=faults, motor=motor)
+        spec = parse_bus_spec(self.bus, "servo_bus")
+        if not spec.simulated:
+            self._put_drives_on_the_bus(config)
+        offset = Duration(0) if spec.simulated else wall_clock_offset()
+        run = Run(config, self._scratch / f"run-{next(self._numbers)}", offset)
+        interrupted = False
+        try:
+            interrupted = run_bench(
+                config,
+                bus_spec=self.bus,
+                time=time,
+                seed=seed,
+                record=run.folder,
+                view=False,
+                progress=no_progress,
+                controllers=controllers,
+                privileged=False,  # a locked memory of pytest is too much to ask of any machine
+            ).interrupted
+        except Interrupted:
+            interrupted = True
+        except BenchError as error:
+            if ends_in is None or not isinstance(error, ends_in):
+                raise
+            run.error = error
+        if interrupted:
+            raise KeyboardInterrupt  # whoever stops pytest means all of it, not this run
+        if ends_in is not None and run.error is None:
+            raise AssertionError(f"the run ended without an error, {ends_in.__name__} expected")
+        return run
+
+    def _put_drives_on_the_bus(self, config: BenchConfig) -> None:
+        missing: list[tuple[MotorFile, list[int]]] = []
+        for drive in config.drive.values():
+            if drive.node in self._host.nodes:
+                continue
+            for motor, nodes in missing:
+                if motor == drive.motor:
+                    nodes.append(drive.node)
+                    break
+            else:
+                missing.append((drive.motor, [drive.node]))
+        for motor, nodes in missing:
+            self._host.start(nodes, motor, seed=config.bench.seed, bitrate_bit_s=config.bus.bitrate_bit_s)
+
+
+def _change(tables: dict[str, Any], key: str, value: Any) -> None:
+    """Put ``value`` at a dotted key; a number in it counts the entries of an array of tables."""
+    *path, last = key.split(".")
+    place: Any = tables
+    for part in path:
+        place = place[int(part)] if isinstance(place, Sequence) else place.setdefault(part, {})
+    if isinstance(place, list):
+        place[int(last)] = value
+    elif value is None:
+        place.pop(last, None)
+    else:
+        place[last] = value

@@ -1,0 +1,269 @@
+"""One simulated drive with a master beside it, on the bus of a test."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from drivers.adapters import parse_bus_spec
+from drivers.drive_setup import DriveSettings
+from drivers.exchange import Command, Reading
+from drivers.network import CanopenNetwork
+from drivers.profile402 import State, error_text
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
+from hil.configuration.bench_file import faults_from, load_faults
+from hil.configuration.config_files import NamedBy
+from hil.configuration.motor_file import LING2012, MotorFile, load_motor
+from hil.device_files import DeviceFiles
+from hil.testing.hosted import DriveHost, DriveProcess
+from hil.testing.wire import Wire, intended_frames
+from hil.world import World, WorldPlan, open_world
+from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.servo import SimulatedServo
+
+PathLike = str | os.PathLike[str]
+
+ENABLE_LIMIT_S = 5.0
+_PERIOD_NS = NS_PER_MS
+_PERIOD_LIVE_NS = 10 * NS_PER_MS
+"""A test process is no controller: on a bus in real time it is asked for little."""
+_POLL_NS = 5 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class DriveWish:
+    """The drive that a test asks for."""
+
+    node: int = 1
+    motor: MotorFile | PathLike = LING2012
+    faults: PathLike | Mapping[str, Any] | None = None
+    """A fault plan; its times count from the moment that the drive is on the bus."""
+    eds: PathLike | None = None
+    """EDS or DCF of the device to rehearse."""
+    store: PathLike | None = None
+    """File that keeps what 1010h and LSS store."""
+    seed: int = 0
+    bitrate_bit_s: int = 1_000_000
+
+    @property
+    def motor_file(self) -> MotorFile:
+        """The motor, read if it is a path."""
+        return self.motor if isinstance(self.motor, MotorFile) else load_motor(Path(self.motor))
+
+    @property
+    def plan(self) -> Faults | None:
+        """The checked fault plan. Raises BadInput or BadInputs."""
+        if self.faults is None:
+            return None
+        if isinstance(self.faults, Mapping):
+            return faults_from(self.faults, "faults").plan
+        return load_faults(Path(self.faults), NamedBy("faults", "", str(self.faults))).plan
+
+
+class DriveRig:
+    """A drive, its master, and the wire between them.
+
+    rig.enable()
+    rig.run(0.2, torque_nm=0.5)
+    rig.client.quick_stop(rig.deadline(1.0))
+    rig.assert_reaches(State.SWITCH_ON_DISABLED, within_s=0.5)
+    rig.assert_no_unintended_frame()
+    """
+
+    def __init__(
+        self,
+        world: World,
+        wish: DriveWish,
+        device: SimulatedServo | None = None,
+        process: DriveProcess | None = None,
+    ) -> None:
+        self.node = wish.node
+        self.motor = wish.motor_file
+        self.device = device
+        """The simulated drive itself; None on a bus in real time, where it is :attr:`process`."""
+        self.process = process
+        self.clock = world.clock
+        self.wire = Wire(self.clock.now())
+        """Every frame that the master's adapter saw; times count from the making of the rig."""
+        world.link.tap(self.wire.take)
+        self.network = CanopenNetwork(world.link, world.clock)
+        self.client = ServoDrive(self.network, wish.node)
+        """The drive as the bench talks to it: states, modes, moves, objects."""
+        self._live = world.real_time
+        self._allowed: list[str] = []
+
+    @property
+    def period(self) -> Duration:
+        """Of :meth:`run`, ns: 1 ms, on a bus in real time 10 ms."""
+        return Duration(_PERIOD_LIVE_NS if self._live else _PERIOD_NS)
+
+    @property
+    def settings(self) -> DriveSettings:
+        """What :meth:`configure` writes: rated torque and speed as limits, and patient heartbeats."""
+        motor = self.motor.parameters
+        return DriveSettings(
+            self.period,
+            host_heartbeat_ms=100,
+            host_heartbeat_timeout_ms=1000,
+            drive_heartbeat_ms=100,
+            drive_heartbeat_timeout_ms=1000,
+            torque_max_nm=motor.rated_torque_nm,
+            speed_max_rad_s=motor.rated_speed_rad_s,
+        )
+
+    def deadline(self, seconds: float) -> Instant:
+        """So long from now, for the methods of :attr:`client`."""
+        return self.network.deadline_after(duration_s(seconds))
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; frames are taken in, and the heartbeat goes out."""
+        self.network.pump(self.deadline(seconds))
+
+    def configure(self, **changes: Any) -> list[str]:
+        """Connect and set the drive up; ``changes``: fields of :class:`drivers.drive_setup.DriveSettings`.
+
+        Returns what the drive does not have or did not take, in words.
+        """
+        self.client.connect(self.deadline(ENABLE_LIMIT_S))
+        return self.client.configure(replace(self.settings, **changes))
+
+    def enable(self, **changes: Any) -> None:
+        """:meth:`configure` if that was not done, then walk to OPERATION ENABLED."""
+        if self.client.plan is None or changes:
+            self.configure(**changes)
+        self.client.enable(self.deadline(ENABLE_LIMIT_S))
+
+    def run(self, seconds: float, torque_nm: float | Callable[[Reading], float] = 0.0) -> list[Reading]:
+        """Cycles of SYNC, readings, and a torque set-point in answer to each; returns the readings.
+
+        ``torque_nm``: one for all, or a function of the reading. Raises DriveInFault or NoAnswer if the drive
+        falls out of OPERATION ENABLED or is lost.
+        """
+        taken: list[Reading] = []
+        due = self.clock.now()
+        for _ in range(round(seconds * NS_PER_S / self.period)):
+            due = Instant(due + self.period)
+            self.network.send_sync()
+            while self.network.pump_one(due):
+                for reading in self.client.take_readings():
+                    wanted = torque_nm(reading) if callable(torque_nm) else torque_nm
+                    self.client.write(Command(reading.sequence, wanted, due, due))
+                    taken.append(reading)
+            self.client.check()
+        return taken
+
+    def state(self) -> State | None:
+        """The drive's state now, read by SDO."""
+        return self.client.control.read_state()
+
+    def assert_reaches(self, state: State, *, within_s: float) -> float:
+        """The drive comes into ``state``; returns after how long it was seen there, s."""
+        __tracebackhide__ = True
+        began, seen = self.clock.now(), list[str]()
+        while True:
+            found = self.state()
+            took_s = (self.clock.now() - began) / NS_PER_S
+            label = "no state of CiA 402" if found is None else found.value
+            if not seen or seen[-1] != label:
+                seen.append(label)
+            if found is state:
+                return took_s
+            if took_s > within_s:
+                raise AssertionError(
+                    f"node {self.node}: not in '{state.value}' after {within_s:g} s; "
+                    f"it was in {', then in '.join(map(repr, seen))}{self._emergencies()}"
+                )
+            self.network.pump(Instant(self.clock.now() + _POLL_NS))
+
+    def assert_stays(self, state: State, *, for_s: float) -> None:
+        """The drive is in ``state`` now and does not leave it."""
+        __tracebackhide__ = True
+        began = self.clock.now()
+        while (held_s := (self.clock.now() - began) / NS_PER_S) < for_s:
+            found = self.state()
+            if found is not state:
+                label = "no state of CiA 402" if found is None else f"'{found.value}'"
+                raise AssertionError(
+                    f"node {self.node}: {label} after {held_s:.3f} s, to stay in '{state.value}' for "
+                    f"{for_s:g} s{self._emergencies()}"
+                )
+            self.network.pump(Instant(self.clock.now() + _POLL_NS))
+
+    def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
+        """Only what master and drive have to say to each other was on the wire since :meth:`Wire.clear`.
+
+        NMT, SYNC, heartbeats, SDO, and the PDOs of the plan in their lengths. ``allow``: patterns of
+        :mod:`hil.testing.wire` of what else may be there, e.g. ``"081#*"`` for the EMCY of node 1.
+        """
+        __tracebackhide__ = True
+        self.wire.assert_only(intended_frames(self.network.node_id, self.node, self._plan_written()), allow)
+
+    def assert_controlwords(self, *words: int) -> None:
+        """The host sent these controlwords and no others since :meth:`Wire.clear`.
+
+        By every RPDO that carries one, and by SDO; a word that is repeated in a row counts once.
+        """
+        __tracebackhide__ = True
+        seen = self.wire.controlwords(self.node, self._plan_written())
+        if [found.word for found in seen] != [*words]:
+            wanted = " ".join(f"{word:04X}h" for word in words) or "none"
+            lines = [f"  {(at - self.wire.zero) / NS_PER_S:.6f} s {word:04X}h" for at, word in seen]
+            raise AssertionError(
+                f"node {self.node}: controlwords {wanted} expected, the host sent"
+                + ("\n".join([":", *lines]) if lines else " none")
+            )
+
+    def release(self) -> None:
+        """Leave the drive at rest, as a run does at its end."""
+        self.client.release()
+
+    def _plan_written(self) -> Any:
+        if self.client.plan is None:
+            raise ValueError("the drive was not configured: no PDO is intended yet")
+        return self.client.plan
+
+    def _emergencies(self) -> str:
+        codes = [found.code for found in self.network.emergencies if found.node_id == self.node]
+        told = ", ".join(f"{code:04X}h {error_text(code)}" for code in codes[-3:])
+        return f"; EMCY: {told}" if told else ""
+
+
+@contextmanager
+def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
+    """A drive on ``bus`` with its master; the drive is left at rest and the bus is closed afterwards."""
+    spec = parse_bus_spec(bus, "servo_bus")
+    process, devices, plan = None, list[SimulatedServo](), None
+    if spec.simulated:
+        files = DeviceFiles(_path(wish.eds), _path(wish.store))
+        vendor, memory = files.vendor(lambda _repair: None), files.memory([wish.node])
+        motor = wish.motor_file.parameters
+        devices = [SimulatedServo(wish.node, motor, None, wish.seed, memory, vendor)]
+        plan = wish.plan
+    elif wish.node not in host.nodes:
+        process = host.start(
+            [wish.node],
+            wish.motor,
+            faults=wish.faults,
+            eds=wish.eds,
+            store=wish.store,
+            seed=wish.seed,
+            bitrate_bit_s=wish.bitrate_bit_s,
+        )
+    world_plan = WorldPlan(spec, wish.bitrate_bit_s, False, plan, wish.seed)
+    with open_world(world_plan, devices) as world:
+        if world.faults is not None:
+            world.faults.start(world.clock.now())
+        rig = DriveRig(world, wish, devices[0] if devices else None, process)
+        try:
+            yield rig
+        finally:
+            if world.faults is not None:
+                world.faults.stop()
+            rig.release()
+
+
+def _path(name: PathLike | None) -> Path | None:
+    return None if name is None else Path(name)

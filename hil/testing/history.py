@@ -1,0 +1,97 @@
+"""One axis of a recorded run, cycle by cycle, as the assertions look at it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.profile402 import State, state_of
+from drivers.timebase import NS_PER_S, Instant
+from hil.recording.records import CAUSES, FATE_SAMPLE, Rows
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class Stretch(NamedTuple):
+    """Cycles of unchanged reference and load, after a change of one of them."""
+
+    first: int
+    end: int
+    """One behind the last cycle."""
+    at_s: float
+    """When the change was complete."""
+    what: str
+    """It, in words."""
+
+
+class Gap(NamedTuple):
+    """Cycles in a row without a usable reading."""
+
+    first: int
+    length: int
+
+
+class AxisHistory:
+    """Columns of (n,) values, one for each cycle; velocity and error are NaN where no reading was used."""
+
+    def __init__(self, name: str, rows: Rows, zero: Instant) -> None:
+        """``rows``: (n,) of ROW_DTYPE, of this axis, in order of sequence; times count from ``zero``."""
+        self.name = name
+        self.time_s: Floats = (rows["due_at"] - zero) / NS_PER_S
+        self.reference_rad_s: Floats = rows["reference_rad_s"]
+        self.load_nm: Floats = rows["load_torque_nm"]
+        self.torque_nm: Floats = rows["command_torque_nm"]
+        self.commanded: Flags = rows["command_sent_at"] >= 0
+        self.sampled: Flags = rows["fate"] == FATE_SAMPLE
+        self.velocity_rad_s: Floats = np.where(self.sampled, rows["velocity_rad_s"], np.nan)
+        self.error_rad_s: Floats = self.reference_rad_s - self.velocity_rad_s
+        self.statusword: NDArray[np.int64] = rows["statusword"]
+        self._fate = rows["fate"]
+
+    @property
+    def scale_rad_s(self) -> float:
+        """The largest |reference|: what percent of speed refer to, as in the summary of a run."""
+        return float(np.abs(self.reference_rad_s).max(initial=0.0))
+
+    def window(self, from_s: float, until_s: float) -> Flags:
+        """The cycles with a usable reading in [from_s, until_s)."""
+        inside: Flags = self.sampled & (self.time_s >= from_s) & (self.time_s < until_s)
+        return inside
+
+    def stretches(self) -> list[Stretch]:
+        """The run between its changes of reference and load. Both start from 0."""
+        reference = np.diff(self.reference_rad_s, prepend=0.0)
+        load = np.diff(self.load_nm, prepend=0.0)
+        changed = np.flatnonzero((reference != 0.0) | (load != 0.0))
+        ends = [*changed[1:], self.time_s.size]
+        return [
+            Stretch(int(first), int(end), float(self.time_s[first]), self._change(int(first), reference))
+            for first, end in zip(changed, ends, strict=True)
+            if end > first + 1
+        ]
+
+    def gaps(self) -> list[Gap]:
+        """Every run of dropouts, in order."""
+        edges = np.diff(np.concatenate(([0], (~self.sampled).astype(np.int8), [0])))
+        starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+        return [Gap(int(start), int(end - start)) for start, end in zip(starts, ends, strict=True)]
+
+    def dropouts(self) -> dict[str, int]:
+        """How many cycles were dropped, by cause."""
+        return {cause.value: int((self._fate == place).sum()) for place, cause in enumerate(CAUSES, start=1)}
+
+    def states(self) -> list[tuple[float, State | None]]:
+        """When the drive's statusword began to tell another state, and which."""
+        found: list[tuple[float, State | None]] = []
+        for place in np.flatnonzero(self.sampled):
+            state = state_of(int(self.statusword[place]))
+            if not found or found[-1][1] is not state:
+                found.append((float(self.time_s[place]), state))
+        return found
+
+    def _change(self, place: int, reference: Floats) -> str:
+        if reference[place]:
+            rpm = self.reference_rad_s[place] * 60.0 / (2.0 * np.pi)
+            return f"the reference of {self.reference_rad_s[place]:.4g} rad/s ({rpm:.4g} r/min)"
+        return f"the load of {self.load_nm[place]:.4g} N m"

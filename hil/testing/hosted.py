@@ -1,0 +1,140 @@
+"""Simulated drives as processes of their own, for tests on a bus in real time."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import PeerFault
+from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
+from hil.configuration.motor_file import MotorFile
+from hil.configuration.toml_text import toml_text
+
+START_LIMIT_S = 60.0
+END_LIMIT_S = 20.0
+_ANNOUNCED = "Ctrl-C ends it"
+_POLL_NS = 10 * NS_PER_MS
+
+
+class DriveProcess:
+    """``hil simulate``: on the bus when made, ended by ``stop``, ``kill``, or the end of the test."""
+
+    def __init__(self, command: Sequence[str], log: Path) -> None:
+        self._log = log
+        self._forgiven = False
+        with log.open("wb") as said:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env={**os.environ, "CI": "true"}
+            )
+        self._await_announcement()
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    @property
+    def said(self) -> str:
+        """What it has printed so far."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def kill(self) -> None:
+        """End it as a pulled plug would: no word to anybody (SIGKILL)."""
+        self._forgiven = True
+        self._process.kill()
+        self._process.wait(END_LIMIT_S)
+
+    def stop(self) -> int:
+        """End it by Ctrl-C; its exit status."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        return self.wait()
+
+    def wait(self, limit_s: float = END_LIMIT_S) -> int:
+        """Its exit status, once it ends by itself."""
+        status = self._process.wait(limit_s)
+        self._forgiven = True
+        return status
+
+    def finish(self) -> str:
+        """End it if need be; what it said if it ended by an error that no test has asked for, else ''."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(END_LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+                return f"it did not end within {END_LIMIT_S:g} s of Ctrl-C; it said:\n{self.said}"
+        if self._process.returncode and not self._forgiven:
+            return f"it ended with status {self._process.returncode}; it said:\n{self.said}"
+        return ""
+
+    def _await_announcement(self) -> None:
+        clock = MonotonicClock()
+        deadline = clock.now() + duration_s(START_LIMIT_S)
+        while _ANNOUNCED not in self.said:
+            if self._process.poll() is not None or clock.now() > deadline:
+                self._process.kill()
+                self._process.wait()
+                raise PeerFault("the simulated drive did not come up", self.said.strip())
+            clock.sleep_until(Instant(clock.now() + _POLL_NS))
+
+
+class DriveHost:
+    """The drive processes of one test."""
+
+    def __init__(self, spec: str, scratch: Path) -> None:
+        """``scratch``: a folder of the test's own, for the files that the processes are given."""
+        self.spec = spec
+        self.nodes: set[int] = set()
+        """On the bus, or they have been."""
+        self._scratch = scratch
+        self._processes: list[DriveProcess] = []
+        self._numbers = itertools.count(1)
+
+    def start(
+        self,
+        nodes: Sequence[int],
+        motor: MotorFile | str | os.PathLike[str],
+        *,
+        faults: Mapping[str, Any] | str | os.PathLike[str] | None = None,
+        eds: str | os.PathLike[str] | None = None,
+        store: str | os.PathLike[str] | None = None,
+        seed: int = 0,
+        bitrate_bit_s: int = 1_000_000,
+    ) -> DriveProcess:
+        """Start drives with one motor and one fault plan. Raises PeerFault with what it said if it fails."""
+        number = next(self._numbers)
+        options = ["--bus", self.spec, "--node", ",".join(map(str, nodes))]
+        options += ["--motor", str(self._file(f"motor-{number}.toml", motor))]
+        options += ["--seed", str(seed), "--bitrate", str(bitrate_bit_s)]
+        if faults is not None:
+            options += ["--faults", str(self._file(f"faults-{number}.toml", faults))]
+        options += ["--eds", str(eds)] if eds is not None else []
+        options += ["--store", str(store)] if store is not None else []
+        log = self._scratch / f"drive-{number}.log"
+        process = DriveProcess([sys.executable, "-m", "hil.cli", "simulate", *options], log)
+        self._processes.append(process)
+        self.nodes.update(nodes)
+        return process
+
+    def end(self) -> None:
+        """End them all. Raises PeerFault if one had ended by an error of its own."""
+        complaints = [complaint for process in self._processes if (complaint := process.finish())]
+        self._processes.clear()
+        if complaints:
+            raise PeerFault(f"a simulated drive on {self.spec} failed", "\n".join(complaints))
+
+    def _file(self, name: str, content: MotorFile | Mapping[str, Any] | str | os.PathLike[str]) -> Path:
+        """A file that holds ``content``; a path names one that is there."""
+        if isinstance(content, str | os.PathLike):
+            return Path(content)
+        tables = content.model_dump(mode="json") if isinstance(content, MotorFile) else content
+        path = self._scratch / name
+        path.write_text(toml_text(tables), encoding="utf-8")
+        return path

@@ -1,0 +1,318 @@
+"""A run of a bench that has ended, and what a test may claim about it.
+
+Every claim raises AssertionError with the figures that it rests on. One about a run that was cut short fails.
+"""
+
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import BenchError
+from drivers.pdo import PdoPlan
+from drivers.pdo_capability import capability_of
+from drivers.pdo_planner import PlanWish, plan_pdos
+from drivers.pdo_plans import torque_plan
+from drivers.profile402 import Mode, State
+from drivers.timebase import NS_PER_S, Duration, Instant
+from hil.configuration.config import BenchConfig
+from hil.drive_settings import data_sheets
+from hil.figures.summary import Check, Summary
+from hil.recording.records import ROW_DTYPE, Rows
+from hil.recording.records_file import RECORDS_FILE, read_records
+from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE
+from hil.testing.history import AxisHistory, Stretch
+from hil.testing.wire import Intended, Wire, intended_frames, read_wire
+
+_TRACK = "drive"
+
+
+class Run:
+    """One recorded run."""
+
+    def __init__(
+        self, config: BenchConfig, folder: Path, stamp_offset: Duration, error: BenchError | None = None
+    ) -> None:
+        """``stamp_offset``: of the stamps in frames.log from the bench's clock."""
+        self.config = config
+        self.folder = folder
+        """Its recording."""
+        self.error = error
+        """What ended it, for a run that was to end so."""
+        self._stamp_offset = stamp_offset
+
+    # ---- what there is to look at ---------------------------------------------------------------------
+
+    @cached_property
+    def summary(self) -> Summary:
+        """What ``hil run --json`` prints."""
+        found = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
+        return Summary.from_json(found)
+
+    @property
+    def digest(self) -> str:
+        """Of every field of every record; in simulated time the same for the same seed."""
+        return self.summary.digest
+
+    @cached_property
+    def rows(self) -> Rows:
+        """(n,) of ROW_DTYPE: the records of all axes, as they were recorded."""
+        return np.concatenate([np.empty(0, ROW_DTYPE), *read_records(self.folder / RECORDS_FILE)])
+
+    @cached_property
+    def events(self) -> list[dict[str, Any]]:
+        """The entries of events.jsonl."""
+        lines = (self.folder / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
+        return [json.loads(line) for line in lines]
+
+    @cached_property
+    def wire(self) -> Wire:
+        """Every frame that the bench sent or received, from connecting to releasing the drives."""
+        return read_wire(self.folder / FRAMES_FILE, self._stamp_offset, self._zero)
+
+    def axis(self, name: str | None = None) -> AxisHistory:
+        """One axis, cycle by cycle; ``name`` may be left out if there is only one."""
+        axes = self.config.axes
+        if name is None and len(axes) == 1:
+            name = axes[0]
+        if name not in axes:
+            raise ValueError(f"axis {name!r}: say one of {', '.join(axes)}")
+        return AxisHistory(name, self.rows[self.rows["axis"] == axes.index(name)], self._zero)
+
+    @cached_property
+    def _zero(self) -> Instant:
+        """When the loop began; of a run that never came so far, the clock's own zero."""
+        begun = [event["at_ns"] for event in self.events if event.get("begin")]
+        return Instant(begun[0] if begun else 0)
+
+    # ---- what may be claimed --------------------------------------------------------------------------
+
+    def assert_passed(self) -> None:
+        """The run was completed and kept every limit of the bench file's ``[verdict]``."""
+        __tracebackhide__ = True
+        self._assert_completed()
+        verdict = self.summary.verdict
+        if not verdict.limits:
+            raise AssertionError(f"{self.config.source or 'the bench'} has no limit in [verdict] to keep")
+        if not verdict.passed:
+            kept = "; ".join(_described(check) for check in verdict.limits if not check.passed)
+            raise AssertionError(f"limits not kept: {kept}; recording: {self.folder}")
+
+    def assert_settles(
+        self,
+        *,
+        within_s: float,
+        band_percent: float = 2.0,
+        axis: str | None = None,
+        after_s: float | None = None,
+    ) -> list[float]:
+        """After every change of reference or load the speed is in the band after ``within_s``, and stays.
+
+        The band is +-``band_percent`` of the largest |reference|. ``after_s``: only the change at that time.
+        A stretch between two changes that is shorter than ``within_s`` is not judged. Returns how long each
+        settling took, s.
+        """
+        __tracebackhide__ = True
+        self._assert_completed()
+        history = self.axis(axis)
+        band_rad_s = self._scale(history) * band_percent / 100.0
+        judged = [
+            stretch
+            for stretch in _chosen(history, after_s)
+            if history.time_s[stretch.end - 1] - stretch.at_s >= within_s
+        ]
+        if not judged:
+            raise AssertionError(f"{history.name}: no stretch of {within_s:g} s after a change to settle in")
+        took_s = []
+        for stretch in judged:  # no comprehension: pytest would show its frame
+            took_s.append(_settling_s(history, stretch, within_s, band_rad_s, band_percent))
+        return took_s
+
+    def assert_error_below(
+        self,
+        *,
+        percent: float | None = None,
+        rad_s: float | None = None,
+        rms_rad_s: float | None = None,
+        from_s: float = 0.0,
+        until_s: float = float("inf"),
+        axis: str | None = None,
+    ) -> None:
+        """|reference - speed| in every cycle of [from_s, until_s) that has a reading.
+
+        ``percent``: of the largest |reference|. ``rms_rad_s``: the root of its mean square instead.
+        """
+        __tracebackhide__ = True
+        if percent is None and rad_s is None and rms_rad_s is None:
+            raise ValueError("give at least one of percent, rad_s and rms_rad_s")
+        self._assert_completed()
+        history = self.axis(axis)
+        inside = history.window(from_s, until_s)
+        if not inside.any():
+            raise AssertionError(f"{history.name}: no reading between {from_s:g} s and {until_s:g} s")
+        error, at_s = np.abs(history.error_rad_s[inside]), history.time_s[inside]
+        worst = int(error.argmax())
+        where = f"{error[worst]:.4g} rad/s at {at_s[worst]:.3f} s"
+        if percent is not None:
+            found = 100.0 * float(error[worst]) / self._scale(history)
+            if found > percent:
+                raise AssertionError(
+                    f"{history.name}: speed error {found:.3g} % ({where}), at most {percent:g} % asked for"
+                )
+        if rad_s is not None and error[worst] > rad_s:
+            raise AssertionError(f"{history.name}: speed error {where}, at most {rad_s:g} rad/s asked for")
+        rms = float(np.sqrt(np.mean(error**2)))
+        if rms_rad_s is not None and rms > rms_rad_s:
+            raise AssertionError(
+                f"{history.name}: speed error {rms:.4g} rad/s rms (peak {where}), "
+                f"at most {rms_rad_s:g} rad/s rms asked for"
+            )
+
+    def assert_dropouts_handled(
+        self, *, at_least: int = 1, in_a_row_max: int | None = None, axis: str | None = None
+    ) -> None:
+        """Readings were lost, late or stale, and the loop lived with it.
+
+        That is: the run was completed, a set-point went out in every cycle, and the drive stayed in OPERATION
+        ENABLED. With fewer than ``at_least`` dropouts nothing was shown, which fails too.
+        """
+        __tracebackhide__ = True
+        self._assert_completed()
+        history = self.axis(axis)
+        causes, gaps = history.dropouts(), history.gaps()
+        counted = ", ".join(f"{count} {cause}" for cause, count in causes.items())
+        if sum(causes.values()) < at_least:
+            raise AssertionError(
+                f"{history.name}: {counted} in {history.time_s.size} cycles, at least {at_least} dropouts "
+                "are needed to show how they are handled"
+            )
+        silent = history.time_s[~history.commanded]
+        if silent.size:
+            raise AssertionError(
+                f"{history.name}: no set-point was sent in {silent.size} of {history.time_s.size} cycles, "
+                f"first at {silent[0]:.3f} s ({counted})"
+            )
+        longest = max(gaps, key=lambda gap: gap.length, default=None)
+        if in_a_row_max is not None and longest is not None and longest.length > in_a_row_max:
+            raise AssertionError(
+                f"{history.name}: {longest.length} dropouts in a row from {history.time_s[longest.first]:.3f}"
+                f" s on, at most {in_a_row_max} asked for ({counted})"
+            )
+        self.assert_stayed(State.OPERATION_ENABLED, axis=axis)
+
+    def assert_reached(self, state: State, *, by_s: float | None = None, axis: str | None = None) -> None:
+        """The drive was seen in ``state``, from enabling it to its release; ``by_s``: no later than then."""
+        __tracebackhide__ = True
+        name = self.axis(axis).name
+        seen = self._states(name)
+        times = [at_s for at_s, label in seen if label == state.value]
+        told = ", ".join(f"{label} at {at_s:.3f} s" for at_s, label in seen) or "in no state"
+        if not times:
+            raise AssertionError(f"{name}: never in '{state.value}'; it was seen {told}")
+        if by_s is not None and times[0] > by_s:
+            raise AssertionError(
+                f"{name}: in '{state.value}' at {times[0]:.3f} s, at {by_s:g} s asked for; it was seen {told}"
+            )
+
+    def assert_stayed(self, state: State, *, axis: str | None = None) -> None:
+        """Every reading of the loop tells ``state``."""
+        __tracebackhide__ = True
+        history = self.axis(axis)
+        for at_s, seen in history.states():
+            if seen is not state:
+                label = "no state of CiA 402" if seen is None else f"'{seen.value}'"
+                raise AssertionError(f"{history.name}: {label} at {at_s:.3f} s, '{state.value}' expected")
+        if not history.sampled.any():
+            raise AssertionError(f"{history.name}: no reading tells a state")
+
+    def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
+        """Only frames that the bench and its drives have to say to each other were on the wire.
+
+        NMT, SYNC, heartbeats, SDO, and the PDOs of the bench in their lengths: an EMCY, a PDO that nobody
+        asked for or another node's frame fails. ``allow``: patterns of :mod:`hil.testing.wire`.
+        """
+        __tracebackhide__ = True
+        rules: list[Intended] = []
+        for name, plan in pdo_plans(self.config).items():
+            rules += intended_frames(self.config.host.node, self.config.drive[name].node, plan)
+        self.wire.assert_only(rules, allow)
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _assert_completed(self) -> None:
+        __tracebackhide__ = True
+        verdict = self.summary.verdict
+        if not verdict.completed:
+            raise AssertionError(f"the run was cut short: {verdict.reason}; recording: {self.folder}")
+
+    def _scale(self, history: AxisHistory) -> float:
+        scale = history.scale_rad_s
+        if not scale:
+            raise ValueError(f"{history.name} has no reference to take percent of; give the error in rad/s")
+        return scale
+
+    def _states(self, axis: str) -> list[tuple[float, str]]:
+        """When the drive was seen in another state, by the events before and after the loop too."""
+        track = f"{axis} {_TRACK}"
+        found = [
+            ((event["at_ns"] - self._zero) / NS_PER_S, str(event["state"]).lower())
+            for event in self.events
+            if event.get("track") == track
+        ]
+        found += [(at_s, state.value) for at_s, state in self.axis(axis).states() if state is not None]
+        return sorted(found)
+
+
+def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
+    """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
+    sheets, every = data_sheets(config), config.loop.position_every_cycles
+    on_sync = config.loop.actuation == "on_sync"
+    wish = PlanWish(Mode.CYCLIC_SYNCHRONOUS_TORQUE, on_sync, every)
+    plans = {}
+    for name, drive in config.drive.items():
+        if name in sheets:
+            plans[name] = plan_pdos(capability_of(sheets[name]), drive.node, wish).plan
+        else:
+            plans[name] = torque_plan(drive.node, device_stamp=True, position_every_cycles=every)
+    return plans
+
+
+def _described(check: Check) -> str:
+    value = "not measured" if check.value is None else f"{check.value:.4g}"
+    return f"{check.metric} = {check.limit:g}, found {value}"
+
+
+def _chosen(history: AxisHistory, after_s: float | None) -> list[Stretch]:
+    stretches = history.stretches()
+    if after_s is None:
+        return stretches
+    tolerance_s = 1.5 * float(np.median(np.diff(history.time_s)))
+    chosen = [stretch for stretch in stretches if abs(stretch.at_s - after_s) <= tolerance_s]
+    if not chosen:
+        there = ", ".join(f"{stretch.at_s:.3f} s" for stretch in stretches) or "nowhere"
+        raise ValueError(f"{history.name}: nothing changes at {after_s:g} s; changes end at {there}")
+    return chosen
+
+
+def _settling_s(
+    history: AxisHistory, stretch: Stretch, within_s: float, band_rad_s: float, band_percent: float
+) -> float:
+    __tracebackhide__ = True
+    part = slice(stretch.first, stretch.end)
+    since_s = history.time_s[part] - stretch.at_s
+    error = np.abs(history.error_rad_s[part])
+    outside = since_s[error > band_rad_s]
+    settled_s = float(outside[-1]) if outside.size else 0.0
+    after = error[(since_s >= within_s) & ~np.isnan(error)]
+    place = f"{history.name}: {within_s:g} s after {stretch.what} at {stretch.at_s:.3f} s"
+    if not after.size:
+        raise AssertionError(f"{place} there is no reading any more")
+    if settled_s >= within_s:
+        percent = 100.0 * float(after.max()) / history.scale_rad_s
+        raise AssertionError(
+            f"{place} the speed is still up to {percent:.3g} % ({after.max():.4g} rad/s) off, the band is "
+            f"{band_percent:g} %; last outside of it after {settled_s:.3f} s"
+        )
+    return settled_s

@@ -1,0 +1,232 @@
+"""The frames that a host's adapter sent and received, and expectations about them.
+
+Frames are compared as candump writes them, ``201#0F00F401``. In a pattern a dot stands for any hexadecimal
+digit and a star at the end for any rest: ``201#0F00*`` is an RPDO1 of node 1 with controlword 000Fh,
+``7..#05`` a heartbeat of any node that is operational, ``.*`` everything.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from struct import Struct
+from typing import NamedTuple
+
+from drivers.objects402 import Object
+from drivers.pdo import PdoPlan
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from hil.testing.frame_names import frame_name
+
+ORIGIN = Instant(0)
+SHOWN_MAX = 5
+"""Frames that a message lists."""
+_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#(R?)([0-9A-F]*) ([TR])\n?")
+_PATTERN = re.compile(r"(?P<id>[0-9A-Fa-f.]{3}|[0-9A-Fa-f.]{8})#(?P<data>R|[0-9A-Fa-f.]*)(?P<rest>\*?)")
+SDO_REQUEST = 0x600
+_SDO_WRITE = 0x20
+"""Initiate download: the upper three bits of the command (CiA 301 7.2.4.3.3)."""
+_STANDARD_DIGITS = 3
+
+
+class SeenFrame(NamedTuple):
+    """A frame on the wire."""
+
+    at: Instant
+    sent: bool
+    """By the host; else it was received."""
+    can_id: int
+    data: bytes
+    extended: bool = False
+    remote: bool = False
+
+    @property
+    def text(self) -> str:
+        """As candump writes it."""
+        digits = 8 if self.extended else _STANDARD_DIGITS
+        return f"{self.can_id:0{digits}X}#{'R' if self.remote else self.data.hex().upper()}"
+
+    def described(self, zero: Instant) -> str:
+        """For a message: when, whose, what."""
+        whose = "sent" if self.sent else "received"
+        return (
+            f"{(self.at - zero) / NS_PER_S:.6f} s {whose} {self.text} ({frame_name(self.can_id, self.data)})"
+        )
+
+
+class Controlword(NamedTuple):
+    """A controlword that went out, by PDO or SDO."""
+
+    at: Instant
+    word: int
+
+
+@cache
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """Raises ValueError for what is no pattern of a frame."""
+    if pattern == ".*":
+        return re.compile(r".*", re.DOTALL)
+    found = _PATTERN.fullmatch(pattern)
+    if found is None or (len(found["data"]) % 2 and found["data"] != "R"):
+        raise ValueError(f"{pattern!r} is no pattern of a frame; write e.g. '201#0F00*' or '7..#05'")
+    text = f"{found['id']}#{found['data']}".upper().replace(".", "[0-9A-F]")
+    return re.compile(text + (".*" if found["rest"] else ""))
+
+
+class Wire:
+    """Every frame since :meth:`clear`, in the order in which the host's adapter saw it.
+
+    What fault injection takes away before it reaches the host is not among them; what it takes away of the
+    host's own frames is.
+    """
+
+    def __init__(self, zero: Instant = ORIGIN, frames: Iterable[SeenFrame] = ()) -> None:
+        """``zero``: times in messages count from it."""
+        self.zero = zero
+        self.frames: list[SeenFrame] = list(frames)
+
+    def take(
+        self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
+    ) -> None:
+        """Take a frame in; fits ``BusLink.tap``."""
+        self.frames.append(SeenFrame(at, direction == "tx", can_id, bytes(data), extended, remote))
+
+    def clear(self) -> None:
+        """Forget what was seen so far."""
+        self.frames.clear()
+
+    def find(self, pattern: str, *, sent: bool | None = None) -> list[SeenFrame]:
+        """The frames that match; ``sent``: only the host's (True) or only the others' (False)."""
+        matches = _compiled(pattern).fullmatch
+        return [
+            frame for frame in self.frames if (sent is None or frame.sent is sent) and matches(frame.text)
+        ]
+
+    def between(self, from_s: float, until_s: float) -> "Wire":
+        """The part of [from_s, until_s), counted from ``zero``."""
+        first, end = (self.zero + round(limit * NS_PER_S) for limit in (from_s, until_s))
+        return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end])
+
+    def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
+        """A frame matches; ``times``: exactly so many do."""
+        __tracebackhide__ = True
+        found = self.find(pattern, sent=sent)
+        if times is None and not found:
+            raise AssertionError(f"no frame {pattern} among {len(self.frames)}{self._list(self.frames)}")
+        if times is not None and len(found) != times:
+            raise AssertionError(f"{len(found)} frames {pattern}, {times} expected{self._list(found)}")
+
+    def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
+        """No frame matches."""
+        __tracebackhide__ = True
+        found = self.find(pattern, sent=sent)
+        if found:
+            raise AssertionError(f"{len(found)} frames {pattern}, none expected{self._list(found)}")
+
+    def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
+        """Frames that match come in this order; others may be between them."""
+        __tracebackhide__ = True
+        place = 0
+        for number, pattern in enumerate(patterns):
+            matches = _compiled(pattern).fullmatch
+            while place < len(self.frames):
+                frame = self.frames[place]
+                place += 1
+                if (sent is None or frame.sent is sent) and matches(frame.text):
+                    break
+            else:
+                before = f" after {patterns[number - 1]}" if number else ""
+                seen = self._list(self.find(pattern, sent=sent), "; there are, too early:")
+                raise AssertionError(f"no frame {pattern}{before}{seen}")
+
+    def assert_only(self, intended: Sequence["Intended"], allow: Sequence[str] = ()) -> None:
+        """Every frame is one of those ``intended``, or matches a pattern of ``allow``."""
+        __tracebackhide__ = True
+        sent = _accepts([rule.pattern for rule in intended if rule.sent is not False] + [*allow])
+        received = _accepts([rule.pattern for rule in intended if rule.sent is not True] + [*allow])
+        found = [frame for frame in self.frames if not (sent if frame.sent else received)(frame.text)]
+        if found:
+            raise AssertionError(f"{len(found)} unintended of {len(self.frames)} frames{self._list(found)}")
+
+    def controlwords(self, node: int, plan: PdoPlan) -> list[Controlword]:
+        """Every controlword to a node, by the RPDOs of its plan or by SDO, those repeated in a row once."""
+        codecs = {
+            pdo.cob_id: (pdo.codec(), place)
+            for pdo in plan.rpdos
+            if (place := pdo.place_of(Object.CONTROLWORD)) is not None
+        }
+        words: list[Controlword] = []
+        for frame in self.frames:
+            word = _controlword_in(frame, node, codecs) if frame.sent else None
+            if word is not None and (not words or words[-1].word != word):
+                words.append(Controlword(frame.at, word))
+        return words
+
+    def _list(self, frames: Sequence[SeenFrame], head: str = ":") -> str:
+        if not frames:
+            return ""
+        lines = [f"  {frame.described(self.zero)}" for frame in frames[:SHOWN_MAX]]
+        if len(frames) > SHOWN_MAX:
+            lines.append(f"  and {len(frames) - SHOWN_MAX} more")
+        return "\n".join([head, *lines])
+
+
+class Intended(NamedTuple):
+    """Frames that belong to normal operation."""
+
+    pattern: str
+    sent: bool | None
+    """By the host (True), by others (False), or by either."""
+
+
+def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
+    """What a host and one drive have to say to each other when nothing is wrong.
+
+    NMT, SYNC, the host's heartbeat, SDO both ways, the PDOs of the plan in their lengths, the drive's boot-up
+    and heartbeat; no EMCY.
+    """
+    rules = [
+        Intended("000#....", True),
+        Intended("080#", True),
+        Intended(f"{0x700 + host_node:03X}#05", True),
+        Intended(f"{0x600 + node:03X}#{'.' * 16}", True),
+        Intended(f"{0x580 + node:03X}#{'.' * 16}", False),
+        Intended(f"{0x700 + node:03X}#..", False),
+    ]
+    for pdos, sent in ((plan.rpdos, True), (plan.tpdos, False)):
+        rules += [Intended(f"{pdo.cob_id:03X}#{'.' * (pdo.bits // 4)}", sent) for pdo in pdos]
+    return rules
+
+
+def read_wire(path: Path, offset: Duration, zero: Instant) -> Wire:
+    """The wire as ``frames.log`` of a run keeps it. ``offset``: of its stamps from the bench's clock."""
+    found = Wire(zero)
+    for line in path.read_text(encoding="ascii").splitlines():
+        fields = _LINE.fullmatch(line)
+        if fields is None:
+            raise ValueError(f"{path}: no line of a candump log: {line!r}")
+        seconds, micros, identifier, remote, data, direction = fields.groups()
+        at = Instant(int(seconds) * NS_PER_S + int(micros) * NS_PER_US - offset)
+        extended = len(identifier) > _STANDARD_DIGITS
+        frame = SeenFrame(
+            at, direction == "T", int(identifier, 16), bytes.fromhex(data), extended, bool(remote)
+        )
+        found.frames.append(frame)
+    return found
+
+
+def _accepts(patterns: Sequence[str]) -> Callable[[str], bool]:
+    texts = [_compiled(pattern).pattern for pattern in patterns]
+    matches = re.compile("|".join(f"(?:{text})" for text in texts)).fullmatch
+    return lambda text: matches(text) is not None
+
+
+def _controlword_in(frame: SeenFrame, node: int, codecs: dict[int, tuple[Struct, int]]) -> int | None:
+    """A frame of another length than its mapping carries nothing (CiA 301 7.2.2.2.1: error 8210h)."""
+    codec = codecs.get(frame.can_id)
+    if codec is not None and len(frame.data) == codec[0].size:
+        word: int = codec[0].unpack(frame.data)[codec[1]]
+        return word
+    is_write = frame.can_id == SDO_REQUEST + node and frame.data[:1] and frame.data[0] & 0xE0 == _SDO_WRITE
+    if is_write and frame.data[1:4] == Object.CONTROLWORD.to_bytes(2, "little") + b"\0":
+        return int.from_bytes(frame.data[4:6], "little")
+    return None

@@ -1,0 +1,105 @@
+"""How near commissioning comes to what is hidden: drives drawn from seeds, in simulated time.
+
+    python -m tests.benchmarks.bench_commissioning [--seeds 0-49] [--loss] [--drift-ppm 300] [--processes 2]
+
+One row a drive; the delays are compared with what was seen inside the simulated drive. ``missed`` and
+``invented``: faults of polarity and units.
+"""
+
+import argparse
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.commissioning.step import Verdict
+from tests.commissioning import Errors, errors_of, unknown_world
+
+LIMITS = {"inertia": 0.03, "viscous": 0.08, "coulomb": 0.08}
+UNIT_LIMIT = 0.005
+DELAY_LIMIT_US = 20.0
+HEAD = "seed   inertia  viscous  coulomb  position velocity  torque   reading    effect  missed  invented"
+
+
+def measured(seed: int, lossy: bool, drift_ppm: float) -> tuple[int, Errors | None, list[str], float]:
+    """Errors of one drive, steps that were not done, s of wall clock; no errors: it came to nothing."""
+    clock = MonotonicClock()
+    began = clock.now()
+    with tempfile.TemporaryDirectory() as folder:
+        truth, result, spy = unknown_world(seed, Path(folder), lossy=lossy, drift_ppm=drift_ppm, spied=True)
+    failed = [
+        f"{record.name}: {record.reason}" for record in result.records if record.verdict is not Verdict.DONE
+    ]
+    if result.restoration is None or not result.restoration.complete:
+        failed.append("not put back")
+    complete = result.findings.mechanics is not None and result.findings.effect_delay_us is not None
+    errors = errors_of(truth, result, spy) if complete else None
+    return seed, errors, failed, (clock.now() - began) / NS_PER_S
+
+
+def row(seed: int, errors: Errors) -> str:
+    """One line of the table."""
+    percents = (errors.inertia, errors.viscous, errors.coulomb)
+    units = (errors.position, errors.velocity, errors.rated_torque)
+    return (
+        f"{seed:4}  "
+        + " ".join(f"{100.0 * value:+7.2f}%" for value in percents)
+        + "  "
+        + " ".join(f"{100.0 * value:+7.2f}%" for value in units)
+        + f"  {errors.reading_delay_us:+6.1f} us {errors.effect_delay_us:+6.1f} us"
+        + f"  {','.join(sorted(errors.missed)) or '-':6}  {','.join(sorted(errors.invented)) or '-'}"
+    )
+
+
+def within(errors: Errors) -> bool:
+    """Inside every limit."""
+    return (
+        abs(errors.inertia) <= LIMITS["inertia"]
+        and abs(errors.viscous) <= LIMITS["viscous"]
+        and abs(errors.coulomb) <= LIMITS["coulomb"]
+        and all(abs(e) <= UNIT_LIMIT for e in (errors.position, errors.velocity, errors.rated_torque))
+        and abs(errors.reading_delay_us) <= DELAY_LIMIT_US
+        and abs(errors.effect_delay_us) <= DELAY_LIMIT_US
+        and not errors.missed
+        and not errors.invented
+    )
+
+
+def main() -> None:
+    """The table, and the worst of each column."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--seeds", default="0-49", help="first-last")
+    parser.add_argument("--loss", action="store_true", help="1 %% of the PDOs lost, each way")
+    parser.add_argument("--drift-ppm", type=float, default=0.0, help="of the drive's clock")
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args()
+    first, _, last = given.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    print(HEAD, flush=True)
+    found: list[Errors] = []
+    outside = 0
+    with ProcessPoolExecutor(given.processes) as pool:
+        jobs = [pool.submit(measured, seed, given.loss, given.drift_ppm) for seed in seeds]
+        for job in jobs:
+            seed, errors, failed, took_s = job.result()
+            if errors is None:
+                outside += 1
+                print(f"{seed:4}  came to nothing: {'; '.join(failed)}", flush=True)
+                continue
+            found.append(errors)
+            good = within(errors) and not failed
+            outside += not good
+            mark = "" if good else f"  <-- {'; '.join(failed) or 'outside'}"
+            print(f"{row(seed, errors)}  {took_s:4.1f} s{mark}", flush=True)
+    worst = {
+        name: max(abs(getattr(errors, name)) for errors in found)
+        for name in ("inertia", "viscous", "coulomb", "position", "velocity", "rated_torque")
+    }
+    print("worst " + ", ".join(f"{name} {100.0 * value:.2f} %" for name, value in worst.items()))
+    delays = [max(abs(getattr(e, name)) for e in found) for name in ("reading_delay_us", "effect_delay_us")]
+    print(f"worst delay: reading {delays[0]:.1f} us, effect {delays[1]:.1f} us")
+    print(f"{len(seeds) - outside} of {len(seeds)} within every limit")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""Whole commissionings of drives drawn from a seed, in simulated time: is what was hidden found."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.dictionary import load_dictionary
+from drivers.objects402 import Object
+from drivers.profile402 import Mode, supported_mode_bit
+from hil.cli import app
+from hil.commissioning.report import REPORT_FILE
+from hil.commissioning.step import Verdict
+from hil.configuration.bench_file import load_bench
+from hil.configuration.drive_file import load_drive_file
+from hil.configuration.motor_file import load_motor
+from hil.configuration.network_file import load_network
+from tests.benchmarks.bench_commissioning import row, within
+from tests.commissioning import errors_of, unknown_world
+from virtual_bus.unknown_drive import unknown_drive
+
+
+@pytest.mark.parametrize(
+    ("seed", "hidden"),
+    [(3, {"polarity", "position", "velocity"}), (10, {"polarity", "position", "torque"})],
+)
+def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) -> None:
+    truth, result, spy = unknown_world(seed, tmp_path, spied=True)
+    assert truth.faults == hidden
+    assert [(r.name, r.reason) for r in result.records if r.verdict is not Verdict.DONE] == []
+    errors = errors_of(truth, result, spy)
+    assert within(errors), row(seed, errors)
+    assert result.restoration is not None
+    assert result.restoration.complete
+    assert result.passed
+
+
+def test_the_same_with_lost_frames_and_a_drifting_clock(tmp_path: Path) -> None:
+    truth, result, spy = unknown_world(9, tmp_path, lossy=True, drift_ppm=300.0, spied=True)
+    errors = errors_of(truth, result, spy)
+    assert within(errors), row(9, errors)
+    network = load_network(tmp_path / "network.toml")
+    assert 0.5 < network.loss_percent < 4.0, "1 % each way of SYNC and readings"
+    assert network.losses_in_a_row_max >= 1
+    delays = next(record for record in result.records if record.name == "delays")
+    assert delays.outcome.figures["commands_lost"] > 0
+
+
+def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Path) -> None:
+    only = supported_mode_bit(Mode.CYCLIC_SYNCHRONOUS_VELOCITY) | supported_mode_bit(Mode.HOMING)
+    truth, result, _ = unknown_world(3, tmp_path, modes=only)
+    verdicts = {record.name: record.verdict for record in result.records}
+    assert verdicts["mechanics"] is Verdict.DONE
+    left_out = [name for name, verdict in verdicts.items() if verdict is Verdict.LEFT_OUT]
+    assert left_out == ["torque_constant", "response", "suggest", "verify"]
+    assert not [name for name, verdict in verdicts.items() if verdict is Verdict.FAILED]
+    errors = errors_of(truth, result)
+    assert abs(errors.inertia) < 0.03
+    assert abs(errors.position) < 0.005
+    assert abs(errors.velocity) < 0.005
+    report = (tmp_path / REPORT_FILE).read_text()
+    assert "the drive has no torque mode" in report.split("## Left out")[1]
+
+
+def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ["commission", "--bus", "simulated", "--node", "5", "--rehearse", "4", "--yes", "--json"]
+    done = CliRunner().invoke(app, [*command, "--out", str(out), "--period-us", "4000"])
+    assert done.exit_code == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["restored"] is True
+    assert {step["verdict"] for step in figures["steps"]} == {"done"}
+    assert json.loads((out / "figures.json").read_text()) == figures
+
+    _, truth = unknown_drive(4)
+    motor = load_motor(out / "motor.toml").parameters
+    assert motor.inertia_kg_m2 == pytest.approx(truth.motor.inertia_kg_m2, rel=0.03)
+    assert motor.torque_constant_nm_a == pytest.approx(truth.motor.torque_constant_nm_a, rel=0.01)
+    drive = load_drive_file(out / "drive.toml")
+    assert drive.drive.node == 5
+    assert drive.scale.rated_torque_nm == pytest.approx(truth.rated_torque_nm)
+    assert load_network(out / "network.toml").period_us == 4000
+    sheet: Any = load_dictionary(out / "drive.dcf", 5).dictionary
+    assert sheet[Object.POLARITY].value == 0
+    assert sheet[0x1016][1].value >> 16 == 127
+    bench = load_bench(out / "bench.toml")
+    assert bench.drive["axis1"].commissioned == drive
+    report = (out / REPORT_FILE).read_text()
+    for step in figures["steps"]:
+        assert step["figures"] is not None
+    for picture in out.glob("plots/*.png"):
+        assert f"(plots/{picture.name})" in report
+    assert len(list(out.glob("plots/*.png"))) == 5
+    assert "byte for byte" in report
+
+
+def test_a_dry_run_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
+    servo, _ = unknown_drive(3)
+    out = tmp_path / "out"
+    command = ["commission", "--bus", "simulated", "--node", "1", "--rehearse", "3", "--dry-run"]
+    done = CliRunner().invoke(app, [*command, "--out", str(out)])
+    assert done.exit_code == 0, done.stderr
+    assert "raise the torque slowly" in done.stderr
+    assert not (out / "journal.jsonl").exists()
+    assert "nothing was written" in (out / REPORT_FILE).read_text()
+    del servo
+
+
+def test_store_keeps_the_settings_and_says_so(tmp_path: Path) -> None:
+    truth, result, _ = unknown_world(4, tmp_path, period_us=4000, store=True)
+    assert result.stored
+    assert result.restoration is None
+    assert "stored in the drive" in (tmp_path / REPORT_FILE).read_text()
+    assert truth.faults
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--bus", "simulated"], "--rehearse"),
+        (["--bus", "hub:x", "--rehearse", "1"], "--rehearse"),
+        (["--bus", "nonsense"], "--bus"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: list[str], said: str) -> None:
+    done = CliRunner().invoke(app, ["commission", "--node", "1", "--out", str(tmp_path), "--yes", *options])
+    assert done.exit_code == 2
+    assert said in done.stderr
+
+
+def test_without_a_terminal_somebody_has_to_say_yes(tmp_path: Path) -> None:
+    command = ["commission", "--bus", "simulated", "--rehearse", "1", "--node", "1", "--out", str(tmp_path)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    assert "--yes" in done.stderr

@@ -1,0 +1,227 @@
+"""Commissioning broken off at every step, in simulated time: the drive is put back byte for byte.
+
+The bus goes away in the middle of a step, for good, as for a process that is killed: nothing of what the
+program would still like to do reaches the drive. A second master then works from the journal alone.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from drivers.adapters import parse_bus_spec
+from drivers.errors import BusDown
+from drivers.link import BusLink, StampSource
+from drivers.network import CanopenNetwork
+from drivers.profile402 import State
+from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.commission import Commissioned, commission
+from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.journal import append_restored, read_journal
+from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.restore import restore
+from hil.commissioning.session import Session
+from hil.commissioning.step import Outcome, Step, Verdict
+from hil.commissioning.steps import all_steps
+from hil.machine.stopping import Interrupted
+from hil.world import World, WorldPlan, open_world
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.unknown_drive import unknown_drive
+
+SEED = 9
+"""Polarity, position and velocity are told wrong."""
+PERIOD_US = 5000
+CLOCK = 0x1013
+"""Goes on by itself."""
+WRITING = [step.name for step in all_steps() if step.writes]
+FIRST_READING = ["bus", "identity", "dump", "units"]
+
+
+class CutBus(can.BusABC):
+    """A bus that goes away after so many more frames were sent, until it is mended."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+        self.channel_info = "cut bus"
+        self.sent = 0
+        self.cut_at: int | None = None
+        self._is_shutdown = True
+        self._filters = None
+
+    def recv_frame(self, until: Instant) -> Any:
+        """As the inner bus."""
+        self._check()
+        return self.inner.recv_frame(until)
+
+    def send_frame(self, frame: Any) -> None:
+        """As the inner bus."""
+        self._check()
+        self.sent += 1
+        self.inner.send_frame(frame)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Not used: the lean path is there."""
+        raise NotImplementedError
+
+    def shutdown(self) -> None:
+        """Of the inner bus."""
+        self.inner.shutdown()
+
+    def _check(self) -> None:
+        if self.cut_at is not None and self.sent >= self.cut_at:
+            raise can.CanOperationError("the cable is out")
+
+
+class Stop(EmergencyStop):
+    """A Ctrl-C after so many frames."""
+
+    def __init__(self, bus: CutBus) -> None:
+        super().__init__()
+        self.bus = bus
+        self.at: int | None = None
+
+    def __call__(self) -> bool:
+        return self.at is not None and self.bus.sent >= self.at
+
+    @property
+    def signal_name(self) -> str:
+        return "SIGINT"
+
+
+class InTheMiddle(Step):
+    """A step at whose beginning ``arm`` is called with the bus."""
+
+    def __init__(self, inner: Step, arm: Callable[[], None], note: Callable[[str, int], None]) -> None:
+        self._inner = inner
+        self._arm = arm
+        self._note = note
+        for name in ("name", "title", "needs", "writes", "moves", "essential"):
+            setattr(self, name, getattr(inner, name))
+
+    def left_out(self, session: Session) -> str | None:
+        return self._inner.left_out(session)
+
+    def plan(self, session: Session, /) -> str:
+        return self._inner.plan(session)
+
+    def run(self, session: Session) -> Outcome:
+        self._arm()
+        before = session.network.link.sent_frames
+        try:
+            return self._inner.run(session)
+        finally:
+            self._note(self.name, session.network.link.sent_frames - before)
+
+
+class Rig:
+    """A drive on a simulated bus that can be cut."""
+
+    def __init__(self, world: World, servo: SimulatedServo, folder: Path) -> None:
+        self.bus = CutBus(world.link.bus)
+        link = BusLink(self.bus, world.clock, StampSource.MONOTONIC, "simulated")
+        self.world = replace(world, link=link)
+        self.servo = servo
+        _, truth = unknown_drive(SEED)
+        self.request = CommissionRequest(
+            bus="simulated",
+            node=1,
+            out=folder,
+            nameplate=Nameplate.model_validate(truth.nameplate),
+            period_us=PERIOD_US,
+        )
+        self.stop = Stop(self.bus)
+        self.sent: dict[str, int] = {}
+
+    def memory(self) -> dict[tuple[int, int], bytes]:
+        """All that the bus could have changed."""
+        dictionary = self.servo.dictionary
+        return {
+            (entry.index, sub): dictionary.upload(entry.index, sub)
+            for entry in dictionary
+            for sub, variable in entry.members.items()
+            if variable.writable and variable.readable and entry.index != CLOCK
+        }
+
+    def commission(self, at_step: str = "", arm: Callable[[], None] = lambda: None) -> Commissioned:
+        """Run it; ``arm`` is called at the beginning of ``at_step``."""
+
+        def steps() -> Sequence[Step]:
+            return [
+                InTheMiddle(step, arm if step.name == at_step else lambda: None, self.sent.__setitem__)
+                for step in all_steps()
+            ]
+
+        return commission(self.request, self.world, Silent(lambda _text: None), self.stop, steps=steps)
+
+    def restore(self) -> None:
+        """What ``hil restore`` does, as a process of its own."""
+        self.bus.cut_at = None
+        network = CanopenNetwork(self.world.link, self.world.clock)
+        network.pump(Instant(self.world.clock.now() + 2 * NS_PER_S))
+        assert self.servo.drive_state is not State.OPERATION_ENABLED, "the drive missed its host"
+        result = restore(network, read_journal(self.request.journal))
+        assert result.failures == []
+        append_restored(self.request.journal)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    """The drive of SEED, up and running."""
+    servo, _ = unknown_drive(SEED)
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, SEED), [servo]) as world:
+        yield Rig(world, servo, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
+    """Frames that each step sends, of a run that nothing disturbs."""
+    servo, _ = unknown_drive(SEED)
+    with open_world(WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, None, SEED), [servo]) as world:
+        rig = Rig(world, servo, tmp_path_factory.mktemp("whole"))
+        before = rig.memory()
+        result = rig.commission()
+        assert [(r.name, r.reason) for r in result.records if r.verdict is not Verdict.DONE] == []
+        assert result.passed
+        assert rig.memory() == before
+        return rig.sent
+
+
+def test_every_writing_step_is_tried(frames: dict[str, int]) -> None:
+    assert set(WRITING) <= set(frames)
+    assert all(frames[name] > 0 for name in WRITING)
+
+
+@pytest.mark.parametrize("part", [0.1, 0.6], ids=["early", "late"])
+@pytest.mark.parametrize("name", WRITING)
+def test_a_journal_alone_puts_the_drive_back(
+    rig: Rig, frames: dict[str, int], name: str, part: float
+) -> None:
+    before = rig.memory()
+
+    def cut() -> None:
+        rig.bus.cut_at = rig.bus.sent + max(1, round(part * frames[name]))
+
+    with pytest.raises(BusDown):
+        rig.commission(name, cut)
+    assert rig.bus.cut_at is not None
+    rig.restore()
+    assert rig.memory() == before
+    assert read_journal(rig.request.journal).restored
+
+
+@pytest.mark.parametrize("name", [*FIRST_READING, *WRITING])
+def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], name: str) -> None:
+    before = rig.memory()
+
+    def ask() -> None:
+        rig.stop.at = rig.bus.sent + frames[name] // 2
+
+    result = rig.commission(name, ask)
+    assert isinstance(result.error, Interrupted), [(r.name, r.reason) for r in result.records]
+    assert result.records[-1].name == name or rig.bus.sent >= (rig.stop.at or 0)
+    assert rig.memory() == before
+    assert rig.servo.drive_state is State.SWITCH_ON_DISABLED
+    assert "Ended early" in (rig.request.out / "report.md").read_text()

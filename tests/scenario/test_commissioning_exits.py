@@ -1,0 +1,233 @@
+"""Every way out of a commissioning on a hub ends in rest; the journal of a killed one puts the drive back."""
+
+import os
+import signal
+import subprocess
+import termios
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.adapters import open_bus, parse_bus_spec
+from drivers.errors import TransferAborted
+from drivers.link import BusLink
+from drivers.network import CanopenNetwork
+from drivers.profile402 import State, state_of
+from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from hil.commissioning.journal import read_journal
+from hil.commissioning.report import REPORT_FILE
+from tests.motors import LING
+from tests.scenario.processes import (
+    HIL,
+    REST_RAD_S,
+    START_LIMIT_S,
+    VELOCITY_UNIT_RAD_S,
+    hub_name,
+    quiet_environment,
+    run_command,
+    simulated_drive,
+)
+from tests.scenario.test_exit_paths import kill_broker
+from virtual_bus.servo import SimulatedServo
+
+TURNING_RAD_S = 8.0
+"""Reached in the pulses that come first."""
+TIMEOUT_MS = 600
+"""Of the heartbeats: two shared cores."""
+STOP_S = 0.3
+"""From the fastest of an exercise at the drive's default 6085h."""
+MARGIN_S = 1.5
+_READ = (0x43, 0x47, 0x4B, 0x4F)
+_VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
+"""History, clock and command."""
+
+
+class Witness:
+    """Listens to the bus, and asks the drive itself only once the host is gone."""
+
+    def __init__(self, bus: str) -> None:
+        self._clock = MonotonicClock()
+        opened = open_bus(parse_bus_spec(bus), 1_000_000)
+        self._bus = opened.bus
+        link = BusLink(opened.bus, self._clock, opened.stamps, bus)
+        link.tap(self._see)
+        self.network = CanopenNetwork(link, self._clock, 126)
+        self.speed_rad_s = 0.0
+        self.state: State | None = None
+        self.disabled_at: Instant | None = None
+
+    def _see(self, _way: str, can_id: int, data: bytes, _extended: bool, _remote: bool, at: Instant) -> None:
+        if can_id == 0x181 and len(data) == 8:
+            self._note(int.from_bytes(data[:2], "little"), at)
+            self.speed_rad_s = int.from_bytes(data[2:6], "little", signed=True) * VELOCITY_UNIT_RAD_S
+        elif can_id == 0x581 and data[0] in _READ and data[1:4] == b"\x41\x60\x00":
+            self._note(int.from_bytes(data[4:6], "little"), at)
+        elif can_id == 0x581 and data[0] in _READ and data[1:4] == b"\x6c\x60\x00":
+            self.speed_rad_s = int.from_bytes(data[4:8], "little", signed=True) * VELOCITY_UNIT_RAD_S
+
+    def _note(self, statusword: int, at: Instant) -> None:
+        self.state = state_of(statusword)
+        resting = self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP)
+        if resting and self.disabled_at is None and abs(self.speed_rad_s) < REST_RAD_S:
+            self.disabled_at = at
+        if self.state is State.OPERATION_ENABLED:
+            self.disabled_at = None
+
+    def now(self) -> Instant:
+        return self._clock.now()
+
+    def until_turning(self) -> None:
+        """Listen until the shaft turns in one of the host's exercises."""
+        deadline = self.now() + round(START_LIMIT_S * NS_PER_S)
+        while abs(self.speed_rad_s) < TURNING_RAD_S:
+            assert self.now() < deadline, "the shaft never turned"
+            self.network.pump(Instant(self.now() + 2_000_000))
+
+    def time_to_rest(self, since: Instant, limit_s: float, *, asking: bool) -> Duration:
+        """Until the drive is seen disabled and at rest; ``asking``: there is no host that would tell."""
+        while self.disabled_at is None or self.disabled_at < since:
+            assert self.now() - since < limit_s * NS_PER_S, f"{self.state} at {self.speed_rad_s} rad/s"
+            if asking:
+                self.network.upload(1, 0x606C)
+                self.network.upload(1, 0x6041)
+            self.network.pump(Instant(self.now() + 1_000_000))
+        return Duration(self.disabled_at - since)
+
+    def memory(self) -> dict[tuple[int, int], bytes]:
+        """What a master could have changed, as the drive tells it."""
+        held = {}
+        for entry in SimulatedServo(1, LING).dictionary:
+            for sub, variable in entry.members.items():
+                if variable.writable and variable.readable and entry.index not in _VOLATILE:
+                    try:
+                        held[entry.index, sub] = self.network.upload(1, entry.index, sub)
+                    except TransferAborted:
+                        continue
+        return held
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+@contextmanager
+def witness(bus: str) -> Iterator[Witness]:
+    watching = Witness(bus)
+    try:
+        yield watching
+    finally:
+        watching.close()
+
+
+def command(bus: str, out: Path) -> list[str]:
+    return [
+        *HIL, "commission", "--bus", bus, "--node", "1", "--out", str(out), "--yes",
+        "--period-us", "4000", "--heartbeat-timeout-ms", str(TIMEOUT_MS),
+    ]  # fmt: skip
+
+
+def start(bus: str, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command(bus, out),
+        stdin=stdin,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=quiet_environment(),
+    )
+
+
+def restore(bus: str, out: Path) -> subprocess.CompletedProcess[str]:
+    return run_command([*HIL, "restore", "--bus", bus, "--node", "1", str(out / "journal.jsonl")])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_signal_ends_in_rest_with_everything_put_back(tmp_path: Path, number: signal.Signals) -> None:
+    bus = hub_name(f"commission-{number.name.lower()}")
+    with simulated_drive(bus), witness(bus) as watching:
+        before = watching.memory()
+        process = start(bus, tmp_path)
+        watching.until_turning()
+        at = watching.now()
+        process.send_signal(number)
+        took = watching.time_to_rest(at, STOP_S + MARGIN_S, asking=False)
+        _, said = process.communicate(timeout=30)
+        assert process.returncode == 130, said
+        assert took > 0
+        assert watching.memory() == before
+    assert read_journal(tmp_path / "journal.jsonl").restored
+    assert number.name in (tmp_path / REPORT_FILE).read_text()
+
+
+def test_any_key_is_an_emergency_stop(tmp_path: Path) -> None:
+    bus = hub_name("commission-key")
+    keyboard, terminal = os.openpty()
+    settings = termios.tcgetattr(terminal)
+    try:
+        with simulated_drive(bus), witness(bus) as watching:
+            before = watching.memory()
+            process = start(bus, tmp_path, terminal)
+            watching.until_turning()
+            at = watching.now()
+            os.write(keyboard, b" ")
+            watching.time_to_rest(at, STOP_S + MARGIN_S, asking=False)
+            _, said = process.communicate(timeout=30)
+            assert process.returncode == 3, said
+            assert "emergency stop by a key" in said
+            assert watching.memory() == before
+        assert termios.tcgetattr(terminal) == settings, "the terminal is as it was"
+    finally:
+        os.close(keyboard)
+        os.close(terminal)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_host_that_is_gone_is_put_back_by_its_journal(tmp_path: Path, number: signal.Signals) -> None:
+    bus = hub_name(f"commission-{number.name.lower()}")
+    with simulated_drive(bus), witness(bus) as watching:
+        before = watching.memory()
+        process = start(bus, tmp_path)
+        watching.until_turning()
+        at = watching.now()
+        process.send_signal(number)
+        took = watching.time_to_rest(at, 1e-3 * TIMEOUT_MS + STOP_S + MARGIN_S, asking=True)
+        assert took > 0.05 * NS_PER_S, "it stopped before it could have known"
+        process.kill()
+        process.communicate(timeout=20)
+        assert watching.memory() != before
+        done = restore(bus, tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "byte for byte" in done.stderr
+        assert watching.memory() == before
+        refused = run_command([*HIL, "restore", "--bus", bus, "--node", "2", str(tmp_path / "journal.jsonl")])
+        assert refused.returncode == 2
+        assert "--node" in refused.stderr
+
+
+def test_a_journal_that_waits_forbids_another_commissioning_over_it(tmp_path: Path) -> None:
+    bus = hub_name("commission-again")
+    with simulated_drive(bus), witness(bus) as watching:
+        process = start(bus, tmp_path)
+        watching.until_turning()
+        process.kill()
+        process.communicate(timeout=20)
+        watching.time_to_rest(Instant(0), 1e6, asking=True)
+        again = run_command(command(bus, tmp_path))
+        assert again.returncode == 2, again.stderr
+        assert "hil restore" in again.stderr
+        assert restore(bus, tmp_path).returncode == 0
+
+
+def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> None:
+    bus = hub_name("commission-lost")
+    with simulated_drive(bus) as drive:
+        with witness(bus) as watching:
+            process = start(bus, tmp_path)
+            watching.until_turning()
+        kill_broker(bus.removeprefix("hub:"))
+        _, said = process.communicate(timeout=30)
+        assert process.returncode == 3, said
+        assert "Traceback" not in said
+        assert f"hil restore --bus {bus} --node 1 {tmp_path / 'journal.jsonl'}" in said
+        assert drive.wait(timeout=20) == 3

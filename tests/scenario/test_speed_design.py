@@ -1,0 +1,351 @@
+"""[Ling2012] from the command line: analysis, design, the file that a bench runs, and the reproduction."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from design.papers.ling2012 import TABLE_2, table2_row
+from design.speed_loop import Units
+from drivers.errors import LimitExceeded
+from hil.bench import run_bench
+from hil.cli import app
+from hil.configuration.bench_file import bench_from, load_bench, load_controller
+from hil.configuration.config_files import read_toml
+from hil.configuration.network_file import load_network
+from hil.delay_design import paper_runs, reproduction
+from hil.delay_design.paper_runs import VARIANTS, bench_tables
+from hil.terminal.progress import no_progress
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")
+GAIN = "0,-0.0212"
+LOOP_KEYS = {
+    "stable", "gamma_exact", "gamma_certified", "order", "delay_max_exact_s", "delay_max_certified_s",
+    "step_peak_rad_s", "certificate",
+}  # fmt: skip
+SAMPLED_KEYS = {"decay_per_s", "gamma_sampled", "certified", "certified_decay_per_s", "worst_pattern"}
+DESIGN_KEYS = {"gain", "gamma", "delay_s", "method", "certificate", "gamma_exact"}
+ROW_KEYS = {
+    "error_percent", "gamma", "published_delay_s", "ccl_delay_s", "lmi_delay_s",
+    "exact_speed_feedback_delay_s", "exact_delay_s", "gain",
+}  # fmt: skip
+HAND_WRITTEN = "[network]\nperiod_us = 2000\nlosses_in_a_row_max = 1\ndelay_max_us = 1000\n"
+
+
+def _run(*arguments: str) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, list(arguments))
+    return result.exit_code, result.stdout, result.stderr
+
+
+def _json(*arguments: str) -> dict[str, Any]:
+    status, out, err = _run(*arguments, "--json")
+    assert status == 0, err
+    found: dict[str, Any] = json.loads(out)
+    return found
+
+
+def test_analysis_of_the_printed_loop() -> None:
+    found = _json("analyse", "speed", MOTOR, "--gain", GAIN, "--delay-ms", "64", "--order", "0")
+    assert set(found) >= LOOP_KEYS
+    assert found["stable"] is True
+    assert found["order"] == 0
+    assert found["gamma_exact"] == pytest.approx(125.3141, rel=1e-6)
+    assert found["gamma_certified"] == pytest.approx(135.668, rel=2e-5)
+    assert found["delay_max_exact_s"] == pytest.approx(0.170369, abs=1e-6)
+    assert found["delay_max_certified_s"] == pytest.approx(0.149206, abs=1e-6)
+    assert found["step_peak_rad_s"] == pytest.approx(118.2951, rel=1e-5)
+    assert set(found["certificate"]) == {"solver", "status", "min_margin"}
+    assert found["certificate"]["min_margin"] > 0.0
+
+
+def test_order_is_raised_until_it_is_close() -> None:
+    found = _json(
+        "analyse",
+        "speed",
+        MOTOR,
+        "--gain",
+        GAIN,
+        "--delay-ms",
+        "64",
+        "--load-nm",
+        "0.6",
+        "--speed-rpm",
+        "1500",
+    )
+    assert found["order"] == 1
+    assert found["order_limit_reached"] is False
+    assert found["gamma_certified"] < 1.001 * found["gamma_exact"]
+    assert found["delay_max_certified_s"] > 0.999 * found["delay_max_exact_s"]
+    share = 100.0 * 0.6 / (1500.0 * np.pi / 30.0)
+    assert found["percent"]["gamma_exact"] == pytest.approx(share * found["gamma_exact"])
+    assert found["percent"]["step_peak"] == pytest.approx(share * found["step_peak_rad_s"])
+    assert found["percent"]["step_peak"] > found["percent"]["step_peak_floor"]
+
+
+def test_an_unstable_loop_is_said_to_be_one_without_infinities() -> None:
+    found = _json("analyse", "speed", MOTOR, "--gain", GAIN, "--delay-ms", "200")
+    assert found["stable"] is False
+    assert found["gamma_exact"] is None
+    assert found["gamma_certified"] is None
+    assert found["step_peak_rad_s"] is None
+    assert found["delay_max_exact_s"] == pytest.approx(0.170369, abs=1e-6)
+
+
+def test_analysis_of_the_sampled_loop() -> None:
+    network = ("--period-ms", "10", "--loss-max", "5", "--tau-max-ms", "4")
+    found = _json(
+        "analyse", "speed", MOTOR, "--gain", GAIN, "--delay-ms", "64", *network, "--strategy", "history",
+        "--monte-carlo", "200", "--seed", "3",
+    )  # fmt: skip
+    assert set(found) >= LOOP_KEYS | SAMPLED_KEYS
+    assert found["decay_per_s"] == pytest.approx(7.7502, rel=1e-5)
+    assert found["gamma_sampled"] == pytest.approx(136.425, rel=1e-5)
+    assert found["certified"] is True
+    assert found["certified_decay_per_s"] == pytest.approx(7.7501, rel=1e-4)
+    assert found["monte_carlo"]["diverged"]["value"] == 0.0
+    peaks = found["monte_carlo"]["peak_rad_s"]
+    assert peaks["p50"]["low"] <= peaks["p50"]["value"] <= peaks["p99"]["value"]
+
+
+def test_without_a_delay_the_sampled_loop_s_longest_age_is_taken() -> None:
+    found = _json(
+        "analyse", "speed", MOTOR, "--gain", GAIN, "--period-ms", "10", "--strategy", "arrival",
+        "--loss-max", "1", "--tau-max-ms", "4",
+    )  # fmt: skip
+    assert found["delay_s"] == pytest.approx(0.024)
+    assert [row["lost"] for row in found["by_losses"]] == [0, 1]
+    assert found["certified_decay_per_s"] <= found["worst_pattern"]["decay_per_s"]
+    assert found["worst_pattern"]["deliveries"][0].keys() == {"delay_s", "lost_after"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--gain", "0;1", "--delay-ms", "1"), "--gain"),
+        (("--gain", "0,nan", "--delay-ms", "1"), "--gain"),
+        (("--gain", GAIN), "--delay-ms"),
+        (("--gain", GAIN, "--delay-ms", "1", "--strategy", "stamp"), "--period-ms"),
+        (("--gain", GAIN, "--delay-ms", "1", "--monte-carlo", "5"), "--period-ms"),
+        (("--gain", GAIN, "--period-ms", "10", "--tau-max-ms", "12"), "at most the period of 10 ms"),
+    ],
+)
+def test_what_cannot_be_analysed_is_bad_input(arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = _run("analyse", "speed", MOTOR, *arguments)
+    assert status == 2
+    assert out == ""
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_largest_delay_for_a_gain() -> None:
+    found = _json("design", "speed", MOTOR, "--gamma", "125", "--feedback", "speed")
+    assert set(found) >= DESIGN_KEYS
+    assert found["delay_s"] == pytest.approx(0.0653718, abs=1e-6)
+    assert found["gain"][0] == 0.0
+    assert found["gamma_exact"] == pytest.approx(125.0, rel=1e-6)
+
+
+def test_least_gain_for_a_delay_and_the_same_in_percent() -> None:
+    asked = ("--delay-ms", "64", "--feedback", "speed", "--load-nm", "0.6", "--speed-rpm", "1500")
+    found = _json("design", "speed", MOTOR, *asked)
+    assert found["gamma"] == pytest.approx(122.9396, rel=1e-5)
+    assert found["error_percent"] == pytest.approx(46.96, abs=0.01)
+    percent = str(found["error_percent"] + 1.0)
+    again = _json("design", "speed", MOTOR, *asked, "--error-percent", percent)
+    assert again["gamma"] == pytest.approx(found["gamma"], rel=1e-9)
+
+
+def test_out_of_reach_names_the_best_and_what_would_do(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text("[network]\nperiod_us = 10000\nlosses_in_a_row_max = 2\ndelay_max_us = 1000\n")
+    asked = ("--error-percent", "5", "--load-nm", "0.6", "--speed-rpm", "1500", "--feedback", "speed")
+    status, out, err = _run("design", "speed", MOTOR, *asked, "--network", str(network), "--json")
+    assert status == 2
+    assert "Traceback" not in err
+    assert "out of reach" in err
+    found = json.loads(out)
+    assert found["feasible"] is False
+    best, do = found["best"], found["would_do"]
+    assert best["error_percent"] > 5.0
+    assert do["loss_max"] is None
+    assert do["load_nm"] == pytest.approx(0.6 * 5.0 / best["error_percent"], rel=1e-6)
+    assert do["period_s"] == pytest.approx((do["delay_s"] - 0.001) / 3)
+    # each change alone does what it says
+    for change in (
+        ("--load-nm", str(do["load_nm"] * 0.9999), "--delay-ms", "31"),
+        ("--load-nm", "0.6", "--delay-ms", str(1e3 * do["delay_s"] * 0.9999)),
+    ):
+        _json(
+            "design",
+            "speed",
+            MOTOR,
+            "--error-percent",
+            "5",
+            "--speed-rpm",
+            "1500",
+            "--feedback",
+            "speed",
+            *change,
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "--gamma or --error-percent"),
+        (("--gamma", "1", "--error-percent", "1"), "--error-percent"),
+        (("--delay-ms", "1", "--network", "n.toml"), "--network"),
+        (("--gamma", "125", "--method", "ccl", "--feedback", "speed"), "Algorithm 4.2 knows no other"),
+        (("--network", "none.toml"), "no file none.toml"),
+        (("--gamma", "125", "--integral-time-ms", "5"), "--integral"),
+        (("--delay-ms", "5", "--target", "sampled"), "--network and --method exact"),
+    ],
+)
+def test_what_cannot_be_designed_is_bad_input(arguments: tuple[str, ...], said: str) -> None:
+    status, _, err = _run("design", "speed", MOTOR, *arguments)
+    assert status == 2
+    assert said in err
+    assert "Traceback" not in err
+
+
+def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
+    tables = read_toml(EXAMPLES / "network_designed.toml", "bench file")
+    tables["bench"]["duration_s"] = 1.0
+    tables["drive"]["axis1"] |= {"motor": MOTOR, "controller": str(controller)}
+    tables["faults"]["loss"][0]["probability"] = loss
+    del tables["load"]
+    return tables
+
+
+def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
+    measured, controller = tmp_path / "measured", tmp_path / "k.toml"
+    tables = read_toml(EXAMPLES / "network_measured.toml", "bench file")
+    tables["bench"]["duration_s"] = 1.0
+    tables["drive"]["axis1"]["motor"] = MOTOR
+    _bench(tables, measured)
+    network = load_network(measured / "network.toml")
+    assert network.period_us == 2000
+    assert network.lost == sum((k + 1) * runs for k, runs in enumerate(network.losses_in_a_row))
+    assert 300 < network.delay_max_us < 2000
+    status, _, err = _run(
+        "design", "speed", MOTOR, "--network", str(measured / "network.toml"), "--feedback", "speed",
+        "--extra-losses", "3", "--delay-margin-percent", "5", "--out", str(controller),
+    )  # fmt: skip
+    assert status == 0, err
+    config = bench_from(_designed_bench(controller, 0.05), "bench.toml", tmp_path)
+    made = config.drive["axis1"].controller
+    assert made.kind == "state_feedback"
+    assert made.made_for is not None
+    assert made.made_for.losses_in_a_row_max == network.losses_max + 3
+    assert made.certificate is not None
+    assert made.certificate.sequences is not None
+    _bench(_designed_bench(controller, 0.05), tmp_path / "good")
+    again = load_bench(tmp_path / "good" / "bench.toml")
+    assert again.drive["axis1"].controller == made
+
+    with pytest.raises(LimitExceeded, match="readings missing in a row"):
+        _bench(_designed_bench(controller, 0.6), tmp_path / "worse")
+    noted = _bench(_designed_bench(controller, 0.6), tmp_path / "warned", allow_worse_network=True)
+    assert any("readings missing in a row" in note for note in noted["network_notes"])
+    bench_toml = str(tmp_path / "good" / "bench.toml")
+    worse = str(tmp_path / "warned" / "network.toml")
+    status, _, err = _run("run", bench_toml, "--network", worse, "--record", str(tmp_path / "refused"))
+    assert status == 2
+    assert "losses_in_a_row_max" in err
+    assert not (tmp_path / "refused").exists()
+
+
+def _bench(tables: dict[str, Any], record: Path, **options: Any) -> dict[str, Any]:
+    result = run_bench(
+        bench_from(tables, "bench.toml", Path()), bus_spec=None, time=None, seed=None, record=record,
+        view=False, progress=no_progress, **options,
+    )  # fmt: skip
+    return result.summary
+
+
+def test_a_loop_that_is_not_certified_gets_no_file(tmp_path: Path) -> None:
+    network, out = tmp_path / "n.toml", tmp_path / "k.toml"
+    network.write_text("[network]\nperiod_us = 10000\nlosses_in_a_row_max = 5\ndelay_max_us = 4000\n")
+    asked = (
+        "--network",
+        str(network),
+        "--strategy",
+        "stamp",
+        "--delay-margin-percent",
+        "0",
+        "--gamma",
+        "1e6",
+    )
+    status, _, err = _run("design", "speed", MOTOR, *asked, "--out", str(out))
+    assert status == 2
+    assert "certified" in err
+    assert not out.exists()
+
+
+def test_an_outage_is_not_designed_for(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text(HAND_WRITTEN.replace("max = 1\n", "max = 51\n"))
+    status, _, err = _run("design", "speed", MOTOR, "--network", str(network))
+    assert status == 2
+    assert "network.losses_in_a_row_max" in err
+
+
+def test_a_network_written_by_hand_is_enough(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text(HAND_WRITTEN)
+    found = _json("design", "speed", MOTOR, "--network", str(network), "--feedback", "speed")
+    assert found["delay_s"] == pytest.approx(0.005)
+    assert found["sampled"]["certified"] is True
+
+
+def test_the_sampled_loop_itself_is_made_best(tmp_path: Path) -> None:
+    network, out = tmp_path / "n.toml", tmp_path / "k.toml"
+    network.write_text(HAND_WRITTEN)
+    asked = ("design", "speed", MOTOR, "--network", str(network), "--feedback", "speed")
+    constant = _json(*asked)
+    sampled = _json(*asked, "--target", "sampled", "--out", str(out))
+    assert sampled["gamma"] < 0.92 * constant["sampled"]["gamma_sampled"]
+    assert sampled["sampled"]["certified"] is True
+    assert sampled["certificate"]["min_margin"] > 0.0
+    written = read_toml(out, "controller file")["controller"]
+    assert written["certificate"]["target"] == "sampled"
+    assert written["gain"] == sampled["gain"]
+    assert load_controller(out).kind == "state_feedback"
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: f"{variant.case}-{variant.name}")
+def test_the_example_files_are_the_runs_of_the_reproduction(variant: paper_runs.Variant) -> None:
+    name = f"{variant.case}-{variant.name.replace('_', '-')}.toml"
+    written = load_bench(EXAMPLES / "ling2012_cases" / name)
+    made = bench_from(bench_tables(variant), "made", Path())
+    assert written.resolved_text() == made.resolved_text()
+
+
+def test_reproduction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    error_percent, printed_s = TABLE_2[0]
+
+    def one_row() -> dict[str, list[dict[str, Any]]]:
+        row = table2_row(error_percent, printed_s, Units.PUBLISHED)
+        return {"published": [row], "si": [row]}
+
+    known = {"by_losses": [{"lost": 0, "decay_per_s": 1.0, "gamma": None}]}
+    monkeypatch.setattr(reproduction, "table2", one_row)
+    monkeypatch.setattr(reproduction, "strategies", lambda: {"arrival": known, "history": known})
+    monkeypatch.setattr(paper_runs, "VARIANTS", (VARIANTS[0], *VARIANTS[4:]))
+    found = _json("reproduce", "ling2012", "--figures", str(tmp_path))
+    assert set(found) >= {"table2", "published_design", "case1", "case2", "case3"}
+    (row,) = found["table2"]["published"]
+    assert set(row) >= ROW_KEYS
+    assert row["published_delay_s"] == 0.082
+    assert row["lmi_delay_s"] == pytest.approx(0.074099, abs=1e-5)
+    assert len(list(tmp_path.glob("*.png"))) == 5
+    stamp, arrival, history = (found["case3"]["bench"][name] for name in ("stamp", "arrival", "history"))
+    # nobody gets below what the load does while nothing can act; arrival is back three times as fast
+    assert all(run["peak_percent"] > 19.0 for run in (stamp, arrival, history))
+    assert arrival["recovery_5_percent_s"] < 0.5 * history["recovery_5_percent_s"]
+    assert history["recovery_5_percent_s"] < stamp["recovery_5_percent_s"]
+    assert (Path(stamp["recording"]) / "run.rrd").exists()

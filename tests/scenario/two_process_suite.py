@@ -1,0 +1,48 @@
+"""One bench file with the drive in a process of its own, on whichever bus in real time."""
+
+from pathlib import Path
+
+from hil.pytest_plugin import StartDrive
+from tests.scenario.processes import BENCH, changed_bench, run
+
+CYCLES = 300
+"""3 s at 100 Hz."""
+
+
+class TwoProcesses:
+    """``hil run`` and ``hil simulate``; a subclass says on which bus by the marker ``servo_bus``."""
+
+    def test_the_bench_file_passes_and_is_recorded(
+        self, servo_bus: str, servo_process: StartDrive, tmp_path: Path
+    ) -> None:
+        drive = servo_process(1)
+        status, summary, messages = run(BENCH, servo_bus, tmp_path / "run")
+
+        assert status == 0, messages
+        assert drive.stop() == 0
+        assert summary["verdict"]["passed"] is True
+        assert summary["cycles"] > 0.9 * CYCLES
+        assert summary["delay_us"]["p50"] > 0
+        names = {path.name for path in (tmp_path / "run").iterdir()}
+        assert {"run.rrd", "frames.log", "bench.toml", "summary.json"} <= names
+        assert (tmp_path / "run" / "frames.log").stat().st_size > 0
+
+    def test_a_run_leaves_the_drive_as_it_found_it(
+        self, servo_bus: str, servo_process: StartDrive, tmp_path: Path
+    ) -> None:
+        """The load torque included: a second run of the same file starts from rest and passes too."""
+        servo_process(1)
+        runs = [run(BENCH, servo_bus, tmp_path / name) for name in ("first", "second")]
+
+        assert [status for status, _, _ in runs] == [0, 0], [
+            (summary.get("verdict"), messages) for _, summary, messages in runs
+        ]
+
+    def test_without_a_drive_the_run_ends_with_a_short_error(self, servo_bus: str, tmp_path: Path) -> None:
+        bench = changed_bench(tmp_path, connect_timeout_s=1.0)
+        status, summary, messages = run(bench, servo_bus, tmp_path / "run")
+
+        assert status == 3
+        assert summary == {}
+        assert "node 1" in messages
+        assert "Traceback" not in messages

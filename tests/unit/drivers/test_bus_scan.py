@@ -1,0 +1,236 @@
+"""Who is on a bus, and who has no node-ID yet: on a simulated segment in simulated time."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.bus_scan import BusScan, NodeFound
+from drivers.errors import NoAnswer, PeerFault
+from drivers.link import BusLink, StampSource
+from drivers.lss import LssAddress, LssMaster
+from drivers.network import CanopenNetwork
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.configuration.motor_file import LING2012
+from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.segment import Segment
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.timeline import SimulatedClock, Timeline
+
+UNCONFIGURED = 255
+
+
+class Bench:
+    """A segment with simulated drives and a master that may be hard of hearing."""
+
+    def __init__(self, nodes: Sequence[int] = (), drop_every: int = 0) -> None:
+        self.timeline = Timeline()
+        self.segment = Segment(self.timeline)
+        self.frames: list[Frame] = []
+        self.segment.add_monitor(lambda frame, _at: self.frames.append(frame))
+        bus = SimulatedBus(segment=self.segment)
+        if drop_every:
+            self._make_deaf(bus, drop_every)
+        clock = SimulatedClock(self.timeline)
+        self.network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
+        self.servos = [self.add(node) for node in nodes]
+        self.network.pump(Instant(NS_PER_MS))
+
+    def add(self, node: int, serial_number: int | None = None) -> SimulatedServo:
+        servo = SimulatedServo(node, LING2012.parameters)
+        if serial_number is not None:
+            identity = servo.dictionary.variable(0x1018, 4)
+            identity.value = identity.default = serial_number
+        attach_to_segment(servo, self.segment, self.timeline)
+        return servo
+
+    @staticmethod
+    def _make_deaf(bus: SimulatedBus, every: int) -> None:
+        """Each ``every``-th frame is not heard by the master."""
+        inner, count = bus.recv_frame, 0
+
+        def recv_frame(until: Instant):  # type: ignore[no-untyped-def]
+            nonlocal count
+            while (entry := inner(until)) is not None:
+                count += 1
+                if count % every:
+                    return entry
+            return None
+
+        bus.recv_frame = recv_frame
+
+    def scan(self, listen_s: float = 1.0) -> BusScan:
+        scan = BusScan(self.network)
+        scan.listen(Duration(round(listen_s * NS_PER_S)))
+        return scan
+
+
+def heartbeat_of(bench: Bench, node: int, period_ms: int) -> None:
+    bench.network.download(node, 0x1017, 0, period_ms.to_bytes(2, "little"))
+
+
+def test_nodes_are_found_with_what_they_say_of_themselves() -> None:
+    bench = Bench([1, 5, 127])
+    heartbeat_of(bench, 5, 100)
+    scan = bench.scan()
+    assert list(scan.nodes) == [5], "only the node with a heartbeat can be heard"
+    scan.probe()
+    found = scan.found()
+    assert [node.node_id for node in found] == [1, 5, 127]
+    either = "operational or pre-operational"
+    assert [node.nmt_state for node in found] == [either, "pre-operational", either]
+    for node in found:
+        assert node.device_type == 0x00020192
+        assert node.profile == "servo drive (CiA 402)"
+        assert node.error_register == 0
+        assert node.serial_number == node.node_id
+        assert "servobench" in node.name
+        assert node.note == ""
+    assert found[1].heartbeat_ms == 100
+    assert found[1].heard["heartbeat"] >= 9
+
+
+def test_listening_sends_nothing() -> None:
+    bench = Bench([1])
+    bench.frames.clear()
+    bench.scan()
+    assert bench.frames == []
+
+
+def test_a_node_whose_sdo_channel_another_master_uses_is_left_alone() -> None:
+    bench = Bench([1, 5])
+    other = bench.segment.attach("other master", lambda _frame, _at: None)
+    upload = bytes.fromhex("4018100100000000")
+    for tenth in range(10):
+        bench.timeline.call_at(
+            Instant(bench.timeline.now + tenth * NS_PER_S // 10),
+            lambda _now: other.send(Frame(0x605, upload)),
+        )
+    scan = bench.scan()
+    bench.frames.clear()
+    scan.probe()
+    assert [frame for frame in bench.frames if frame.can_id == 0x605] == []
+    one, five = scan.found()
+    assert one.device_type == 0x00020192
+    assert five.device_type is None
+    assert "another master" in five.note
+    assert five.heard["SDO answer"] > 0
+
+
+def test_asking_takes_a_small_part_of_the_bus_and_leaves_states_alone() -> None:
+    bench = Bench([1])
+    scan = bench.scan(0.1)
+    bench.frames.clear()
+    began = bench.timeline.now
+    scan.probe()
+    assert bench.segment.load_percent(began, bench.timeline.now) < 15.0
+    assert {frame.can_id & 0x780 for frame in bench.frames} == {0x580, 0x600}
+    commands = {frame.data[0] >> 5 for frame in bench.frames if frame.can_id & 0x780 == 0x600}
+    assert commands <= {2, 3}, "something other than an upload was asked for"
+
+
+def test_traffic_is_sorted_by_what_it_is() -> None:
+    bench = Bench([])
+    port = bench.segment.attach("others", lambda _frame, _at: None)
+    for frame in (
+        Frame(0x080),
+        Frame(0x185, b"1"),
+        Frame(0x7E5, bytes(8)),
+        Frame(0x12345, b"", True),
+        Frame(0x6E0),
+    ):
+        port.send(frame)
+    scan = bench.scan(0.1)
+    assert scan.traffic.broadcasts == {"SYNC": 1, "LSS request": 1}
+    assert scan.traffic.by_node[5] == {"PDO": 1}
+    assert scan.traffic.others == 2
+    assert scan.traffic.running
+    (five,) = scan.found()
+    assert (five.node_id, five.nmt_state) == (5, "operational")
+
+
+@pytest.mark.parametrize(
+    ("device_type", "text"),
+    [
+        (0x00020192, "servo drive (CiA 402)"),
+        (0x00040192, "stepper drive (CiA 402)"),
+        (0x00000192, "drive (CiA 402)"),
+        (0x000F0191, "I/O module (CiA 401)"),
+        (0x00000196, "encoder (CiA 406)"),
+        (0x000003E7, "device (CiA 999)"),
+        (0, "no standard profile"),
+        (None, ""),
+    ],
+)
+def test_device_types_in_words(device_type: int | None, text: str) -> None:
+    assert NodeFound(1, device_type=device_type).profile == text
+
+
+def test_devices_without_node_id_are_found_and_left_as_they_were() -> None:
+    bench = Bench([1])
+    bench.add(UNCONFIGURED, 0x80000001)
+    bench.add(UNCONFIGURED, 0x00000002)
+    master = LssMaster(bench.network)
+    assert master.any_unconfigured()
+    found = master.find_all()
+    assert [address.serial_number for address in found] == [0x00000002, 0x80000001], "lowest number first"
+    assert {address.product_code for address in found} == {0x00010402}
+    assert master.find_all() == found
+    master.close()
+
+
+def test_an_assigned_device_boots_with_its_node_id() -> None:
+    bench = Bench([1])
+    servo = bench.add(UNCONFIGURED, 77)
+    master = LssMaster(bench.network)
+    (address,) = master.find_all()
+    bench.frames.clear()
+    master.assign(address, 9, store=True)
+    bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
+    assert Frame(0x709, b"\x00") in bench.frames
+    assert not master.any_unconfigured()
+    assert master.fast_scan() is None
+    assert bench.network.upload(9, 0x1018, 4) == (77).to_bytes(4, "little")
+    assert servo.node_id == 9
+
+
+def test_a_search_gets_through_where_frames_are_lost() -> None:
+    bench = Bench([], drop_every=40)
+    bench.add(UNCONFIGURED, 0x12345678)
+    (address,) = LssMaster(bench.network).find_all()
+    assert address.serial_number == 0x12345678
+
+
+def test_a_search_that_leads_nowhere_is_an_error() -> None:
+    bench = Bench([])
+
+    def answer(frame: Frame, _at: Instant) -> None:
+        """Only ever says that it is there."""
+        if frame.can_id == 0x7E5 and frame.data[5] == 0x80:
+            scared.send(Frame(0x7E4, b"\x4f".ljust(8, b"\0")))
+
+    scared = bench.segment.attach("scared", answer)
+    with pytest.raises(NoAnswer, match="but none was found"):
+        LssMaster(bench.network).fast_scan()
+
+
+def test_a_device_that_refuses_or_is_gone_is_named() -> None:
+    bench = Bench([])
+    bench.add(UNCONFIGURED, 3)
+    master = LssMaster(bench.network)
+    (address,) = master.find_all()
+    with pytest.raises(PeerFault, match="refuses node-ID 200"):
+        master.assign(address, 200)
+    with pytest.raises(NoAnswer, match="serial 00000004h does not answer"):
+        master.assign(LssAddress(*address[:3], 4), 9)
+    assert master.any_unconfigured(), "the refused device was left in the configuration state"
+
+
+def test_nobody_to_find() -> None:
+    bench = Bench([1])
+    master = LssMaster(bench.network)
+    began = bench.timeline.now
+    assert not master.any_unconfigured()
+    assert master.find_all() == []
+    assert bench.timeline.now - began < 400 * NS_PER_MS

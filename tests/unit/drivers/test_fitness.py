@@ -1,0 +1,119 @@
+"""Whether a dictionary serves a bench."""
+
+import pytest
+
+from drivers.fitness import Fitness, assess, mode_name
+from drivers.profile402 import Mode
+from tests.unit.drivers.eds_maker import NODE, U16, U32, Pdo, four_pdos, sheet, sub, variable
+
+
+def fitness(pdos: list[Pdo] | None = None, **how: object) -> Fitness:
+    return assess(sheet(four_pdos() if pdos is None else pdos, **how), NODE)
+
+
+def test_a_complete_drive_serves_in_torque() -> None:
+    found = fitness()
+    assert found.serves
+    assert found.best is not None
+    assert found.best.mode is Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    assert (found.profile, found.axes, found.modes_told_by) == (402, 1, "6502h")
+    assert found.identity.vendor == 0x123
+
+
+def test_identity_comes_from_the_identity_object_first() -> None:
+    record = "[1018]\nParameterName=I\nObjectType=9\nSubNumber=3\n"
+    record += sub(0x1018, 0, 5, "ro", "2") + sub(0x1018, 1, U32, "ro", "0x77") + sub(0x1018, 2, U32, "ro", "")
+    found = fitness(also=record).identity
+    assert (found.vendor, found.product) == (0x77, None)
+
+
+def test_modes_are_those_of_6502h() -> None:
+    found = fitness(modes="0x25")
+    assert [mode_name(mode) for mode in found.modes] == ["profile position", "profile velocity", "homing"]
+    assert found.best is not None
+    assert found.best.mode is Mode.PROFILE_VELOCITY
+    assert any("no torque mode" in remark for remark in found.remarks)
+    assert found.serves
+
+
+@pytest.mark.parametrize("modes", ["", "0"])
+def test_without_a_value_of_6502h_the_objects_tell(modes: str) -> None:
+    found = fitness(modes=modes)
+    assert found.modes == (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE)
+    assert "6502h gives no value" in found.modes_told_by
+
+
+def test_cyclic_modes_are_concluded_from_what_only_they_have() -> None:
+    period, data, offset = (
+        variable(0x60C2, U16, "rw"),
+        variable(0x60C1, U32, "rw"),
+        variable(0x60B0, U32, "rw"),
+    )
+    assert Mode.CYCLIC_SYNCHRONOUS_TORQUE in fitness(modes="", also=period).modes
+    interpolated = fitness(modes="", also=period + data).modes
+    assert Mode.INTERPOLATED_POSITION in interpolated
+    assert Mode.CYCLIC_SYNCHRONOUS_POSITION not in interpolated
+    assert Mode.CYCLIC_SYNCHRONOUS_POSITION in fitness(modes="", also=period + data + offset).modes
+
+
+@pytest.mark.parametrize(
+    ("how", "telling"),
+    [
+        ({"device_type": "0x00030191"}, "device profile 401"),
+        ({"without": (0x6040,)}, "6040h:00 missing: it has no CiA 402 state machine"),
+        ({"without": (0x6040, 0x6041)}, "6040h:00 and 6041h:00 missing"),
+        ({"without": (0x6060,)}, "6060h:00 missing: its mode cannot be chosen"),
+        ({"modes": "0x20"}, "it has no mode for torque, velocity or position"),
+        (
+            {"without": (0x606C,)},
+            "cyclic synchronous torque: 606Ch:00 is not in the dictionary",
+        ),
+        ({"pdos": []}, "there is no TPDO"),
+    ],
+)
+def test_obstacles_say_why(how: dict[str, object], telling: str) -> None:
+    found = fitness(**how)  # type: ignore[arg-type]
+    assert not found.serves
+    assert any(telling in obstacle for obstacle in found.obstacles)
+
+
+@pytest.mark.parametrize("missing", [0x6061, 0x6064 + 1, 0x6077])
+def test_optional_objects_degrade_one_by_one(missing: int) -> None:
+    assert fitness(without=(missing,)).serves
+
+
+def test_a_mode_without_its_object_is_told_and_the_next_one_serves() -> None:
+    found = fitness(without=(0x6071,))
+    reasons = {each.mode: each.reason for each in found.usable}
+    assert reasons[Mode.CYCLIC_SYNCHRONOUS_TORQUE] == "6071h:00 is not in the dictionary"
+    assert found.best is not None
+    assert found.best.mode is Mode.CYCLIC_SYNCHRONOUS_VELOCITY
+    assert found.serves
+
+
+def test_no_device_type_is_a_remark() -> None:
+    found = fitness(device_type="")
+    assert found.serves
+    assert found.profile is None
+    assert any("no device profile" in remark for remark in found.remarks)
+
+
+def test_a_second_axis_is_a_remark() -> None:
+    found = fitness(also=variable(0x6840, U16, "rww"))
+    assert found.axes == 2
+    assert any("2 axes" in remark for remark in found.remarks)
+
+
+def test_what_is_recommended_and_missing_is_listed_with_its_consequence() -> None:
+    lacks = {lack.index: lack.consequence for lack in fitness().lacks}
+    assert "it does not notice by itself that the host is gone" in lacks[0x1016]
+    assert 0x6041 not in lacks
+    assert 0x1017 not in {lack.index for lack in fitness(also=variable(0x1017, U16, "rw")).lacks}
+
+
+def test_pdo_defaults_are_those_of_the_file() -> None:
+    pdos = [Pdo(0x1400, kind=1, kind_access="ro"), Pdo(0x1801, (0x60410010,), False, cob_id="0xC0000285")]
+    tpdo, rpdo = fitness(pdos).pdos
+    assert (rpdo.name, rpdo.cob_id, rpdo.valid, rpdo.transmission_type) == ("RPDO1", 0x205, True, 1)
+    assert (tpdo.name, tpdo.cob_id, tpdo.valid) == ("TPDO2", 0x285, False)
+    assert (tpdo.mapping, tpdo.mapping_writable) == (("6041h:00/16",), False)

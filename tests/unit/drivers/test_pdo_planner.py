@@ -1,0 +1,228 @@
+"""PDO plans for drives of every kind of limitation."""
+
+import pytest
+
+from drivers.dictionary import parse_dictionary
+from drivers.pdo import PdoMap
+from drivers.pdo_budget import budget_of, content_of
+from drivers.pdo_capability import capability_of
+from drivers.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
+from drivers.pdo_plans import mode_plan
+from drivers.profile402 import Mode
+from drivers.timebase import NS_PER_MS, Duration
+from tests.unit.drivers.eds_maker import NODE, U32, Pdo, four_pdos, sheet, sheet_text, variable
+
+STATUS, SPEED, TORQUE, POSITION = 0x60410010, 0x606C0020, 0x60770010, 0x60640020
+CONTROL, TARGET_TORQUE, TARGET_SPEED = 0x60400010, 0x60710010, 0x60FF0020
+
+
+def plan(pdos: list[Pdo], wish: PlanWish | None = None, **how: object) -> PlanResult:
+    return plan_pdos(capability_of(sheet(pdos, **how)), NODE, wish or PlanWish())
+
+
+def shown(result: PlanResult) -> list[str]:
+    return [_shown(pdo) for pdo in (*result.plan.tpdos, *result.plan.rpdos)]
+
+
+def _shown(pdo: PdoMap) -> str:
+    return f"{pdo.name} {pdo.cob_id:03X}h {pdo.transmission_type}: {content_of(pdo)}"
+
+
+def test_a_free_drive_gets_the_standard_plan() -> None:
+    stamp = variable(0x1013, U32, "rw")
+    for also, stamped in (("", False), (stamp, True)):
+        made = plan(four_pdos(), also=also).plan
+        assert made == mode_plan(NODE, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=stamped)
+
+
+@pytest.mark.parametrize(
+    ("mode", "target"),
+    [
+        (Mode.PROFILE_VELOCITY, "60FFh:00/32"),
+        (Mode.PROFILE_POSITION, "607Ah:00/32"),
+        (Mode.PROFILE_TORQUE, "6071h:00/16"),
+    ],
+)
+def test_the_set_point_of_the_mode_is_mapped(mode: Mode, target: str) -> None:
+    assert shown(plan(four_pdos(), PlanWish(mode)))[-1] == f"RPDO1 205h 255: 6040h:00/16 {target}"
+
+
+def test_homing_needs_no_set_point() -> None:
+    assert shown(plan(four_pdos(), PlanWish(Mode.HOMING)))[-1] == "RPDO1 205h 255: 6040h:00/16"
+
+
+def test_wishes_for_synchronous_commands_and_seldom_positions() -> None:
+    wish = PlanWish(synchronous_command=True, position_every_cycles=4)
+    lines = shown(plan(four_pdos(), wish, also=variable(0x1013, U32, "rw")))
+    assert lines[1] == "TPDO2 285h 4: 6064h:00/32"
+    assert lines[2].startswith("RPDO1 205h 1:")
+
+
+def test_few_entries_a_pdo_take_more_pdos() -> None:
+    assert shown(plan(four_pdos(entries=1))) == [
+        "TPDO1 185h 1: 6041h:00/16",
+        "TPDO2 285h 1: 606Ch:00/32",
+        "TPDO3 385h 1: 6077h:00/16",
+        "TPDO4 485h 1: 6064h:00/32",
+        "RPDO1 205h 255: 6040h:00/16",
+        "RPDO2 305h 255: 6071h:00/16",
+    ]
+
+
+def test_too_few_pdos_say_what_has_no_room() -> None:
+    pdos = [Pdo(0x1400), Pdo(0x1800, entries=2)]
+    with pytest.raises(PlanImpossible, match="6077h:00: the TPDOs have no room left"):
+        plan(pdos)
+
+
+def test_a_file_that_defines_too_few_entries_is_helped_by_its_limit() -> None:
+    # 6041h, 606Ch and 6064h as INTEGER16 fit into one PDO, which has two entries in the file.
+    small = variable(0x606C, 3, "ro") + variable(0x6064, 3, "ro")
+    text = sheet_text([Pdo(0x1400), Pdo(0x1800, entries=2)], without=(0x6077, 0x606C, 0x6064), also=small)
+    with pytest.raises(PlanImpossible, match="6064h:00: the TPDOs have no room left"):
+        plan_pdos(capability_of(parse_dictionary(text.encode(), "x", NODE)), NODE, PlanWish())
+    allowed = text.replace("[1A00sub0]\n", "[1A00sub0]\nHighLimit=64\n").encode()
+    result = plan_pdos(capability_of(parse_dictionary(allowed, "x", NODE)), NODE, PlanWish())
+    assert shown(result)[0] == "TPDO1 185h 1: 6041h:00/16 606Ch:00/16 6064h:00/16"
+    assert any("sub-index 0 allows" in note for note in result.notes)
+
+
+def test_fixed_mappings_are_taken_as_they_are() -> None:
+    fixed = {"writable": False, "entries": 1}
+    pdos = [
+        Pdo(0x1400, (CONTROL,), **fixed),  # type: ignore[arg-type]
+        Pdo(0x1401, (CONTROL, TARGET_TORQUE), **fixed),  # type: ignore[arg-type]
+        Pdo(0x1800, (STATUS,), **fixed),  # type: ignore[arg-type]
+        Pdo(0x1801, (STATUS, 0x20000018, 0x60780010), **fixed),  # type: ignore[arg-type]
+        Pdo(0x1802, (SPEED, POSITION), **fixed),  # type: ignore[arg-type]
+        Pdo(0x1803, (TORQUE, 0x00050008, STATUS), **fixed),  # type: ignore[arg-type]
+    ]
+    result = plan(pdos)
+    assert shown(result) == [
+        "TPDO3 385h 1: 606Ch:00/32 6064h:00/32",
+        "TPDO4 485h 1: 6077h:00/16 0005h:00/8 6041h:00/16",
+        "RPDO2 305h 255: 6040h:00/16 6071h:00/16",
+    ]
+
+
+def test_entries_that_nobody_reads_are_skipped_octets() -> None:
+    pdos = [
+        Pdo(0x1400, (CONTROL, TARGET_TORQUE), False),
+        Pdo(0x1800, (STATUS, 0x20000018), False),
+        Pdo(0x1801, (SPEED, POSITION), False),
+        Pdo(0x1802, (TORQUE,), False),
+    ]
+    tpdo = plan(pdos).plan.tpdos[0]
+    assert [entry.code for entry in tpdo.entries] == ["H", "3s"]
+    assert tpdo.codec().unpack(b"\x27\x06abc") == (0x627, b"abc")
+
+
+def test_a_mixed_drive_uses_both() -> None:
+    pdos = [
+        Pdo(0x1400),
+        Pdo(0x1800, (STATUS, TORQUE), False),
+        Pdo(0x1801),
+    ]
+    lines = shown(plan(pdos, unmapped=(0x6041, 0x6077)))
+    assert lines[0] == "TPDO1 185h 1: 6041h:00/16 6077h:00/16"
+    assert lines[1] == "TPDO2 285h 1: 606Ch:00/32 6064h:00/32"
+
+
+def test_a_fixed_mapping_without_what_is_needed() -> None:
+    pdos = [Pdo(0x1400, (CONTROL,), False), Pdo(0x1800, (STATUS,), False)]
+    with pytest.raises(PlanImpossible) as caught:
+        plan(pdos)
+    told = caught.value.evidence
+    assert "606Ch:00: the TPDOs have fixed mappings without it" in told
+    assert "6071h:00: the RPDOs have fixed mappings without it" in told
+    assert "6041h" not in told
+
+
+def test_bits_in_a_fixed_mapping_are_not_read() -> None:
+    pdos = [
+        Pdo(0x1400, (CONTROL, TARGET_TORQUE), False),
+        Pdo(0x1800, (0x20000001, STATUS), False),
+        Pdo(0x1801, (SPEED, POSITION), False),
+    ]
+    with pytest.raises(PlanImpossible, match="6041h:00"):
+        plan(pdos)
+
+
+def test_objects_that_may_not_be_mapped() -> None:
+    with pytest.raises(PlanImpossible, match="606Ch:00 cannot be mapped into a TPDO"):
+        plan(four_pdos(), unmapped=(0x606C,))
+
+
+def test_what_is_mapped_by_default_can_be_mapped_whatever_its_mark() -> None:
+    pdos = [Pdo(0x1400), Pdo(0x1800, (SPEED,)), Pdo(0x1801)]
+    assert "606Ch" in shown(plan(pdos, unmapped=(0x606C,)))[0]
+
+
+def test_marks_that_are_all_missing_say_nothing() -> None:
+    everything = (0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60FF)
+    assert len(shown(plan(four_pdos(), unmapped=everything))) == 3
+
+
+def test_torque_degrades_to_current_and_to_nothing() -> None:
+    current = variable(0x6078, 3, "ro")
+    result = plan(four_pdos(), without=(0x6077,), also=current)
+    assert shown(result)[0].endswith("6041h:00/16 606Ch:00/32 6078h:00/16")
+    assert "torque is taken from the current 6078h" in result.notes[0]
+    result = plan(four_pdos(), without=(0x6077,))
+    assert shown(result)[0].endswith("6041h:00/16 606Ch:00/32")
+    assert "readings carry no torque" in result.notes[0]
+
+
+def test_missing_objects_and_missing_pdos_are_named() -> None:
+    with pytest.raises(PlanImpossible, match="6064h:00 is not in the dictionary"):
+        plan(four_pdos(), without=(0x6064,))
+    with pytest.raises(PlanImpossible, match="6041h:00: there is no TPDO"):
+        plan([Pdo(0x1400)])
+
+
+def test_types_and_identifiers_that_cannot_be_changed_are_kept() -> None:
+    pdos = [
+        Pdo(0x1400, cob_id="0x321", cob_id_access="ro"),
+        Pdo(0x1800, kind=254, kind_access="ro"),
+        Pdo(0x1801),
+    ]
+    result = plan(pdos)
+    assert [line.split(":")[0] for line in shown(result)] == [
+        "TPDO1 185h 254",
+        "TPDO2 285h 1",
+        "RPDO1 321h 255",
+    ]
+    assert result.notes == ("TPDO1 keeps its transmission type 254, 1 was wanted",)
+
+
+def test_a_pdo_that_cannot_be_switched_on() -> None:
+    with pytest.raises(PlanImpossible, match="TPDO1 is switched off"):
+        plan([Pdo(0x1400), Pdo(0x1800, cob_id="0x80000185", cob_id_access="ro"), Pdo(0x1801)])
+
+
+def test_a_fifth_pdo_keeps_the_identifier_that_it_has() -> None:
+    pdos = [Pdo(0x1400), Pdo(0x1800), Pdo(0x1804, cob_id="0x80000000")]
+    with pytest.raises(PlanImpossible, match="TPDO5 has no identifier"):
+        plan(pdos)
+    pdos[2] = Pdo(0x1804, cob_id="0x80000291")
+    assert shown(plan(pdos))[1].startswith("TPDO5 291h")
+
+
+def test_the_budget_is_that_of_the_longest_frames() -> None:
+    result = plan(four_pdos())
+    budget = budget_of([result.plan], Duration(NS_PER_MS), 500_000)
+    assert [(line.name, line.bits_max, line.time_ns) for line in budget.lines] == [
+        ("SYNC", 55, 110_000),
+        ("TPDO1", 135, 270_000),
+        ("TPDO2", 95, 190_000),
+        ("RPDO1", 95, 190_000),
+    ]
+    assert budget.load_percent == pytest.approx(76.0)
+    assert budget.shortest_period_ns == 950_001
+
+
+def test_a_seldom_pdo_costs_its_share() -> None:
+    result = plan(four_pdos(), PlanWish(position_every_cycles=4))
+    budget = budget_of([result.plan], Duration(NS_PER_MS), 1_000_000)
+    assert budget.load_percent == pytest.approx(5.5 + 13.5 + 9.5 / 4 + 9.5)
+    assert budget.fullest_cycle_percent == pytest.approx(5.5 + 13.5 + 9.5 + 9.5)

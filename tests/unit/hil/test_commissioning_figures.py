@@ -1,0 +1,163 @@
+"""What commissioning works out of samples, against motions that are known exactly."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from hil.commissioning.exercise import runs_of, smooth_speed
+from hil.commissioning.frequency import frequency_response, lines_hz, step_lag
+from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
+
+Array = NDArray[Any]
+J, B, T_C, T_0 = 8e-4, 2e-3, 0.05, 0.01
+PERIOD_S = 1e-3
+
+
+def spin(torque: Array, speed: float) -> Array:
+    """Positions of a shaft that turns one way, by the exact answer to a torque held over each period."""
+    position = np.zeros(len(torque))
+    sign = math.copysign(1.0, speed)
+    for k in range(1, len(torque)):
+        steady = (torque[k] - T_C * sign - T_0) / B
+        fade = math.exp(-B * PERIOD_S / J)
+        position[k] = position[k - 1] + steady * PERIOD_S + (speed - steady) * (1.0 - fade) * J / B
+        speed = steady + (speed - steady) * fade
+    return position
+
+
+def record(direction: float, rest_s: float = 0.4) -> tuple[Array, Array, Array]:
+    """Up with a strong torque, on with a weak one, then coasting; always the same way."""
+    pieces = [0.5] * 200 + [0.15] * 300 + [0.0] * round(rest_s / PERIOD_S)
+    torque = direction * np.array(pieces)
+    position = spin(torque, direction * 5.0)
+    time = PERIOD_S * np.arange(len(torque))
+    assert np.all(direction * np.diff(position) > 0.0), "friction changes its sign with the speed"
+    return time, position, torque
+
+
+def test_inertia_and_friction_of_a_known_shaft() -> None:
+    found = identify_mechanics([record(1.0), record(-1.0)], 0.1)
+    assert found.inertia_kg_m2 == pytest.approx(J, rel=0.01)
+    assert found.viscous_friction_nm_s == pytest.approx(B, rel=0.02)
+    assert found.coulomb_friction_nm == pytest.approx(T_C, rel=0.02)
+    assert found.offset_nm == pytest.approx(T_0, rel=0.05)
+    assert found.friction_nm(-10.0) == pytest.approx(-(T_C + 10.0 * B), rel=0.02)
+    assert found.friction_nm(0.0) == 0.0
+
+
+@settings(derandomize=True, deadline=None, max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_lost_samples_and_encoder_steps_hardly_matter(seed: int) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    step = math.tau / 4096
+    records = []
+    for direction in (1.0, -1.0):
+        time, position, torque = record(direction)
+        kept = random.random(len(time)) > 0.02
+        records.append((time[kept], np.floor(position[kept] / step) * step, torque[kept]))
+    found = identify_mechanics(records, 0.1)
+    assert found.inertia_kg_m2 == pytest.approx(J, rel=0.02)
+    assert found.viscous_friction_nm_s == pytest.approx(B, rel=0.05)
+    assert found.coulomb_friction_nm == pytest.approx(T_C, rel=0.03)
+
+
+def test_a_gap_in_the_samples_is_not_bridged() -> None:
+    time, position, torque = record(1.0)
+    keep = (time < 0.25) | (time > 0.45)
+    spoilt = torque.copy()
+    spoilt[~keep] = 99.0
+    whole = identify_mechanics([(time[keep], position[keep], spoilt[keep])], 0.1, with_offset=False)
+    assert whole.inertia_kg_m2 == pytest.approx(J, rel=0.05)
+
+
+def test_a_shaft_that_stands_tells_nothing() -> None:
+    time: Array = PERIOD_S * np.arange(1000)
+    with pytest.raises(NotIdentifiable):
+        identify_mechanics([(time, np.zeros(1000), np.full(1000, 0.01))], 0.1)
+
+
+def test_a_constant_speed_does_not_tell_the_inertia() -> None:
+    time: Array = PERIOD_S * np.arange(2000)
+    with pytest.raises(NotIdentifiable):
+        identify_mechanics([(time, 30.0 * time, np.full(2000, 0.1))], 0.1)
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 0.1, 200.0])
+def test_velocity_against_path_there_and_back(factor: float) -> None:
+    time: Array = np.arange(0.0, 2.0, PERIOD_S)
+    position = 1.0 - np.cos(math.pi * time)
+    velocity = factor * math.pi * np.sin(math.pi * time)
+    assert ratio_of(time, velocity, position) == pytest.approx(factor, rel=2e-3)
+
+
+def test_velocity_against_no_path() -> None:
+    time: Array = np.arange(0.0, 0.1, PERIOD_S)
+    assert math.isnan(ratio_of(time, np.zeros_like(time), np.zeros_like(time)))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "plain"),
+    [(0.0998, 0.1), (4.02, 4.0), (59.5, 60.0), (6.2832, math.tau), (1.37, 1.37), (2.0e-4, 2.0e-4)],
+)
+def test_ratios_that_mean_something(ratio: float, plain: float) -> None:
+    assert plain_ratio(ratio) == pytest.approx(plain, rel=1e-12)
+
+
+def test_the_smoothed_speed_of_a_ramp_is_exact() -> None:
+    time = np.sort(np.random.Generator(np.random.PCG64(1)).random(200))
+    assert smooth_speed(time, 3.0 + 7.0 * time) == pytest.approx(np.full(200, 7.0))
+
+
+def test_runs_of_what_is_missing() -> None:
+    gone = [True, False, True, True, False, False, True, True, False, True, True, True]
+    assert runs_of(gone) == (1, 2, 1)
+    assert runs_of([False, False]) == ()
+
+
+def test_a_frequency_response_is_exact_on_its_lines() -> None:
+    lines = lines_hz(2.0, 200.0, 12, 1.0)
+    random = np.random.Generator(np.random.PCG64(3))
+    phases = random.uniform(0.0, math.tau, len(lines))
+    time: Array = PERIOD_S * np.arange(4200)
+    transfer = 1.0 / (J * 1j * math.tau * lines + B)
+    angle: Array = math.tau * np.outer(time, lines) + phases
+    source: Array = np.sin(angle).sum(axis=1)
+    output: Array = (np.abs(transfer) * np.sin(angle + np.angle(transfer))).sum(axis=1)
+    found = frequency_response(time, source, output, lines, 1.0, PERIOD_S, 0.1)
+    assert found.response == pytest.approx(transfer, rel=1e-6)
+    assert found.coherence == pytest.approx(np.ones(len(lines)))
+    noise = random.normal(0.0, 3.0 * output.std(), len(time))
+    noisy = frequency_response(time, source, output + noise, lines, 1.0, PERIOD_S, 0.1)
+    assert noisy.coherence.min() < 0.8, "what the input does not explain shows"
+
+
+def test_a_frequency_response_needs_two_blocks() -> None:
+    time: Array = PERIOD_S * np.arange(1500)
+    with pytest.raises(ValueError, match="whole blocks"):
+        frequency_response(time, time, time, np.array([2.0]), 1.0, PERIOD_S, 0.0)
+
+
+def test_the_lag_of_a_known_step() -> None:
+    random = np.random.Generator(np.random.PCG64(5))
+    age = random.uniform(0.0, 2000.0, 1500)
+    part = np.where(age > 230.0, 1.0 - np.exp(-(age - 230.0) / 120.0), 0.0)
+    part += random.normal(0.0, 0.01, len(age))
+    lost = random.random(len(age)) < 0.02
+    part[lost] = 0.0
+    lag = step_lag(age, part)
+    assert lag.half_us == pytest.approx(230.0 + 120.0 * math.log(2.0), abs=10.0)
+    assert lag.lag_us == pytest.approx(120.0, abs=20.0)
+    assert lag.dead_us == pytest.approx(230.0, abs=15.0)
+
+
+def test_a_step_that_was_not_seen_to_rise() -> None:
+    age = np.linspace(500.0, 900.0, 400)
+    with pytest.raises(ValueError, match="does not pass"):
+        step_lag(age, np.ones_like(age))
+    with pytest.raises(ValueError, match="too few"):
+        step_lag(age[:10], np.ones(10))

@@ -1,0 +1,182 @@
+"""The host's limits around an exercise: each is crossed by a hair, and kept by a hair."""
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from drivers.errors import BadInput, BenchError, LimitExceeded
+from drivers.exchange import Command
+from drivers.timebase import Instant
+from hil.commissioning.drive_port import DrivePort
+from hil.commissioning.excitation import Profile, Pulse, SpeedGuide
+from hil.commissioning.exercise import EnergyMeter, Watched
+from hil.commissioning.identify import Mechanics
+from hil.commissioning.request import MotionLimits, Nameplate, load_nameplate, motion_limits
+from hil.samples import StateEstimate
+
+PERIOD_NS = 1_000_000
+LIMITS = MotionLimits(
+    torque_nm=1.0,
+    torque_slew_nm_s=50.0,
+    speed_rad_s=100.0,
+    power_w=50.0,
+    energy_j=5.0,
+    travel_rad=10.0,
+    following_rad=0.5,
+)
+SHAFT = Mechanics(1e-3, 1e-3, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0)
+
+
+class Port:
+    """Stands in for a drive in a position mode."""
+
+    def __init__(self, commanded_rad: float | None = None) -> None:
+        self.commanded_rad = commanded_rad
+
+
+class Still:
+    """A controller that asks for nothing."""
+
+    def output(self, _estimate: StateEstimate, _reference: float) -> float:
+        return 0.0
+
+    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+        pass
+
+
+def watched(
+    limits: MotionLimits = LIMITS, commanded_rad: float | None = None, energy: EnergyMeter | None = None
+) -> Watched:
+    return Watched(Still(), limits, cast(DrivePort, Port(commanded_rad)), energy or EnergyMeter())
+
+
+def estimate(cycle: int, position_rad: float, torque_nm: float = 0.0) -> StateEstimate:
+    return StateEstimate(position_rad, 0.0, torque_nm, Instant(cycle * PERIOD_NS), cycle)
+
+
+def drive_along(watch: Watched, positions: list[float], torque_nm: float = 0.0) -> None:
+    for cycle, position in enumerate(positions, start=1):
+        watch.output(estimate(cycle, position, torque_nm), 0.0)
+
+
+def test_travel() -> None:
+    drive_along(watched(), [3.0 - 0.01 * k for k in range(1000)])
+    with pytest.raises(LimitExceeded, match="turned"):
+        drive_along(watched(), [3.0 - 0.01 * k for k in range(1010)])
+    drive_along(watched(replace(LIMITS, travel_rad=None)), [0.01 * k for k in range(2000)])
+
+
+def test_speed_by_position() -> None:
+    drive_along(watched(replace(LIMITS, travel_rad=None)), [0.19 * k for k in range(20)])
+    with pytest.raises(LimitExceeded, match="speed by position"):
+        drive_along(watched(replace(LIMITS, travel_rad=None)), [0.20 * k for k in range(20)])
+
+
+def test_power_and_energy() -> None:
+    drive_along(watched(), [0.06 * k for k in range(80)], torque_nm=1.0)
+    with pytest.raises(LimitExceeded, match="power"):
+        drive_along(watched(), [0.07 * k for k in range(80)], torque_nm=1.0)
+    with pytest.raises(LimitExceeded, match="work"):
+        drive_along(watched(), [0.06 * k for k in range(90)], torque_nm=-1.0)
+
+
+def test_the_energy_of_a_step_is_that_of_all_its_exercises() -> None:
+    step = EnergyMeter()
+    drive_along(watched(energy=step), [0.06 * k for k in range(60)], torque_nm=1.0)
+    assert step.spent_j == pytest.approx(0.06 * 59)
+    with pytest.raises(LimitExceeded, match="work"):
+        drive_along(watched(energy=step), [0.06 * k for k in range(60)], torque_nm=1.0)
+
+
+def test_following_error() -> None:
+    drive_along(watched(commanded_rad=1.0), [0.55, 0.56])
+    with pytest.raises(LimitExceeded, match="following error"):
+        drive_along(watched(commanded_rad=1.0), [0.45, 0.46])
+
+
+def test_nothing_is_judged_before_the_first_sample() -> None:
+    watch = watched()
+    watch.output(StateEstimate(1e9, 0.0, 0.0, Instant(0), 0), 0.0)
+    drive_along(watch, [5.0, 5.0])
+
+
+def test_limits_come_from_the_nameplate_and_are_cautious_without_one() -> None:
+    found = motion_limits(Nameplate(), 2.0, 3000.0)
+    assert found.speed_rad_s == pytest.approx(0.5 * 3000.0 * math.tau / 60.0)
+    assert found.torque_nm == pytest.approx(1.0)
+    assert found.travel_rad is None
+    told = Nameplate.model_validate(
+        {"rating": {"speed_rpm": 1000.0}, "limits": {"torque_max_percent": 10.0, "turns_max": 2.0}}
+    )
+    found = motion_limits(told, 2.0, 3000.0)
+    assert found.speed_rad_s == pytest.approx(500.0 * math.tau / 60.0)
+    assert found.torque_nm == pytest.approx(0.2)
+    assert found.travel_rad == pytest.approx(2.0 * math.tau)
+
+
+def test_a_nameplate_with_a_wrong_key_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "plate.toml"
+    path.write_text("[rating]\ntorque_mnm = 200\n")
+    with pytest.raises(BenchError, match=r"rating\.torque_mnm") as caught:
+        load_nameplate(path)
+    assert caught.value.exit_status == 2
+    with pytest.raises(BadInput, match="--motor"):
+        load_nameplate(tmp_path / "absent.toml")
+
+
+# ---- what excites the shaft -------------------------------------------------------------------------------
+
+
+def sent(torque_nm: float) -> Command:
+    return Command(1, torque_nm, Instant(0), Instant(0))
+
+
+def test_a_pulse_rises_slowly_holds_and_ends_at_rest() -> None:
+    pulse = Pulse(1.0, 1.0, near_rad=0.02, far_rad=0.3, period_s=1e-3)
+    position = speed = 0.0
+    torques = []
+    for cycle in range(1, 4000):
+        torque = pulse.output(estimate(cycle, position), 0.0)
+        torques.append(torque)
+        drive = torque - math.copysign(0.2, speed) if speed else max(0.0, torque - 0.2)
+        stops = speed > 0.0 and torque < 0.2 and speed + drive * 1.0 < 0.0
+        speed = 0.0 if stops else speed + drive * 1.0
+        position += speed * 1e-3
+        if pulse.done():
+            break
+    assert pulse.moved
+    assert pulse.done()
+    assert max(b - a for a, b in itertools.pairwise(torques)) <= 1e-3 + 1e-12, "by ramp only"
+    assert max(torques) < 0.5, "no more than it takes"
+    assert torques[-1] == 0.0
+
+
+def test_a_pulse_gives_up_at_its_peak() -> None:
+    pulse = Pulse(-0.3, 1.0, near_rad=0.02, far_rad=0.3, period_s=1e-3)
+    torques = [pulse.output(estimate(cycle, 1.0), 0.0) for cycle in range(1, 1000)]
+    assert min(torques) == pytest.approx(-0.301, abs=2e-3)
+    assert not pulse.moved
+    assert pulse.done()
+
+
+def test_a_guide_lets_the_shaft_coast_without_a_jolt_afterwards() -> None:
+    guide = SpeedGuide(SHAFT, 1e-3, free=lambda time: 0.01 <= time < 0.02)
+    torques = []
+    for cycle in range(1, 31):
+        now = StateEstimate(0.0, 20.0, 0.0, Instant(cycle * PERIOD_NS), cycle)
+        torque = guide.output(now, 20.0 if cycle <= 15 else 0.0)
+        guide.update(now, sent(torque))
+        torques.append(torque)
+    assert torques[10:20] == [0.0] * 10
+    assert abs(torques[20]) < 1.5 * SHAFT.inertia_kg_m2 * 40.0 * 20.0, "the reference jumped meanwhile"
+
+
+def test_a_profile_follows_its_own_cycles() -> None:
+    profile = Profile(lambda time: 2.0 * time, 1e-3)
+    for cycle in range(5):
+        assert profile.output(estimate(1, 0.0), 0.0) == pytest.approx(2e-3 * cycle)
+        profile.update(estimate(1, 0.0), sent(0.0))

@@ -1,0 +1,186 @@
+"""A controller's network against the one of a run: before anything moves, and record by record."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import BenchError, LimitExceeded
+from drivers.exchange import Command, Reading
+from drivers.timebase import Duration, Instant
+from hil.configuration.bench_file import bench_from
+from hil.configuration.config import BenchConfig
+from hil.configuration.motor_file import LING2012
+from hil.configuration.network_file import Network
+from hil.configuration.speed_controller_file import MadeFor
+from hil.delay_design.controller_text import plant_of
+from hil.network_guard import Allowed, NetworkGuard, allowed, static_faults
+from hil.samples import CycleRecord, Dropout, DropoutCause, Observation, Sample, StateEstimate
+
+PERIOD = Duration(2_000_000)
+LIMITS = Allowed(3, Duration(1_000_000), Duration(9_000_000))
+MADE_FOR: dict[str, Any] = {
+    "delay_us": 9_000,
+    "strategy": "arrival",
+    "period_us": 2_000,
+    "losses_in_a_row_max": 3,
+    "delay_max_us": 1_000,
+    "plant": plant_of(LING2012.parameters).model_dump(),
+}
+
+
+def bench(made_for: dict[str, Any], **drive: Any) -> BenchConfig:
+    tables: dict[str, Any] = {
+        "bench": {"name": "x", "duration_s": 1.0},
+        "loop": {"period_us": 2000},
+        "drive": {
+            "axis1": {
+                "node": 1,
+                "motor": LING2012.model_dump(mode="json"),
+                "limits": {"speed_max_rpm": 2000.0, "torque_max_nm": 5.0},
+                "controller": {"kind": "state_feedback", "gain": [0.0, -0.1], "made_for": made_for},
+                **drive,
+            }
+        },
+    }
+    return bench_from(tables, "bench.toml", Path())
+
+
+def record(sequence: int, delay_us: int | None) -> CycleRecord:
+    """A cycle whose reading acts ``delay_us`` after its sample, or is lost."""
+    sampled = sequence * PERIOD
+    delay = 0 if delay_us is None else delay_us * 1000
+    observation: Observation = Dropout(sequence, Instant(sampled), DropoutCause.LOST)
+    if delay_us is not None:
+        reading = Reading(sequence, 0.0, 0.0, 0.0, 0x27, None, Instant(sampled + delay - 200_000))
+        observation = Sample(sequence, reading, Instant(sampled), 0)
+    effective = Instant(sampled + delay)
+    return CycleRecord(
+        sequence, 0, Instant(sampled), Instant(sampled), Instant(sampled), observation, Duration(delay),
+        StateEstimate(0.0, 0.0, 0.0, Instant(0), 0), 0.0, 0.0,
+        Command(sequence, 0.0, effective, Instant(effective + PERIOD)), Instant(effective - 100_000),
+    )  # fmt: skip
+
+
+class Watched:
+    def __init__(self, refuse: bool = True, stopping: bool = False, limits: Allowed = LIMITS) -> None:
+        self.records: list[CycleRecord] = []
+        self.told: list[str] = []
+        self.guard = NetworkGuard(
+            "axis1", limits, PERIOD, self.records.append, refuse,
+            self.told.append, lambda: stopping,
+        )  # fmt: skip
+
+    def feed(self, *delays_us: int | None) -> None:
+        for sequence, delay_us in enumerate(delays_us):
+            self.guard(record(sequence, delay_us))
+
+
+def test_a_network_within_its_bounds_passes() -> None:
+    watched = Watched()
+    watched.feed(1000, None, None, None, 300, None, 1000)
+    assert len(watched.records) == 7
+
+
+@pytest.mark.parametrize(
+    ("delays_us", "found"),
+    [((500, None, None, None, None), "4 readings missing in a row"), ((500, 1001), "1001.0 us from sample")],
+)
+def test_a_worse_network_stops_the_run_after_its_record_is_kept(
+    delays_us: tuple[int | None, ...], found: str
+) -> None:
+    watched = Watched()
+    with pytest.raises(LimitExceeded) as caught:
+        watched.feed(*delays_us)
+    assert found in str(caught.value)
+    assert "--allow-worse-network" in str(caught.value)
+    assert len(watched.records) == len(delays_us)
+
+
+def test_with_the_flag_each_kind_is_told_once() -> None:
+    watched = Watched(refuse=False)
+    watched.feed(*[None] * 9, 1500, 1500, *[None] * 9)
+    assert len(watched.records) == 20
+    assert len(watched.told) == 2
+
+
+def test_readings_lost_by_stopping_do_not_count() -> None:
+    watched = Watched(stopping=True)
+    watched.feed(*[None] * 9)
+    assert watched.told == []
+
+
+def test_the_controller_brings_its_compensator() -> None:
+    assert bench(MADE_FOR).drive["axis1"].compensator.kind == "arrival"
+    stamp = MADE_FOR | {"strategy": "stamp", "agreed_delay_us": 9_000}
+    found = bench(stamp).drive["axis1"].compensator
+    assert found.kind == "stamp"
+    assert found.delay_us == 9_000
+    assert static_faults(bench(stamp), {}) == []
+
+
+def test_history_needs_packets_that_the_bus_does_not_carry() -> None:
+    with pytest.raises(BenchError, match="history"):
+        bench(MADE_FOR | {"strategy": "history", "agreed_delay_us": 9_000})
+
+
+def test_a_bench_as_it_was_made_for_has_no_faults() -> None:
+    config = bench(MADE_FOR)
+    assert static_faults(config, {}) == []
+    good = Network(period_us=2000, losses_in_a_row_max=3, delay_max_us=1000)
+    assert static_faults(config, {"n.toml": good}) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"period_us": 1000}, "period_us"),
+        ({"plant": MADE_FOR["plant"] | {"inertia_kg_m2": 0.001}}, "plant.inertia_kg_m2"),
+    ],
+)
+def test_another_period_or_motor_is_a_fault(change: dict[str, Any], key: str) -> None:
+    faults = static_faults(bench(MADE_FOR | change), {})
+    assert [fault.key for fault in faults] == [f"drive.axis1.controller.made_for.{key}"]
+
+
+def test_another_compensator_is_a_fault() -> None:
+    config = bench(MADE_FOR, compensator={"kind": "stamp", "delay_us": 3000})
+    (fault,) = static_faults(config, {})
+    assert fault.key.endswith("strategy")
+    assert static_faults(config, {}, {"axis1"}) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"losses_in_a_row_max": 4}, "network.losses_in_a_row_max"),
+        ({"command_losses_in_a_row_max": 1}, "network.losses_in_a_row_max"),
+        ({"delay_max_us": 1001}, "network.delay_max_us"),
+        ({"period_us": 1000}, "network.period_us"),
+    ],
+)
+def test_a_worse_measured_network_is_a_fault(change: dict[str, int], key: str) -> None:
+    wanted = {"period_us": 2000, "losses_in_a_row_max": 3, "delay_max_us": 1000, **change}
+    network = Network.model_validate(wanted)
+    (fault,) = static_faults(bench(MADE_FOR), {"n.toml": network})
+    assert (fault.source, fault.key) == ("n.toml", key)
+
+
+def test_what_a_constant_delay_allows() -> None:
+    # (D + 1) h + T within 9 ms at h = 2 ms: three losses with 1 ms of delay, or none with 7 ms
+    limits = allowed(MadeFor(delay_us=9_000), PERIOD)
+    assert limits == Allowed(3, Duration(7_000_000), Duration(9_000_000))
+    watched = Watched(limits=limits)
+    watched.feed(1000, None, None, None, 1000, 7000)
+    with pytest.raises(LimitExceeded, match=r"acts for 9001\.0 us"):
+        watched.feed(1000, None, None, None, 1001)
+    config = bench({"delay_us": 9_000})
+    fits, fails = (Network(period_us=2000, losses_in_a_row_max=2, delay_max_us=us) for us in (3000, 3001))
+    assert static_faults(config, {"n.toml": fits}) == []
+    assert [fault.key for fault in static_faults(config, {"n.toml": fails})] == ["network"]
+
+
+def test_current_loops_faster_than_their_rate_allows_are_refused() -> None:
+    with pytest.raises(BenchError, match="current_bandwidth_hz"):
+        bench(MADE_FOR, simulation={"current_bandwidth_hz": 2001.0})
+    assert bench(MADE_FOR, simulation={"current_bandwidth_hz": 2000.0}).axes == ("axis1",)

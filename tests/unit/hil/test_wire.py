@@ -1,0 +1,158 @@
+"""Frames on the wire, patterns of them, and what a test may claim."""
+
+from pathlib import Path
+
+import pytest
+
+from drivers.pdo_plans import all_modes_plan, torque_plan
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.testing.frame_names import frame_name
+from hil.testing.wire import Wire, intended_frames, read_wire
+
+PLAN = torque_plan(1, device_stamp=True)
+INTENDED = intended_frames(127, 1, PLAN)
+STATUS = "181#3712000000000000"
+
+
+def wire(*texts: str) -> Wire:
+    """Frames in candump's form, 1 ms apart; those of the master by their identifiers."""
+    found = Wire()
+    for number, text in enumerate(texts, start=1):
+        identifier, _, data = text.partition("#")
+        can_id = int(identifier, 16)
+        sent = can_id in (0x000, 0x080) or can_id & 0x780 in (0x200, 0x300, 0x400, 0x600) or can_id == 0x77F
+        found.take(
+            "tx" if sent else "rx",
+            can_id,
+            b"" if data == "R" else bytes.fromhex(data),
+            len(identifier) > 3,
+            data == "R",
+            Instant(number * NS_PER_MS),
+        )
+    return found
+
+
+def test_a_frame_is_written_as_candump_does() -> None:
+    texts = ["080#", "201#0F00F401", "1ABCDEF0#01", "701#R"]
+    assert [frame.text for frame in wire(*texts).frames] == texts
+
+
+@pytest.mark.parametrize(
+    ("pattern", "count"),
+    [("201#*", 2), ("201#0F00*", 1), ("2..#*", 2), ("201#....", 1), (".*", 4), ("701#05", 1), ("7..#", 0)],
+)
+def test_patterns(pattern: str, count: int) -> None:
+    seen = wire("000#0101", "201#0F00F401", "201#0600", "701#05")
+    assert len(seen.find(pattern)) == count
+
+
+@pytest.mark.parametrize("pattern", ["", "201", "2011#00", "201#0", "201#0F*0", "xyz#00", "201#GG"])
+def test_what_is_no_pattern_is_refused(pattern: str) -> None:
+    with pytest.raises(ValueError, match="no pattern of a frame"):
+        wire().find(pattern)
+
+
+def test_seen_and_none_count_and_list() -> None:
+    seen = wire("080#", "201#0F000000", "080#")
+    seen.assert_seen("080#")
+    seen.assert_seen("080#", times=2)
+    seen.assert_none("081#*")
+    seen.assert_none("080#", sent=False)
+    with pytest.raises(AssertionError, match=r"2 frames 080#, 1 expected:\n  0.001000 s sent 080# \(SYNC\)"):
+        seen.assert_seen("080#", times=1)
+    with pytest.raises(AssertionError, match=r"no frame 081#.. among 3"):
+        seen.assert_seen("081#..")
+    with pytest.raises(AssertionError, match=r"1 frames 201#\*, none expected"):
+        seen.assert_none("201#*")
+
+
+def test_a_sequence_allows_others_between_but_no_other_order() -> None:
+    seen = wire("000#0101", "080#", "701#05", "201#0F000000")
+    seen.assert_sequence("000#01..", "701#05", "201#0F00*")
+    with pytest.raises(AssertionError, match=r"no frame 000#01.. after 701#05; there are, too early:"):
+        seen.assert_sequence("701#05", "000#01..")
+    with pytest.raises(AssertionError, match="no frame 080# after 080#"):
+        seen.assert_sequence("080#", "080#")
+
+
+@pytest.mark.parametrize(
+    "stray",
+    [
+        "081#1043090000000000",  # EMCY
+        "201#0F00F40100",  # RPDO1, a byte too long
+        "301#0F0000000000",  # an RPDO that the plan has not
+        "202#0F000000",  # another node's
+        "705#05",
+        "1ABCDEF0#01",
+        "181#R",
+        "123#",
+    ],
+)
+def test_what_does_not_belong_to_the_plan_is_unintended(stray: str) -> None:
+    usual = ["000#0101", "080#", STATUS, "281#0000000000000000", "201#0F000000", "77F#05", "701#05"]
+    usual += ["601#4041600000000000", "581#4B41600037120000"]
+    wire(*usual).assert_only(INTENDED)
+    with pytest.raises(AssertionError, match=rf"1 unintended of 10 frames:\n  0.010000 s .* {stray} "):
+        wire(*usual, stray).assert_only(INTENDED)
+    wire(*usual, stray).assert_only(INTENDED, allow=[stray])
+
+
+def test_a_master_s_frame_from_another_node_is_unintended() -> None:
+    seen = Wire()
+    seen.take("rx", 0x201, bytes(4), False, False, Instant(0))
+    with pytest.raises(AssertionError, match="received 201#00000000"):
+        seen.assert_only(INTENDED)
+
+
+def test_controlwords_of_every_rpdo_and_of_sdo_in_order() -> None:
+    plan = all_modes_plan(1, device_stamp=True)
+    seen = wire(
+        "601#2B40600006000000",
+        "201#0F000000",
+        "301#0F0000000000",
+        "401#1F0000000000",
+        "601#2B4060000F010000",
+        "601#2B60600008000000",  # 6060h, no controlword
+        "602#2B40600002000000",  # another node's
+        "201#0200",  # too short for its mapping: the drive takes nothing from it
+    )
+    assert [found.word for found in seen.controlwords(1, plan)] == [0x06, 0x0F, 0x1F, 0x10F]
+
+
+def test_a_window_of_time() -> None:
+    seen = wire("080#", "181#00", "080#").between(0.002, 0.003)
+    assert [frame.text for frame in seen.frames] == ["181#00"]
+
+
+def test_a_recorded_log_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "frames.log"
+    path.write_text(
+        "(0000000005.000100) simulated 601#4041600000000000 T\n"
+        "(0000000005.000200) simulated 18ABCDEF#0102 R\n"
+        "(0000000005.000300) simulated 701#R R\n"
+    )
+    found = read_wire(path, Duration(5_000_000_000), Instant(0))
+    assert [(frame.at, frame.sent, frame.text) for frame in found.frames] == [
+        (100_000, True, "601#4041600000000000"),
+        (200_000, False, "18ABCDEF#0102"),
+        (300_000, False, "701#R"),
+    ]
+    path.write_text("nonsense\n")
+    with pytest.raises(ValueError, match="no line of a candump log"):
+        read_wire(path, Duration(0), Instant(0))
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "name"),
+    [
+        (0x000, b"\x01\x01", "NMT command"),
+        (0x081, b"\x10\x43", "EMCY of node 1, 4310h excess temperature of the drive"),
+        (0x3FF, b"", "TPDO3 of node 127"),
+        (0x280, b"", "no identifier of CANopen"),
+        (0x7E4, b"", "LSS answer"),
+        (0x1801234, b"", "no identifier of CANopen"),
+        (0x20000080, bytes(8), "error frame"),
+    ],
+)
+def test_frames_have_names(can_id: int, data: bytes, name: str) -> None:
+    assert frame_name(can_id, data) == name

@@ -1,0 +1,44 @@
+"""The page about the simulated drive names objects and modes that are there, and all of its own."""
+
+import re
+from pathlib import Path
+
+from drivers.objects402 import Object
+from drivers.profile402 import Mode
+from tests.unit.virtual_bus.servo_bench import ServoBench
+from virtual_bus.canopen_device.data_types import DataType
+from virtual_bus.servo_drive.homing_methods import HOMING_METHODS
+
+PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")
+MACHINE_ROW = re.compile(r"^\| (2\d{3}h:.*?) \| (\w+) \|", re.MULTILINE)
+
+
+def test_every_object_of_the_page_is_in_the_dictionary() -> None:
+    dictionary = ServoBench().servo.dictionary
+    named = {int(index, 16) for index in re.findall(r"\b(6[0-9A-F]{3})h", PAGE)}
+    assert len(named) > 30
+    assert [f"{index:04X}" for index in sorted(named) if index not in dictionary] == []
+
+
+def test_the_machines_objects_have_these_types_and_no_other_is_there() -> None:
+    dictionary = ServoBench().servo.dictionary
+    told = {
+        (int(index, 16), int(sub)): DataType[kind]
+        for names, kind in MACHINE_ROW.findall(PAGE)
+        for index, sub in re.findall(r"(\w{4})h:(\d)", names)
+    }
+    there = {
+        (index, sub): variable.data_type
+        for index in (0x2100, 0x2110)
+        for sub, variable in dictionary.object(index).members.items()
+        if sub
+    }
+    assert told == there
+
+
+def test_modes_and_methods_are_those_of_the_drive() -> None:
+    numbers = {int(number) for number in re.findall(r"^\| [a-z ]+ \| (\d+) \|", PAGE, re.MULTILINE)}
+    bits = ServoBench().read(Object.SUPPORTED_DRIVE_MODES, "I")
+    assert numbers == {int(mode) for mode in Mode if mode > 0 and bits >> (mode - 1) & 1}
+    assert "methods 1 to 14, 17 to 30, 33, 34, 35 and 37" in PAGE
+    assert set(HOMING_METHODS) == {*range(1, 15), *range(17, 31), 33, 34, 35, 37}

@@ -1,0 +1,28 @@
+"""The pytest plugin's drives and benches on the kernel's virtual CAN interface."""
+
+import pytest
+
+from drivers.profile402 import State
+from hil.pytest_plugin import MakeDrive
+from hil.testing.bench_runs import BenchRunner
+from tests.scenario.processes import BENCH
+
+pytestmark = pytest.mark.servo_bus("vcan")
+
+
+def test_a_drive_turns_and_stops_and_says_nothing_else(servo_bus: str, servo_drive: MakeDrive) -> None:
+    assert servo_bus == "socketcan:vcan0"
+    rig = servo_drive(node=4, seed=2)
+    rig.enable()
+    rig.assert_controlwords(0x06, 0x07, 0x0F)
+    assert rig.run(0.5, torque_nm=0.2)[-1].velocity_rad_s > 20.0
+    rig.client.quick_stop(rig.deadline(5.0))
+    rig.assert_reaches(State.SWITCH_ON_DISABLED, within_s=1.0)
+    rig.assert_no_unintended_frame()
+
+
+def test_a_bench_passes_in_the_process_of_the_test(servo_bench: BenchRunner) -> None:
+    run = servo_bench(BENCH)
+    run.assert_passed()
+    run.assert_stayed(State.OPERATION_ENABLED)
+    run.assert_no_unintended_frame()
