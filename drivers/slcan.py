@@ -7,6 +7,7 @@ spoilt line, waits without bound for a port that stands still, and reads byte by
 The stamps are the instants of reception by the host: the protocol's own have a resolution of 1 ms.
 """
 
+import errno
 from collections import deque
 from contextlib import suppress
 from typing import NoReturn
@@ -120,7 +121,8 @@ class SlcanBus(can.BusABC):
         try:
             self._line.write(encode_frame(frame))
         except LineFull:
-            raise can.CanOperationError(f"{self.channel_info}: transmit queue is full") from None
+            full = f"{self.channel_info}: transmit queue is full"
+            raise can.CanOperationError(full, errno.ENOBUFS) from None
         except LineGone as error:
             self._lost(error)
         if self.acknowledges:

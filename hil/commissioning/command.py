@@ -95,7 +95,7 @@ def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[
     with stop_signals(), open_world(plan, ()) as world:
         network = CanopenNetwork(world.link, world.clock)
         await_answer(network, node, _ANSWER_LIMIT)
-        _check_mark(RemoteObjects(network, node), contents.head.mark)
+        check_mark(RemoteObjects(network, node), contents.head.mark)
         result = restore(network, contents, say)
     text = [f"{result.objects} objects, {result.written} had to be written"]
     if result.complete:
@@ -112,7 +112,8 @@ def run_restore(bus: str, node: int, journal: Path, bitrate_bit_s: int) -> dict[
     }
 
 
-def _check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
+def check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
+    """Raises PeerFault if the node is another drive than the one of the journal."""
     identity = read_identity(objects)
     here = DriveMark(identity.vendor, identity.product, identity.serial)
     if here != mark:

@@ -86,6 +86,9 @@ def _extra_limits(session: "Session") -> list[str]:
     notes = []
     if held is not None and share < held:
         notes += write_optional(objects, Object.MAX_CURRENT, "H", share, "current limit")
+    if session.torque_mode() is Mode.PROFILE_TORQUE:
+        slope = round(1000.0 * limits.torque_slew_nm_s / rated)
+        notes += write_optional(objects, Object.TORQUE_SLOPE, "I", slope, "torque slope of the host's")
     option = HaltOption.QUICK_STOP_RAMP
     notes += write_optional(objects, Object.HALT_OPTION, "h", int(option), "halt by quick stop ramp")
     window = max(1, round(limits.following_rad / found.told.position_rad))

@@ -13,14 +13,18 @@ import can
 import pytest
 
 from drivers.adapters import parse_bus_spec
-from drivers.errors import BusDown
+from drivers.drive_setup import read_identity
+from drivers.errors import BusDown, PeerFault
 from drivers.link import BusLink, StampSource
 from drivers.network import CanopenNetwork
+from drivers.nmt import NmtCommand, NmtState
+from drivers.objects import RemoteObjects
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.command import check_mark
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
-from hil.commissioning.journal import append_restored, read_journal
+from hil.commissioning.journal import DriveMark, append_restored, read_journal
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.restore import restore
 from hil.commissioning.session import Session
@@ -225,3 +229,26 @@ def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], 
     assert rig.memory() == before
     assert rig.servo.drive_state is State.SWITCH_ON_DISABLED
     assert "Ended early" in (rig.request.out / "report.md").read_text()
+
+
+def test_the_journal_of_another_drive_is_refused(rig: Rig) -> None:
+    network = CanopenNetwork(rig.world.link, rig.world.clock)
+    identity = read_identity(RemoteObjects(network, 1))
+    mark = DriveMark(identity.vendor, identity.product, identity.serial)
+    check_mark(RemoteObjects(network, 1), mark)
+    with pytest.raises(PeerFault, match="not the drive of the journal"):
+        check_mark(RemoteObjects(network, 1), mark._replace(serial=mark.serial + 1))
+
+
+def test_a_drive_that_was_operational_is_so_again(rig: Rig) -> None:
+    network = CanopenNetwork(rig.world.link, rig.world.clock)
+    objects = RemoteObjects(network, 1)
+    objects.write(0x1017, 0, "H", 100)
+    network.command(NmtCommand.START, 1)
+    before = rig.memory()
+    result = rig.commission()
+    assert result.findings.nmt == NmtState.OPERATIONAL
+    assert rig.memory() == before
+    network.status(1)
+    network.pump(Instant(rig.world.clock.now() + NS_PER_S))
+    assert network.status(1).state is NmtState.OPERATIONAL

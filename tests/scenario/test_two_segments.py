@@ -10,8 +10,9 @@ import pytest
 from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
+from hil.terminal.exit_status import ExitStatus
 from hil.testing.bench_runs import BenchRunner
-from tests.scenario.processes import EXAMPLES
+from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command
 
 BENCH = EXAMPLES / "two_segments.toml"
 
@@ -91,3 +92,10 @@ def test_what_cannot_be_is_named_with_its_key(change: Any, key: str, expected: s
     (found,) = changed(change)
     assert found.key == key
     assert expected in found.expected
+
+
+def test_further_segments_are_refused_on_a_real_bus_from_the_command_line() -> None:
+    done = run_command([*HIL, "run", str(BENCH), "--bus", hub_name("segments")])
+    assert done.returncode == ExitStatus.BAD_INPUT, done.stderr
+    assert "bus.segment" in done.stderr
+    assert "'simulated'" in done.stderr
