@@ -269,13 +269,21 @@ class _Walk:
         return slack, slope
 
 
+def starts_between(full: Array, speed: Array) -> list[Array]:
+    """Gains to begin at, from the exact optima with full and with speed-only feedback."""
+    return [full, 0.5 * (full + speed), 0.9 * speed + 0.1 * full, speed]
+
+
 def _starts(model: SpeedModel, gamma: float, feedback: Feedback) -> list[Array]:
-    """The exact optimum, and gains between it and that of speed-only feedback."""
-    speed = largest_delay(model, gamma, Feedback.SPEED).K
+    """From the exact optima; where speed alone does not keep ``gamma``, with less current feedback."""
     if feedback is Feedback.SPEED:
+        speed = largest_delay(model, gamma, Feedback.SPEED).K
         return [speed, 1.2 * speed]
     full = largest_delay(model, gamma, Feedback.FULL).K
-    return [full, 0.5 * (full + speed), 0.9 * speed + 0.1 * full, speed]
+    try:
+        return starts_between(full, largest_delay(model, gamma, Feedback.SPEED).K)
+    except NoSolution:
+        return [full, 1.2 * full, 1.5 * full]
 
 
 def _gain_starts(model: SpeedModel, delay_s: float, feedback: Feedback) -> list[Array]:

@@ -34,6 +34,7 @@ _EXCESS = 1e-8
 """Relative excess of a peak over the bound that is let pass."""
 _K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
 """Current feedback, A/A, among which the search for full feedback chooses where to start."""
+_K1_FAST = (-4.0, -8.0, -16.0, -32.0, -64.0, -128.0)
 _REFINED = 2
 """So many of the best starts are refined."""
 
@@ -77,30 +78,37 @@ def largest_delay(
     """The feedback with the largest delay at which the gain stays within ``gamma``, rad/s per N m.
 
     ``integral_time_s``: K2/K3 of a model with integral; by default that of the largest delay without
-    integral. Raises NoSolution if no feedback keeps it even without delay, which cannot be with a free K2.
+    integral. Raises NoSolution if no feedback was found that keeps it even without delay.
     """
     if model.has_integral and integral_time_s is None:
         plain = largest_delay(model.without_integral, gamma, Feedback.SPEED)
         integral_time_s = model.integral_time_s(plain.delay_s)
-    found: list[SpeedDesign] = []
-    speed_starts = _speed_starts(model, gamma, integral_time_s or math.inf)
-    for K in speed_starts:
-        _try(found, model, K, gamma, Feedback.SPEED)
-    if feedback is Feedback.FULL and found:
-        starts = [_with_current(K, K1) for K in speed_starts for K1 in _K1_STARTS]
-        starts.sort(key=lambda K: -_delay_within(model, K, gamma, coarse=True))
-        for K in starts[:_REFINED]:
-            _try(found, model, K, gamma, feedback)
+    found = []
+    for K in _delay_starts(model, gamma, integral_time_s or math.inf, feedback):
+        design = _refine(model, K, _delay_within(model, K, gamma), gamma, feedback)
+        if design is not None:
+            found.append(design)
     if not found:
-        raise NoSolution(f"feedback for a gain of {gamma:g} rad/s per N m", "no start meets it without delay")
+        what = f"{feedback.value} feedback for a gain of {gamma:g} rad/s per N m"
+        raise NoSolution(what, "no start keeps it even without delay")
     return max(found, key=lambda design: design.delay_s)
 
 
-def _try(found: list[SpeedDesign], model: SpeedModel, K: Array, gamma: float, feedback: Feedback) -> None:
-    delay_s = _delay_within(model, K, gamma)
-    design = _refine(model, K, delay_s, gamma, feedback) if delay_s > 0.0 else None
-    if design is not None:
-        found.append(design)
+def _delay_starts(model: SpeedModel, gamma: float, integral_time_s: float, feedback: Feedback) -> list[Array]:
+    """The most promising of many gains that keep ``gamma`` without delay; some are infeasible, or all."""
+    speed = _speed_starts(model, gamma, integral_time_s)
+    # with current feedback the current loop's rate is a (1 - K1): a small gain may need it fast
+    for first in (_K1_STARTS, _K1_FAST):
+        tried = speed if feedback is Feedback.SPEED else [_with_current(K, K1) for K in speed for K1 in first]
+        ranked = sorted(((_delay_within(model, K, gamma, coarse=True), K) for K in tried), key=_longest)
+        kept = [K for delay_s, K in ranked[:_REFINED] if delay_s > 0.0]
+        if kept or feedback is Feedback.SPEED:
+            break
+    return kept
+
+
+def _longest(ranked: tuple[float, Array]) -> float:
+    return -ranked[0]
 
 
 def delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
@@ -183,8 +191,8 @@ def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> li
     slope, friction = float(model.A[1, 0]), -float(model.A[1, 1])
     J = 1.0 / float(model.B2[1])
     needed = max((1.0 / gamma - friction * J) / (slope * J), 1e-6 * _natural_gain(model))
-    # beside an integral the resonance counts, not the gain at rest
-    factors = (1.02, 1.15, 1.6, 2.5, 4.0) if model.has_integral else (1.02, 1.15)
+    # beside an integral, or where the current loop is slow for it, the resonance counts, not the gain at rest
+    factors = (1.02, 1.15, 1.6, 2.5, 4.0, 8.0, 20.0)
     return [_speed_gain(model, -needed * factor, integral_time_s) for factor in factors]
 
 

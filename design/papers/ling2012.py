@@ -15,12 +15,11 @@ from design.cone_complementarity import largest_ccl_delay
 from design.delay_loop import Array, DelayLoop
 from design.delay_norm import hinf_norm, largest_stable_delay_s
 from design.delay_response import Response, respond, step_peak
-from design.exact_delay import largest_exact_delay, starts_between
 from design.held_loop import Delivery, HeldLoop, SampledNetwork, Strategy
-from design.lmi_design import certified_delay_within, largest_certified_delay
+from design.lmi_design import certified_delay_within, largest_certified_delay, starts_between
 from design.loss_patterns import repeated
 from design.motor import PmsmParameters, Transform
-from design.speed_design import delay_within
+from design.speed_design import delay_within, largest_delay
 from design.speed_loop import (
     RAD_S_PER_RPM,
     Feedback,
@@ -87,8 +86,8 @@ _INTEGRAL_SHARE = 0.2
 def table2_row(error_percent: float, published_delay_s: float, units: Units) -> dict[str, Any]:
     """One row of Table 2 by every method; ``gain``: K of the exact optimum with full feedback."""
     gamma = gain_for_error(error_percent, LOAD_NM, SPEED_RAD_S, units)
-    speed_only = largest_exact_delay(MODEL, gamma, Feedback.SPEED)
-    full = largest_exact_delay(MODEL, gamma)
+    speed_only = largest_delay(MODEL, gamma, Feedback.SPEED)
+    full = largest_delay(MODEL, gamma)
     certified = largest_certified_delay(MODEL, gamma, starts=starts_between(full.K, speed_only.K))
     linearised = largest_ccl_delay(MODEL, gamma)
     return {

@@ -9,14 +9,13 @@ from design.cone_complementarity import largest_ccl_delay
 from design.delay_loop import Array
 from design.delay_norm import hinf_norm
 from design.errors import DesignError, NoSolution
-from design.exact_delay import certified_starts, largest_exact_delay
 from design.held_loop import SampledNetwork, Strategy
 from design.lmi import SOLVER
 from design.lmi_design import largest_certified_delay, least_certified_gain
 from design.motor import PmsmParameters
 from design.sampled import SampledAnalysis, analyse_sampled
 from design.sampled_design import least_sampled_gain
-from design.speed_design import least_gain
+from design.speed_design import largest_delay, least_gain
 from design.speed_loop import Feedback, SpeedModel, peak_floor_rad_s, percent_of_speed, speed_model
 from hil.delay_design.analysis import finite
 
@@ -239,11 +238,10 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
 
 def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:
     if request.method == "exact":
-        exact = largest_exact_delay(model, gamma, request.feedback, request.integral_time_s)
+        exact = largest_delay(model, gamma, request.feedback, request.integral_time_s)
         return _Found(exact.K, exact.delay_s, exact.gain)
     if request.method == "lmi":
-        starts = certified_starts(model, gamma, request.feedback)
-        certified = largest_certified_delay(model, gamma, request.feedback, starts=starts)
+        certified = largest_certified_delay(model, gamma, request.feedback)
         return _Found(certified.K, certified.delay_s, certified.certified.gain)
     linearised = largest_ccl_delay(model, gamma)
     return _Found(linearised.K, linearised.delay_s, linearised.certified.gain)

@@ -6,6 +6,7 @@ import pytest
 from design.certificate import certified_gain
 from design.cone_complementarity import largest_ccl_delay
 from design.delay_norm import hinf_norm, is_stable
+from design.errors import NoSolution
 from design.lmi_design import certified_delay_within, largest_certified_delay, least_certified_gain
 from design.motor import PmsmParameters
 from design.speed_design import delay_within, largest_delay, least_gain
@@ -24,6 +25,27 @@ def test_exact_optima_of_the_published_motor() -> None:
     assert hinf_norm(MODEL.loop(full.K, full.delay_s)) == pytest.approx(125.0, rel=1e-6)
     assert least_gain(MODEL, 0.064).gain == pytest.approx(95.7968, rel=1e-5)
     assert least_gain(MODEL, 0.064, Feedback.SPEED).gain == pytest.approx(122.9396, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("gamma", "feedback", "delay_s"),
+    [
+        (2.0, Feedback.FULL, 6.7048e-4),
+        (5.235987756, Feedback.FULL, 1.99435e-3),
+        (5.235987756, Feedback.SPEED, 2.0441e-4),
+    ],
+)
+def test_gains_that_only_a_fast_loop_keeps(gamma: float, feedback: Feedback, delay_s: float) -> None:
+    """2 % of 1500 r/min under 0.6 N m, in SI, and less; the least gain says the same the other way round."""
+    found = largest_delay(MODEL, gamma, feedback)
+    assert found.delay_s == pytest.approx(delay_s, rel=1e-4)
+    assert least_gain(MODEL, found.delay_s, feedback).gain == pytest.approx(gamma, rel=1e-5)
+
+
+def test_what_speed_alone_cannot_keep_is_refused() -> None:
+    """However fast, the current loop's lag leaves about 1/(J R/L) = 3.7 rad/s per N m."""
+    with pytest.raises(NoSolution, match="speed feedback for a gain"):
+        largest_delay(MODEL, 3.6, Feedback.SPEED)
 
 
 def test_delay_of_a_given_gain() -> None:
