@@ -9,9 +9,11 @@ relaxes each to a linear one, (4.5), and pushes towards equality by minimising a
   missing term N_k M; the disturbance enters through the second column of B only.
 * Step 4's check is Theorem 3.3 itself with K = F X^-1 fixed and P, Q, Z free.
 * Asked here is the largest delay for a given gamma, as in the paper's section 5. After a success the
-  delay goes on from the largest that Theorem 3.3 certifies for the gain found.
+  delay goes on from the largest that Theorem 3.3 certifies for the gain found. A start from which
+  nothing is found is taken back to half its delay.
 
-Time is counted in delays, the states in ``state_scale`` gamma and the disturbance so that gamma is 1.
+Time is counted in delays, the disturbance so that gamma is 1, the speed error in gamma and the
+current in what balances 1 N m: the trace is not the same in every unit.
 """
 
 import math
@@ -32,6 +34,8 @@ ITERATIONS_MAX = 30
 _FIRST_STEP = 0.05
 """Relative increase of the delay after a success; a failure divides it by 4."""
 _LAST_STEP = 5e-4
+_STARTS = 8
+"""First delays tried, each half of the last."""
 _SETTLED = 10
 """Iterations after which the pace of the algorithm says how far it will come."""
 _MATRICES = ("X", "P", "Q", "Z", "M", "S", "N")
@@ -65,30 +69,43 @@ def largest_ccl_delay(model: SpeedModel, gamma: float, iterations_max: int = ITE
 
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
-    delay_s, point = _first_delay(model, gamma)
-    best: tuple[float, Array] | None = None
-    step, programmes = 0.0, 0
-    while step == 0.0 or step > _LAST_STEP:
+    delay_s, K, point, programmes = _first_gain(model, gamma, iterations_max)
+    delay_s = max(delay_s, certified_delay_within(model, K, gamma))
+    step = _FIRST_STEP
+    while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
-        K, point, used = _complement(model, tried_s, gamma, point, iterations_max)
+        found, point, used = _complement(model, tried_s, gamma, point, iterations_max)
         programmes += used
-        if K is None:
-            if best is None:
-                raise NoSolution(
-                    f"Algorithm 4.2 for {gamma:g} rad/s per N m",
-                    f"(3.10) does not hold after {iterations_max} iterations",
-                    f"delay {tried_s * 1e3:g} ms",
-                )
+        if found is None:
             step /= 4.0
             continue
+        K = found
         delay_s = max(tried_s, certified_delay_within(model, K, gamma))
-        best = (delay_s, K)
-        step = step or _FIRST_STEP
-    assert best is not None
-    delay_s, K = best
     # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
     return CclDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0), programmes)
+
+
+def _first_gain(
+    model: SpeedModel, gamma: float, iterations_max: int
+) -> tuple[float, Array, dict[str, Array], int]:
+    """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point, programmes used."""
+    first_s = _first_delay(model, gamma)
+    programmes = 0
+    for start in range(_STARTS):
+        delay_s = first_s * 0.5**start
+        point = _with_equal(model, delay_s, gamma)
+        if point is None:
+            continue
+        K, point, used = _complement(model, delay_s, gamma, point, iterations_max)
+        programmes += used
+        if K is not None:
+            return delay_s, K, point, programmes
+    raise NoSolution(
+        f"Algorithm 4.2 for {gamma:g} rad/s per N m",
+        f"(3.10) does not hold after {iterations_max} iterations",
+        f"delays from {first_s * 1e3:g} ms down to {first_s * 0.5 ** (_STARTS - 1) * 1e3:g} ms",
+    )
 
 
 def _complement(
@@ -121,15 +138,14 @@ def _complement(
     return None, point, iterations_max
 
 
-def _first_delay(model: SpeedModel, gamma: float) -> tuple[float, dict[str, Array]]:
-    """Step 2: the largest delay, to a per cent, with a feasible set for S = X, and that set."""
+def _first_delay(model: SpeedModel, gamma: float) -> float:
+    """Step 2: the largest delay, s, to a per cent, with a feasible set for S = X."""
     delay_s = 1.0 / abs(float(model.A[0, 0]))
-    found: tuple[float, dict[str, Array]] | None = None
+    found: float | None = None
     low, high = 0.0, math.inf
     for _ in range(60):
-        point = _with_equal(model, delay_s, gamma)
-        if point is not None:
-            found, low = (delay_s, point), delay_s
+        if _with_equal(model, delay_s, gamma) is not None:
+            found = low = delay_s
         else:
             high = delay_s
         if high - low < 0.01 * high:
@@ -164,7 +180,8 @@ def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Ar
 
 
 def _plant(model: SpeedModel, delay_s: float, gamma: float) -> _Plant:
-    T = model.state_scale * gamma
+    current_per_nm = model.B2[1] / model.A[1, 0]
+    T = np.array([current_per_nm, gamma])
     return _Plant(
         A=delay_s * model.A * T / T[:, None],
         B=delay_s * model.B1 / T,
