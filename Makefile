@@ -77,7 +77,7 @@ format: $(TOOLS)
 	$(BIN)/ruff check --fix .
 
 test: $(TOOLS) compile
-	$(BIN)/pytest --ignore=tests/vcan
+	$(BIN)/pytest --numprocesses=2 --dist=loadgroup --ignore=tests/vcan
 
 test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan

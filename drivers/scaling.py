@@ -92,6 +92,8 @@ class Scaling:
     """rad/s^3 of one raw jerk unit; 0 if nobody asked."""
     rated_current_a: float | None = None
     """What per-thousand currents refer to, 0x6075; None if the drive does not tell it."""
+    gear_ratio: float = 1.0
+    """Motor revolutions per revolution of the driving shaft, 0x6091."""
 
     def torque_raw(self, torque_nm: float) -> int:
         """The nearest raw torque."""
@@ -134,6 +136,7 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
         sources,
         jerk_rad_s3=jerk,
         rated_current_a=raw_ma / 1000.0 if raw_ma else None,
+        gear_ratio=_gear(values)[0],
     )
 
 

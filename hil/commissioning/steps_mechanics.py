@@ -16,6 +16,7 @@ from drivers.pdo_plans import mode_plan
 from drivers.profile402 import Mode
 from drivers.scaling import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
+from drivers.unit_factors import TORQUE_SLIPS, likely_slip
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
 from hil.commissioning.exercise import Recording
@@ -297,9 +298,11 @@ class TorqueConstant(Step):
             outcome.say(f"the nameplate's ratings make {wanted:.5g} N m/A")
             outcome.figures["nameplate_nm_a"] = wanted
             if abs(abs(slope) / wanted - 1.0) > _CONSTANT_TOLERANCE:
+                by = abs(slope) / wanted
+                slip = likely_slip(by, TORQUE_SLIPS, tolerance=0.03)
                 outcome.faults.append(
-                    f"torque and current contradict the nameplate by {abs(slope) / wanted:.4g}: "
-                    "6075h, 6076h or the nameplate is wrong"
+                    f"torque and current contradict the nameplate by {by:.4g}: "
+                    f"6075h, 6076h or the nameplate is wrong{f' ({slip})' if slip else ''}"
                 )
         outcome.pictures.append(
             session.picture(

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.drive_setup import write_optional
 from drivers.objects402 import Object
+from drivers.scaling import Scaling
 from drivers.timebase import NS_PER_S
+from drivers.unit_factors import likely_slip
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Pulse, SpeedCommand
 from hil.commissioning.exercise import Exerciser, Recording
@@ -271,7 +273,7 @@ class Turn(Step):
             position /= ratio
             outcome.faults.append(
                 f"position unit: {told.sources.get('position')} makes {told.position_rad:.6g} rad of it, "
-                f"it is {position:.6g} rad; that is taken"
+                f"it is {position:.6g} rad; that is taken{_because(ratio, told)}"
             )
             outcome.figures["position_fault"] = ratio
         # What the velocity unit is by the true position.
@@ -282,7 +284,7 @@ class Turn(Step):
             velocity = told.velocity_rad_s * factor
             outcome.faults.append(
                 f"velocity unit: {told.sources.get('velocity')} makes {told.velocity_rad_s:.6g} rad/s of it, "
-                f"it is {velocity:.6g} rad/s; that is taken"
+                f"it is {velocity:.6g} rad/s; that is taken{_because(factor, told)}"
             )
             outcome.figures["velocity_fault"] = factor
         else:
@@ -291,6 +293,11 @@ class Turn(Step):
         outcome.figures |= {"position_rad": position, "velocity_rad_s": velocity}
         if found.rough is not None:
             _rescale(session, position / told.position_rad)
+
+
+def _because(factor: float, told: Scaling) -> str:
+    slip = likely_slip(factor, gear_ratio=told.gear_ratio)
+    return f" (a factor of {factor:.6g}: {slip or 'no usual one'})"
 
 
 def _rescale(session: "Session", ratio: float) -> None:

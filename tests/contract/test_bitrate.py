@@ -17,6 +17,8 @@ from drivers.timebase import NS_PER_MS, Duration, MonotonicClock
 from tests.contract.slcan_bench import running_adapter
 from virtual_bus.hub import HubBus
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 CLOCK = MonotonicClock()
 LISTEN = Duration(150 * NS_PER_MS)
 

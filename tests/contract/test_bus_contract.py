@@ -12,6 +12,8 @@ from tests.contract.bus_suite import ExactBusSuite, OpenBus
 from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 @pytest.fixture(scope="module")
 def runtime(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -62,6 +62,7 @@ class TestWithSynchronousCommands(ModesSuite):
         yield from simulated_rig(synchronous=True)
 
 
+@pytest.mark.xdist_group("real time")
 class TestOnTheHub(ModesSuite):
     """Client, drive and monitor are participants of one hub, in real time."""
 

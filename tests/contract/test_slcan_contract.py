@@ -15,6 +15,8 @@ from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
 from virtual_bus.serial_line.line_faults import LineFaults
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 @pytest.fixture(scope="module")
 def runtime(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -4,12 +4,15 @@ from collections import Counter
 from pathlib import Path
 
 import can
+import pytest
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.background import load_background
 from hil.terminal.exit_status import ExitStatus
 from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command, simulated_drive
 from virtual_bus.background import CATCH_UP_MAX
+
+pytestmark = pytest.mark.xdist_group("real time")
 
 TRAFFIC = EXAMPLES / "background" / "plc.toml"
 LISTEN_FOR = Duration(NS_PER_S)

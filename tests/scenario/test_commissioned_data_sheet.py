@@ -4,12 +4,16 @@ import signal
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from drivers.adapters import open_bus, parse_bus_spec
 from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.timebase import MonotonicClock
 from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, quiet_environment
 from tests.unit.hil.test_device_files import DCF
+
+pytestmark = pytest.mark.xdist_group("real time")
 
 
 def test_a_dcf_brings_its_node_id_and_serial_number(tmp_path: Path) -> None:

@@ -32,6 +32,8 @@ from tests.scenario.processes import (
 from tests.scenario.test_exit_paths import kill_broker
 from virtual_bus.servo import SimulatedServo
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 TURNING_RAD_S = 8.0
 """Reached in the pulses that come first."""
 TIMEOUT_MS = 600

@@ -9,6 +9,8 @@ from tests.scenario.commission_suite import SEED, CommissionSuite, unknown_drive
 from tests.scenario.processes import HIL, hub_name, run, run_command
 from tests.scenario.serial_processes import adapter_process
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 class TestOnTheHub(CommissionSuite):
     """Two processes on one machine."""

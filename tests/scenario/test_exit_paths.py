@@ -12,7 +12,7 @@ from drivers.timebase import NS_PER_S
 from hil.pytest_plugin import StartDrive
 from tests.scenario.processes import changed_bench, long_bench, observer, start_run
 
-pytestmark = pytest.mark.servo_bus("hub")
+pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
 TURNING_RAD_S = 90.0
 HEARTBEAT_TIMEOUT_S = 0.5

@@ -17,6 +17,8 @@ from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 BENCH = EXAMPLES / "ling2012.toml"
 PLANS = sorted(path.stem for path in (EXAMPLES / "faults").glob("*.toml"))
 ENDS_IN_FAULT = {"drive_faults": "4310h", "encoder_loss": "7305h", "bus_off": "no usable reading"}

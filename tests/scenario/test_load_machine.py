@@ -26,6 +26,8 @@ from virtual_bus.dynamometer.hosting import InstrumentAtTerminal
 from virtual_bus.dynamometer.instrument import Instrument
 from virtual_bus.serial_line.pseudo_terminal import PseudoTerminal
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 LOAD_NM = 0.6
 TURNING_RAD_S = 90.0
 

@@ -20,6 +20,8 @@ from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES, observer, quiet_environment
 from tests.scenario.test_data_sheet_run import changes, sheet
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 PROJECT = EXAMPLES / "drive_tests"
 TUTORIAL = EXAMPLES.parent / "docs" / "tutorial-pytest.md"
 REHEARSED = EXAMPLES.parent / "tests" / "contract" / "conformance" / "rehearsed.eds"

@@ -8,8 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, simulated_drive
 from tests.scenario.serial_processes import adapter_process
+
+pytestmark = pytest.mark.xdist_group("real time")
 
 
 def scan(*options: str) -> tuple[int, dict[str, Any], str]:

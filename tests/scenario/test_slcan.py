@@ -5,9 +5,13 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from drivers.profile402 import State
 from tests.scenario.processes import EXAMPLES, hub_name, long_bench, observer, run, simulated_drive, start_run
 from tests.scenario.serial_processes import adapter_process
+
+pytestmark = pytest.mark.xdist_group("real time")
 
 TURNING_RAD_S = 90.0
 HEARTBEAT_TIMEOUT_S = 0.5

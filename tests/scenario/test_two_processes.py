@@ -4,6 +4,8 @@ import pytest
 
 from tests.scenario.two_process_suite import TwoProcesses
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 @pytest.mark.servo_bus("hub")
 class TestOnHub(TwoProcesses):

@@ -1,21 +1,22 @@
 """The independent master on the hub."""
 
 import os
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.contract.conformance.master_suite import MasterSuite
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 
 class TestOnTheHub(MasterSuite):
     """Master and device are processes of their own."""
 
     @pytest.fixture(autouse=True)
-    def _runtime(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        runtime = tmp_path / "runtime"
-        runtime.mkdir(mode=0o700)
+    def _runtime(self, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+        # short: the path of a socket has its limit
+        runtime = tmp_path_factory.mktemp("hub")
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
 
     @pytest.fixture

@@ -28,6 +28,7 @@ class TestInSimulatedTime(ConformanceSuite):
             yield Rig(bus)
 
 
+@pytest.mark.xdist_group("real time")
 class TestOnTheHub(ConformanceSuite):
     """Master and device are participants of one hub."""
 

@@ -23,6 +23,8 @@ from virtual_bus.can_bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
 
+pytestmark = pytest.mark.xdist_group("real time")
+
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()
 REPOSITORY = Path(__file__).parents[3]

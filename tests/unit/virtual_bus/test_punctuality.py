@@ -4,6 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.xdist_group("real time")
+
 SCRIPT = """
 import os
 from drivers.timebase import MonotonicClock, instant_after
