@@ -90,8 +90,9 @@ $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python
 	  rm -rf $(PEERS); echo "They cannot be installed here; the benchmarks go on without them" >&2; }
 
 bench: $(TOOLS) compile $(PEERS)/.installed
-	@for file in tests/benchmarks/bench_*.py; do \
-	  echo; echo "python $$file"; SERVOBENCH_PEERS=$(PEERS)/bin/python $(BIN)/python "$$file" || exit; done
+	@for name in $(notdir $(basename $(wildcard tests/benchmarks/bench_*.py))); do \
+	  echo; echo "python -m tests.benchmarks.$$name"; \
+	  SERVOBENCH_PEERS=$(PEERS)/bin/python $(BIN)/python -m tests.benchmarks.$$name || exit; done
 
 # The build backend is in the lock too: the editable install runs without build isolation.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \

@@ -1,4 +1,4 @@
-"""H-infinity synthesis beside SLICOT's in the same run: ``python tests/benchmarks/bench_hinf.py``."""
+"""H-infinity synthesis beside SLICOT's in the same run: ``python -m tests.benchmarks.bench_hinf``."""
 
 import timeit
 from collections.abc import Callable
