@@ -8,7 +8,7 @@ line of JSON, by kind:
     corruption                              the same; with bit (of the data) it went on damaged after delay_ns
     duplicate                               the same, delay_ns, and later_ns for the second one
     reorder                                 the same, delay_ns, then held_ns in which others overtake it
-    delay                                   the same, delay_ns; in_order: it waits for those in front
+    delay                                   the same, delay_ns; in_order false: it may overtake others
     error_frame                             the same, of attempts to send; bit on the wire
     silence, bus_off, drive_fault,          at_ns, node, and what happens
     clock_step, clock_drift
@@ -43,10 +43,9 @@ KINDS = FRAME_KINDS + NODE_KINDS
 KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
 _DELAY: Final = KIND_CODES["delay"]
 _LABELS: Final = tuple(direction.label for direction in Direction)
-_DELAY_LINE: Final = (
-    '{"kind": "delay", "at_ns": %d, "direction": "%s", "can_id": %d, "n": %d, "delay_ns": %d, "in_order": %s}'
-)
+_DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n":%d,"delay_ns":%d}'
 """What nearly all entries of a run are, without the detour through a dictionary."""
+_COMPACT: Final = (",", ":")
 _OF_ONE_FRAME = frozenset({*FRAME_KINDS, "late"})
 
 _NUMBERS: dict[str, tuple[str, str, str]] = {
@@ -155,9 +154,9 @@ def entries_of(block: bytes) -> Iterator[Entry]:
 
 def entry_line(entry: Entry) -> str:
     """One line of JSON, without its end."""
-    if entry.code == _DELAY and entry.can_id <= STANDARD_ID_MAX:
-        at_ns, delay_ns, in_order, _, can_id, n, _, link = entry
-        return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns, "true" if in_order else "false")
+    if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX:
+        at_ns, delay_ns, _, _, can_id, n, _, link = entry
+        return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns)
     kind = entry.kind
     found: dict[str, Any] = {"kind": kind, "at_ns": entry.at_ns}
     if kind in NODE_KINDS:
@@ -171,15 +170,16 @@ def entry_line(entry: Entry) -> str:
     if kind in _OF_ONE_FRAME or kind == "boot":
         found["n"] = entry.n
     if kind == "corruption" and entry.a == NONE:
-        return json.dumps(found)
+        return json.dumps(found, separators=_COMPACT)
     for name, value in zip(_NUMBERS.get(kind, ()), (entry.a, entry.b, entry.c), strict=False):
         if name == "fault":
             found[name] = list(DriveFailure)[value].label
         elif name == "in_order":
-            found[name] = bool(value)
+            if not value:
+                found[name] = False
         elif name and not (value == NONE and name in ("bit", "recover_after_ns")):
             found[name] = value
-    return json.dumps(found)
+    return json.dumps(found, separators=_COMPACT)
 
 
 def read_line(text: str, source: str, line: int) -> Entry:
