@@ -51,7 +51,7 @@ def stabilising_solution(E: LongArray, W: LongArray, Q: LongArray, terms: Array)
     if len(E) == 0:
         empty = np.zeros((0, 0))
         return RiccatiSolution(_long(empty), np.zeros(0), np.zeros(0), 0.0, 0.0)
-    found = _by_schur(_double(E), _double(W), _double(Q))
+    found = _nothing(_double(E), _double(Q), terms) or _by_schur(_double(E), _double(W), _double(Q))
     if found is None:
         return None
     X, residual, step = _refined(E, W, Q, _long(found[0]))
@@ -98,6 +98,18 @@ def _refined(E: LongArray, W: LongArray, Q: LongArray, X: LongArray) -> tuple[Lo
             break
         X, residual = next_X, next_residual
     return X, residual, size
+
+
+def _nothing(E: Array, Q: Array, terms: Array) -> tuple[Array, Array] | None:
+    """X = 0 and the eigenvalues of E where Q is nothing but rounding and E stable.
+
+    The Schur form would have to tell H's eigenvalues from their mirror images, which for a mode fourteen
+    decades slower than another it cannot.
+    """
+    if np.any(np.abs(Q) > _PRECISION * terms):
+        return None
+    values = np.asarray(scipy.linalg.eigvals(E))
+    return (np.zeros_like(E), values) if np.all(-values.real > _AXIS * np.abs(values)) else None
 
 
 def _by_schur(E: Array, W: Array, Q: Array) -> tuple[Array, Array] | None:
