@@ -129,7 +129,17 @@ class Motion:
         self._control.clear_bits(START_HOMING)
 
     def halt(self, deadline: Instant) -> None:
-        """Have the drive stop by 0x605D, stay enabled, and wait until it stands."""
+        """Have the drive stop by 0x605D, stay enabled, and wait until it stands.
+
+        Raises ValueError in the cyclic synchronous modes, which know no halt: nothing is sent then.
+        """
+        mode = self._modes.mode
+        if mode >= Mode.CYCLIC_SYNCHRONOUS_POSITION:
+            name = mode.name.lower().replace("_", " ")
+            raise ValueError(
+                f"{self._control.title} knows no halt in {name}: "
+                "let the set-points lead it to rest, or quick_stop"
+            )
         self._control.set_bits(Control.HALT, Control.HALT)
         wanted = Status.TARGET_REACHED
         self._await(wanted, wanted, deadline, "come to a halt", confirm_ns=CONFIRM_NS)

@@ -237,6 +237,14 @@ def test_halt_and_resume_touch_one_bit(rig: Rig) -> None:
     assert rig.words() == [0x10F, ENABLED]
 
 
+def test_a_cyclic_mode_knows_no_halt(rig: Rig) -> None:
+    rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, rig.soon())
+    rig.words()
+    with pytest.raises(ValueError, match=r"no halt in cyclic synchronous velocity.*quick_stop"):
+        rig.drive.halt(rig.soon())
+    assert rig.words() == []
+
+
 def test_cyclic_set_points_go_out_in_one_frame_each(rig: Rig) -> None:
     rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, rig.soon())
     sent = len(rig.bus.sent)
