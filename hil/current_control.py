@@ -19,41 +19,15 @@ from design.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.motor import PmsmParameters
 from design.reduction import Method
 from design.statespace import StateSpace, zpk
-from design.weights import Weights
 from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text
-from hil.current_figures import OtherAxis, robust_figures, sampled_design
+from hil.current_figures import robust_figures, sampled_design
+from hil.current_request import CurrentRequest, OtherAxis
 
 GAMMA = 1.0
 """The demand (40), if nothing else is asked for."""
 FACTOR_MIN = 1.0005
 """How far gamma must be above gamma_min for a controller that can be run."""
-
-
-@dataclass(frozen=True, slots=True)
-class CurrentRequest:
-    """What was asked for."""
-
-    motor: PmsmParameters
-    axis: str
-    weights: Weights | None = None
-    gamma: float | None = None
-    gamma_factor: float | None = None
-    structure: str = "full"
-    order: int | None = None
-    method: Method = Method.TRUNCATE
-    rate_hz: float | None = None
-    delay_samples: int = 1
-    direct: bool = False
-    modulus_margin: float | None = None
-    other: OtherAxis | None = None
-    """The other axis' continuous controller; by the rules if absent."""
-    speed_max_rad_s: float | None = None
-    """Up to which the coupled axes are looked at; the rated speed if absent."""
-    decoupling_factor: float = 1.0
-    """The inductances that the drive decouples with, beside the motor's."""
-    advance_periods: float | None = None
-    """Angle advance of the drive; the right one if absent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

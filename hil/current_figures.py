@@ -1,8 +1,7 @@
 """What ``hil design current`` says about a controller beyond its own axis: sampled, coupled, over a box."""
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,25 +14,11 @@ from design.motor import PmsmParameters
 from design.robustness import axis_robustness
 from design.statespace import StateSpace
 from drivers.errors import BadInput
-
-if TYPE_CHECKING:
-    from hil.current_control import CurrentRequest
+from hil.current_request import CurrentRequest, OtherAxis
 
 SPEEDS = 11
 MARGIN_KEPT = 0.9
 """Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OtherAxis:
-    """The continuous controller of the axis that is not designed, and its crossover."""
-
-    controller: StateSpace
-    crossover_rad_s: float
-
-    def pair(self, axis: str, own: StateSpace) -> tuple[StateSpace, StateSpace]:
-        """(K_d, K_q), ``own`` being that of ``axis``."""
-        return (own, self.controller) if axis == "d" else (self.controller, own)
 
 
 def robust_figures(
@@ -70,7 +55,7 @@ def robust_figures(
 
 
 def sampled_design(
-    request: "CurrentRequest", gamma: float, design: AxisDesign, other: OtherAxis, speed_rad_s: float
+    request: CurrentRequest, gamma: float, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> tuple[StateSpace, dict[str, Any]]:
     """The sampled controller and its figures. Raises BadInput for a rate that is too low."""
     assert request.rate_hz is not None
@@ -113,7 +98,7 @@ def sampled_design(
 
 
 def _lowest_rate(
-    request: "CurrentRequest", design: AxisDesign, other: OtherAxis, speed_rad_s: float
+    request: CurrentRequest, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> dict[str, float | None]:
     """The inner rates that hold the margin of this axis, and both axes stable at speed, by Tustin's rule."""
     wanted = request.modulus_margin or MARGIN_KEPT * design.margins.modulus_margin
@@ -136,7 +121,7 @@ def _lowest_rate(
 
 
 def _coupled(
-    request: "CurrentRequest", pair: tuple[StateSpace, StateSpace], speed_rad_s: float
+    request: CurrentRequest, pair: tuple[StateSpace, StateSpace], speed_rad_s: float
 ) -> dict[str, Any]:
     """Spectral radius of both axes together over speed, with right and wrong decoupling."""
     motor, delay = request.motor, request.delay_samples

@@ -13,9 +13,10 @@ from drivers.objects402 import Object
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
+from hil.commissioning.outcome import Outcome
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.session import Session
-from hil.commissioning.step import Outcome, Step
+from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.world import WorldPlan, open_world

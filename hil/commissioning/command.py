@@ -16,10 +16,10 @@ from drivers.timebase import NS_PER_S, Duration
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
 from hil.commissioning.journal import DriveMark, append_restored, read_journal
+from hil.commissioning.outcome import Verdict
 from hil.commissioning.report import REPORT_FILE, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.restore import await_answer, restore
-from hil.commissioning.step import Verdict
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import stop_signals
 from hil.world import WorldPlan, open_world

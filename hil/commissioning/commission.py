@@ -9,12 +9,13 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files
 from hil.commissioning.journaled import STORE_PARAMETERS, JournaledNetwork
+from hil.commissioning.outcome import StepRecord, Verdict
 from hil.commissioning.report import write_report
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.restore import Restoration, restore
 from hil.commissioning.sequence import run_sequence
 from hil.commissioning.session import Findings, Session
-from hil.commissioning.step import Step, StepRecord, Verdict
+from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.world import World
 

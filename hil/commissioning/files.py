@@ -1,19 +1,17 @@
 """What commissioning leaves for ``hil run`` and ``hil design``: drive, motor, network, a bench, and a DCF."""
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from drivers.objects402 import Object
 from hil.commissioning.dcf import dcf_text
 from hil.commissioning.journal import ObjectKey
 from hil.commissioning.journaled import SET_POINTS
 from hil.commissioning.restore import pdo_of
+from hil.commissioning.session import Session
 from hil.commissioning.steps_design import suggestion
 from hil.configuration.network_file import Network, network_text
 from hil.configuration.toml_text import toml_text
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 DRIVE_FILE: Final = "drive.toml"
 MOTOR_FILE: Final = "motor.toml"
@@ -28,7 +26,7 @@ _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
 
-def write_files(session: "Session") -> list[str]:
+def write_files(session: Session) -> list[str]:
     """Write what can be written; the names of the files."""
     out = session.request.out
     texts: dict[str, str] = {}
@@ -61,7 +59,7 @@ def write_files(session: "Session") -> list[str]:
     return list(texts)
 
 
-def _mandatory(session: "Session") -> dict[ObjectKey, bytes]:
+def _mandatory(session: Session) -> dict[ObjectKey, bytes]:
     """1000h, 1001h and 1018h, which a DCF cannot do without, as they were read."""
     dump = session.found.dump
     return {
@@ -71,7 +69,7 @@ def _mandatory(session: "Session") -> dict[ObjectKey, bytes]:
     }
 
 
-def set_objects(session: "Session") -> dict[ObjectKey, bytes]:
+def set_objects(session: Session) -> dict[ObjectKey, bytes]:
     """What the drive was set to, without what it held already and what only served the steps."""
     journal = session.network.journal
     if journal is None:
@@ -87,7 +85,7 @@ def set_objects(session: "Session") -> dict[ObjectKey, bytes]:
     }
 
 
-def drive_tables(session: "Session") -> dict[str, Any]:
+def drive_tables(session: Session) -> dict[str, Any]:
     """``drive.toml``."""
     found, port = session.found, session.port
     identity, told, override = found.identity, found.told, found.override
@@ -129,7 +127,7 @@ def drive_tables(session: "Session") -> dict[str, Any]:
     return tables
 
 
-def _motor_text(session: "Session") -> str:
+def _motor_text(session: Session) -> str:
     """``motor.toml``: measured where it can be, off the nameplate where not, else a stand-in that says so."""
     found, plate = session.found, session.request.nameplate
     mechanics = found.mechanics
@@ -186,7 +184,7 @@ def _motor_text(session: "Session") -> str:
     return _headed(" ".join(notes), tables)
 
 
-def _bench_tables(session: "Session") -> dict[str, Any]:
+def _bench_tables(session: Session) -> dict[str, Any]:
     found = session.found
     limits = suggestion(session)
     speed = 0.4 * session.limits.speed_rad_s * 60.0 / math.tau
@@ -213,7 +211,7 @@ def _bench_tables(session: "Session") -> dict[str, Any]:
     }
 
 
-def _heartbeats(session: "Session") -> dict[str, int]:
+def _heartbeats(session: Session) -> dict[str, int]:
     request = session.request
     return {"heartbeat_ms": request.heartbeat_ms, "heartbeat_timeout_ms": request.heartbeat_timeout_ms}
 

@@ -2,22 +2,20 @@
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from drivers.errors import BenchError
+from hil.commissioning.outcome import StepRecord, Verdict
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.restore import Restoration
-from hil.commissioning.step import StepRecord, Verdict
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
+from hil.commissioning.session import Session
 
 REPORT_FILE = "report.md"
 FIGURES_FILE = "figures.json"
 
 
 def write_report(
-    session: "Session",
+    session: Session,
     records: Sequence[StepRecord],
     restoration: Restoration | None,
     stored: bool,
@@ -96,7 +94,7 @@ def _missing(records: Sequence[StepRecord]) -> list[str]:
     return ["## Left out", "", *listed, ""]
 
 
-def _left(session: "Session", restoration: Restoration | None, stored: bool) -> str:
+def _left(session: Session, restoration: Restoration | None, stored: bool) -> str:
     if stored:
         return "The settings were stored in the drive (1010h); the journal still holds what was there before."
     if restoration is None:

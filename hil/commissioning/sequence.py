@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from drivers.errors import BusDown, PeerFault
 from hil.commissioning.dialog import Choice
+from hil.commissioning.outcome import Outcome, StepFailed, StepRecord, Verdict
 from hil.commissioning.session import EmergencyStopped, Session
-from hil.commissioning.step import Outcome, Step, StepFailed, StepRecord, Verdict
+from hil.commissioning.step import Step
 from hil.machine.stopping import Interrupted
 
 

@@ -25,8 +25,8 @@ from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.journal import ObjectKey
 from hil.commissioning.journaled import JournaledNetwork
+from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import CommissionRequest, MotionLimits
-from hil.commissioning.step import StepFailed
 from hil.loop import Actuation, LoopTiming
 from hil.machine.stopping import Interrupted
 from hil.world import World

@@ -1,7 +1,7 @@
 """Steps that make something of the figures: limits, period, controller, and a run with them."""
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,15 +12,13 @@ from design.speed_loop import Feedback, speed_model
 from drivers.pdo import bus_load_percent_max
 from drivers.scaling import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration
+from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_verification
-from hil.commissioning.session import PERIODS_US
-from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.session import PERIODS_US, Session
+from hil.commissioning.step import Step
 from hil.commissioning.steps_dynamics import total_delay_s
 from hil.controllers import Pid, PidGains
 from hil.scenario import Ramp, Segment, SpeedProfile
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 _MARGIN: Final = 1.6
 """The controller is designed for so many times the measured delay."""
@@ -45,18 +43,18 @@ class Suggest(Step):
     title = "Suggested limits, period and controller"
     needs = ("mechanics", "delays")
 
-    def left_out(self, session: "Session") -> str | None:
+    def left_out(self, session: Session) -> str | None:
         return (
             None if session.torque_mode() is not None else "the drive has no torque mode to close a loop with"
         )
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         if session.found.reading_delay_us is None:
             return f"design a PI speed controller for {_MARGIN:g} times the measured delay"
         delay_us = 1e6 * total_delay_s(session)
         return f"design a PI speed controller for {_MARGIN:g} times the measured delay of {delay_us:.0f} us"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         mechanics, found = session.found.mechanics, session.found
         assert mechanics is not None
@@ -127,7 +125,7 @@ def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
     )
 
 
-def _period_us(session: "Session") -> int:
+def _period_us(session: Session) -> int:
     """The shortest that bus and delays allow: readings are in before the command has to go."""
     found = session.found
     assert found.plan is not None
@@ -140,7 +138,7 @@ def _period_us(session: "Session") -> int:
     return PERIODS_US[-1]
 
 
-def _suggested_limits(session: "Session") -> dict[str, float]:
+def _suggested_limits(session: Session) -> dict[str, float]:
     plate, found = session.request.nameplate, session.found
     rated_nm = session.drive.rated_torque_nm
     assert found.limits is not None
@@ -164,18 +162,18 @@ class Verify(Step):
     moves = True
     writes = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         speed = self._speed(session) / RAD_S_PER_RPM
         return f"follow ramps to +-{speed:.0f} r/min with the suggested controller"
 
-    def _speed(self, session: "Session") -> float:
+    def _speed(self, session: Session) -> float:
         limits = session.limits
         speed = _VERIFY_SHARE * limits.speed_rad_s
         if limits.travel_rad is not None:
             speed = min(speed, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
         return speed
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         speed = self._speed(session)
         mechanics, told = session.found.mechanics, session.found.told
@@ -214,6 +212,6 @@ class Verify(Step):
         return outcome
 
 
-def suggestion(session: "Session") -> dict[str, Any]:
+def suggestion(session: Session) -> dict[str, Any]:
     """Limits for the files; without a drive that was set up there are none."""
     return _suggested_limits(session) if session.configured else {}

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,14 @@ from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.commissioning.excitation import Profile, SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
+from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
-from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.session import Session
+from hil.commissioning.step import Step
 from hil.configuration.network_file import Delays as DelayFigures
 from hil.configuration.network_file import Network
 from hil.scenario import Ramp
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
@@ -59,21 +58,21 @@ class Response(Step):
     moves = True
     writes = True
 
-    def left_out(self, session: "Session") -> str | None:
+    def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
             return "the drive has no torque mode"
         if session.limits.travel_rad is not None:
             return "the shaft would have to turn one way for seconds"
         return None
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         speed = _BASE_SHARE * session.limits.speed_rad_s / RAD_S_PER_RPM
         return (
             f"turn at {speed:.0f} r/min with {_LINES} sines of torque on top, from {_LOWEST_HZ:g} Hz on, "
             f"for {_BLOCKS * _BLOCK_S:g} s"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         mechanics = session.found.mechanics
         assert mechanics is not None
@@ -155,7 +154,7 @@ class Delays(Step):
     moves = True
     writes = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         if session.torque_mode() is None:
             return f"time {_READINGS_S:g} s of readings; what a command does cannot be timed without torque"
         return (
@@ -163,7 +162,7 @@ class Delays(Step):
             "and see in the readings when it arrives"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         if session.torque_mode() is None:
             return _time_readings(session, outcome)
@@ -210,7 +209,7 @@ class Delays(Step):
         return outcome
 
 
-def _time_readings(session: "Session", outcome: Outcome) -> Outcome:
+def _time_readings(session: Session, outcome: Outcome) -> Outcome:
     """Only the way of the readings, with the drive at rest."""
     with session.enabled():
         exerciser = session.exerciser()
@@ -255,7 +254,7 @@ def network_of(
     )
 
 
-def switches(session: "Session") -> int:
+def switches(session: Session) -> int:
     """How often the torque is switched: fewer where a cycle takes long."""
     hold_s = _HOLD_CYCLES * session.found.period / NS_PER_S
     return max(_SWITCHES_MIN, min(_SWITCHES, round(_SWITCHING_S / hold_s)))
@@ -268,7 +267,7 @@ class _Probe:
     samples show the answer to a switch at many ages (equivalent-time sampling).
     """
 
-    def __init__(self, session: "Session") -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
         self._network = session.network
         assert session.port is not None
@@ -370,7 +369,7 @@ class _Probe:
         )
 
 
-def total_delay_s(session: "Session") -> float:
+def total_delay_s(session: Session) -> float:
     """From a sample to the middle of the time for which a torque that rests on it acts, s."""
     found = session.found
     reading = found.reading_delay_us or 0.0

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,14 +21,12 @@ from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
 from hil.commissioning.exercise import Recording
 from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
+from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_current, draw_mechanics
-from hil.commissioning.session import held_s
-from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.session import Session, held_s
+from hil.commissioning.step import Step
 from hil.scenario import Ramp, Segment
 from hil.scenario import Step as SpeedStep
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 _SPEED_SHARE: Final = 0.9
 _TORQUE_SHARE: Final = 0.6
@@ -56,12 +54,12 @@ class MechanicsStep(Step):
     moves = True
     writes = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         speed = top_speed(session)
         coast = ", and let the shaft coast" if session.torque_mode() is not None else ""
         return f"ramp to {speed / RAD_S_PER_RPM:.0f} r/min and back, both ways, with stops on the way{coast}"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         speed = top_speed(session)
         if speed < _SLOW_START_RPM * RAD_S_PER_RPM:
@@ -98,7 +96,7 @@ def _speed_noise(recordings: list[Recording]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2) / 1.5))
 
 
-def top_speed(session: "Session") -> float:
+def top_speed(session: Session) -> float:
     """The fastest that an exercise goes to, rad/s: within the speed limit and the allowed travel."""
     limits = session.limits
     speed = _SPEED_SHARE * limits.speed_rad_s
@@ -108,13 +106,13 @@ def top_speed(session: "Session") -> float:
     return speed
 
 
-def _guide_mechanics(session: "Session") -> Mechanics:
+def _guide_mechanics(session: Session) -> Mechanics:
     known = session.found.mechanics or session.found.rough
     assert known is not None, "the pulses come first"
     return known
 
 
-def _ramp_time(session: "Session", change: float) -> float:
+def _ramp_time(session: Session, change: float) -> float:
     """How long a ramp has to take for its torque to stay well below the limit."""
     known = session.found.mechanics or session.found.rough
     if known is None:
@@ -122,7 +120,7 @@ def _ramp_time(session: "Session", change: float) -> float:
     return max(_RAMP_S, known.inertia_kg_m2 * abs(change) / (_TORQUE_SHARE * session.limits.torque_nm))
 
 
-def _ramps(session: "Session", speed: float) -> list[Recording]:
+def _ramps(session: Session, speed: float) -> list[Recording]:
     """Up by plateaus and down again, both ways.
 
     A drive that takes speeds runs its own speed loop, whose torque swings: there everything lasts longer. One
@@ -154,7 +152,7 @@ def _ramps(session: "Session", speed: float) -> list[Recording]:
     return recordings
 
 
-def _write_ramps(session: "Session", acceleration_rad_s2: float) -> None:
+def _write_ramps(session: Session, acceleration_rad_s2: float) -> None:
     told = session.found.told
     assert told is not None
     raw = max(1, round(acceleration_rad_s2 / told.acceleration_rad_s2))
@@ -162,7 +160,7 @@ def _write_ramps(session: "Session", acceleration_rad_s2: float) -> None:
         write_optional(session.objects, index, "I", raw, "ramp")
 
 
-def _coasts(session: "Session", speed: float) -> list[Recording]:
+def _coasts(session: Session, speed: float) -> list[Recording]:
     """Up to speed, then no torque at all until the shaft is slow, then back to rest."""
     known = _guide_mechanics(session)
     limits = session.limits
@@ -183,7 +181,7 @@ def _coasts(session: "Session", speed: float) -> list[Recording]:
     return recordings
 
 
-def _turned_round(session: "Session", found: Mechanics, outcome: Outcome) -> Mechanics:
+def _turned_round(session: Session, found: Mechanics, outcome: Outcome) -> Mechanics:
     """Torque against motion shows only here in a drive that is never given a torque."""
     port = session.port
     assert port is not None
@@ -233,17 +231,17 @@ class TorqueConstant(Step):
     writes = True
     moves = True
 
-    def left_out(self, session: "Session") -> str | None:
+    def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
             return "the drive has no torque mode"
         if session.objects.read_if_there(Object.CURRENT_ACTUAL_VALUE, 0, "h") is None:
             return "the drive has no current actual value 6078h"
         return None
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         return f"map 6078h into TPDO3 and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         mode = session.torque_mode()
         assert mode is not None
@@ -270,7 +268,7 @@ class TorqueConstant(Step):
         return outcome
 
     def _judge(
-        self, session: "Session", torque: np.typing.NDArray[np.float64],
+        self, session: Session, torque: np.typing.NDArray[np.float64],
         permille: np.typing.NDArray[np.float64], outcome: Outcome,
     ) -> None:  # fmt: skip
         rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
@@ -311,7 +309,7 @@ class TorqueConstant(Step):
         )
 
 
-def _plan_with_current(session: "Session") -> PdoPlan:
+def _plan_with_current(session: Session) -> PdoPlan:
     mode = session.torque_mode()
     assert mode is not None
     node = session.request.node
@@ -325,7 +323,7 @@ def _plan_with_current(session: "Session") -> PdoPlan:
     return plan
 
 
-def _swing(session: "Session") -> list[tuple[Instant, float]]:
+def _swing(session: Session) -> list[tuple[Instant, float]]:
     """Swing the shaft; the torques with the instants at which they came."""
     known = _guide_mechanics(session)
     limits = session.limits

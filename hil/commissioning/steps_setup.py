@@ -1,7 +1,7 @@
 """Steps that set the drive up and prove its watch over the host, before anything turns."""
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from drivers.drive_setup import write_optional
 from drivers.errors import PeerFault
@@ -10,10 +10,9 @@ from drivers.pdo import bus_load_percent_max
 from drivers.profile402 import HaltOption, Mode, State, state_of
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.commissioning.excitation import Profile
-from hil.commissioning.step import Outcome, Step, StepFailed
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
+from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.session import Session
+from hil.commissioning.step import Step
 
 _PATIENCE: Final = 4.0
 """So many time-outs are waited for the drive to react."""
@@ -33,7 +32,7 @@ class SetUp(Step):
     writes = True
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         limits = session.limits
         return (
             "write heartbeats (1016h, 1017h), reactions (6007h, 605Ah to 605Eh), "
@@ -41,7 +40,7 @@ class SetUp(Step):
             f"{limits.torque_nm:.4g} N m and {limits.speed_rad_s:.4g} rad/s, and the PDOs"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         mode = self._first_mode_taken(session, outcome)
         for note in _extra_limits(session):
@@ -59,7 +58,7 @@ class SetUp(Step):
         outcome.figures = {"mode": mode.name.lower(), "bus_load_percent_max": load}
         return outcome
 
-    def _first_mode_taken(self, session: "Session", outcome: Outcome) -> Mode:
+    def _first_mode_taken(self, session: Session, outcome: Outcome) -> Mode:
         """Configure in the first mode that the drive takes; those that it does not are struck out."""
         while True:
             mode = session.motion_mode()
@@ -76,7 +75,7 @@ class SetUp(Step):
                 return mode
 
 
-def _extra_limits(session: "Session") -> list[str]:
+def _extra_limits(session: Session) -> list[str]:
     """Limits that the drive need not have, beside those of the drive client."""
     objects, limits, found = session.objects, session.limits, session.found
     assert found.told is not None
@@ -115,14 +114,14 @@ class Watchdog(Step):
     writes = True
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         timeout = session.request.heartbeat_timeout_ms
         return (
             f"enable the drive at rest, stop the host's heartbeat, and time how long it stays enabled "
             f"({timeout} ms are set in 1016h); a fault that this causes is reset"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         timeout_ms = session.request.heartbeat_timeout_ms
         with session.stop.armed():
@@ -147,7 +146,7 @@ class Watchdog(Step):
         return outcome
 
 
-def _silence(session: "Session", timeout_ms: int) -> tuple[float | None, State | None]:
+def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | None]:
     """Send one last heartbeat; ms until the drive says that it is enabled no more, and its state then.
 
     A drive may tell it by statusword, by EMCY, or by falling silent: with the node's NMT state its PDOs end
@@ -181,7 +180,7 @@ def _silence(session: "Session", timeout_ms: int) -> tuple[float | None, State |
     return None, State.OPERATION_ENABLED
 
 
-def _recover(session: "Session") -> None:
+def _recover(session: Session) -> None:
     """From what the proof left behind, to disabled."""
     drive = session.drive
     if drive.control.read_state() in (State.FAULT, State.FAULT_REACTION):
@@ -201,11 +200,11 @@ class EnableAtZero(Step):
     moves = True
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         what = "torque" if session.torque_mode() is not None else "speed"
         return f"enable with {what} 0 for {_REST_S:g} s; the shaft must stay within {_REST_TURNS:g} turns"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         with session.enabled():
             exerciser = session.exerciser()

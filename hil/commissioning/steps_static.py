@@ -1,7 +1,6 @@
 """Steps that only listen and read: bus, identity, dictionary, units."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +11,11 @@ from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scalin
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.journal import DriveMark, Journal, JournalHead
 from hil.commissioning.known_objects import differing, dump, missing, whole
+from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.request import motion_limits
 from hil.commissioning.restore import ERROR_HISTORY
-from hil.commissioning.step import Outcome, Step, StepFailed
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
+from hil.commissioning.session import Session
+from hil.commissioning.step import Step
 
 CONNECT_LIMIT_S = 5.0
 LISTEN_S = 0.5
@@ -33,12 +31,12 @@ class BusCheck(Step):
     title = "Adapter and bus"
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         return (
             f"listen for {LISTEN_S:g} s, then ask node {session.request.node} {ROUND_TRIPS} times for 1000h"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         network = session.network
         began = session.clock_now
@@ -69,13 +67,13 @@ class IdentityCheck(Step):
     needs = ("bus",)
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         sheet = session.request.eds
         return "read 1000h, 1008h and 1018h" + (
             f", and compare with {sheet.name}" if sheet else "; no data sheet"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
         session.found.identity = identity
@@ -106,7 +104,7 @@ class IdentityCheck(Step):
         return outcome
 
 
-def _nmt_heard(session: "Session") -> int | None:
+def _nmt_heard(session: Session) -> int | None:
     """The NMT state by the drive's heartbeat; None if it sends none."""
     try:
         period_ms = session.objects.read_if_there(0x1017, 0, "H")
@@ -127,12 +125,12 @@ class DumpStep(Step):
     title = "All parameters"
     needs = ("identity",)
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         if session.dictionary is None:
             return "read the objects of CiA 301 and CiA 402 into parameters.txt"
         return "read every object of the data sheet into parameters.txt, and compare with its defaults"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         found = dump(session.network, session.request.node, session.dictionary, session.check_stop)
         session.found.dump = found
@@ -160,12 +158,12 @@ class UnitsTold(Step):
     needs = ("identity",)
     essential = True
 
-    def plan(self, _session: "Session", /) -> str:
+    def plan(self, _session: Session, /) -> str:
         return (
             "read ratings, resolutions, gear, feed, unit words and polarity, and compare with the nameplate"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         found, plate, objects = session.found, session.request.nameplate, session.objects
         values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
@@ -218,7 +216,7 @@ class UnitsTold(Step):
         return outcome
 
 
-def _compare_ratings(session: "Session", outcome: Outcome, torque_nm: float) -> None:
+def _compare_ratings(session: Session, outcome: Outcome, torque_nm: float) -> None:
     """6076h and 6075h against the nameplate; the nameplate is believed for the torque."""
     rating = session.request.nameplate.rating
     if rating.torque_nm is None:
@@ -238,7 +236,7 @@ def _compare_ratings(session: "Session", outcome: Outcome, torque_nm: float) -> 
         outcome.figures["current_fault"] = current_ma / 1e3 / rating.current_a
 
 
-def _modes(session: "Session") -> tuple[Mode, ...]:
+def _modes(session: Session) -> tuple[Mode, ...]:
     """By 6502h; a drive that does not say is tried with every mode later on."""
     bits = session.objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
     if not bits:
@@ -246,6 +244,6 @@ def _modes(session: "Session") -> tuple[Mode, ...]:
     return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode))
 
 
-def told_integer(session: "Session", index: int, sub: int = 0) -> int | None:
+def told_integer(session: Session, index: int, sub: int = 0) -> int | None:
     """An object out of the dump, or from the drive."""
     return whole(session.found.dump, index, sub) or session.objects.read_if_there(index, sub)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from drivers.drive_setup import write_optional
 from drivers.objects402 import Object
@@ -13,13 +13,11 @@ from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Pulse, SpeedCommand
 from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
-from hil.commissioning.session import held_s
-from hil.commissioning.step import Outcome, Step, StepFailed
+from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.session import Session, held_s
+from hil.commissioning.step import Step
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.scenario import Ramp, Segment
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40
@@ -44,7 +42,7 @@ class Polarity(Step):
     moves = True
     essential = True
 
-    def plan(self, session: "Session", /) -> str:
+    def plan(self, session: Session, /) -> str:
         limits = session.limits
         if session.torque_mode() is None:
             return f"turn a few hundredths of a turn each way at up to {0.05 * limits.speed_rad_s:.3g} rad/s"
@@ -53,7 +51,7 @@ class Polarity(Step):
             f"{_PULSE_TURNS:g} turns, the same backwards; then put 607Eh right"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         position, against = _signs(session, outcome)
         velocity = position * against
@@ -74,7 +72,7 @@ class Polarity(Step):
         outcome.say("607Eh does not help; the bench turns the signs itself")
         return outcome
 
-    def _by_object(self, session: "Session", wrong: int, outcome: Outcome) -> bool:
+    def _by_object(self, session: Session, wrong: int, outcome: Outcome) -> bool:
         """Turn bits of 607Eh over, and look whether that helped; else put them back."""
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
@@ -92,7 +90,7 @@ class Polarity(Step):
         return False
 
 
-def _signs(session: "Session", outcome: Outcome) -> tuple[int, int]:
+def _signs(session: Session, outcome: Outcome) -> tuple[int, int]:
     """Sign of the position against the set-point, and of the velocity against the position."""
     recordings = pulses(session, _PULSE_TURNS)
     signs = []
@@ -108,7 +106,7 @@ def _signs(session: "Session", outcome: Outcome) -> tuple[int, int]:
     return int(signs[0]), int(math.copysign(1.0, ratio))
 
 
-def pulses(session: "Session", far_turns: float) -> list[Recording]:
+def pulses(session: Session, far_turns: float) -> list[Recording]:
     """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
     limits, found = session.limits, session.found
     far = far_turns * math.tau
@@ -171,10 +169,10 @@ class MotionUnits(Step):
     moves = True
     essential = True
 
-    def plan(self, _session: "Session", /) -> str:
+    def plan(self, _session: Session, /) -> str:
         return f"turn {_LONG_PULSE_TURNS:g} turns each way and compare the velocity with the path"
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         found = session.found
         recordings = pulses(session, _LONG_PULSE_TURNS)
@@ -196,7 +194,7 @@ class MotionUnits(Step):
             self._rough(session, recordings, outcome)
         return outcome
 
-    def _rough(self, session: "Session", recordings: list[Recording], outcome: Outcome) -> None:
+    def _rough(self, session: Session, recordings: list[Recording], outcome: Outcome) -> None:
         data = [(recording.time, recording.position, recording.torque) for recording in recordings]
         try:
             window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
@@ -223,7 +221,7 @@ class Turn(Step):
     writes = True
     moves = True
 
-    def left_out(self, session: "Session") -> str | None:
+    def left_out(self, session: Session) -> str | None:
         travel = session.limits.travel_rad
         if travel is not None and travel < 3.0 * math.tau:
             return f"only {travel / math.tau:g} turns are allowed"
@@ -232,13 +230,13 @@ class Turn(Step):
             return "no homing, nobody there to turn the shaft, and no nameplate that tells the encoder"
         return None
 
-    def plan(self, _session: "Session", /) -> str:
+    def plan(self, _session: Session, /) -> str:
         return (
             "look for two index pulses in a row by homing (method 34) at low speed, "
             "or have the shaft turned by hand; compare with the position unit"
         )
 
-    def run(self, session: "Session") -> Outcome:
+    def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         found = session.found
         told = found.told
@@ -261,7 +259,7 @@ class Turn(Step):
         session.configure()
         return outcome
 
-    def _judge(self, session: "Session", ratio: float, outcome: Outcome) -> None:
+    def _judge(self, session: Session, ratio: float, outcome: Outcome) -> None:
         """Position by the turn, and velocity by the position."""
         found = session.found
         told = found.told
@@ -300,7 +298,7 @@ def _because(factor: float, told: Scaling) -> str:
     return f" (a factor of {factor:.6g}: {slip or 'no usual one'})"
 
 
-def _rescale(session: "Session", ratio: float) -> None:
+def _rescale(session: Session, ratio: float) -> None:
     """What the pulses told of the inertia was by the old position unit."""
     rough = session.found.rough
     assert rough is not None

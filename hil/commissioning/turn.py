@@ -10,7 +10,7 @@ one turn is worth.
 """
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.drive_setup import write_optional
 from drivers.errors import PeerFault
@@ -18,10 +18,8 @@ from drivers.exchange import Reading
 from drivers.objects402 import Object
 from drivers.profile402 import Mode, State, Status, state_of, supported_mode_bit
 from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.session import Session
 from hil.machine.stopping import Interrupted
-
-if TYPE_CHECKING:
-    from hil.commissioning.session import Session
 
 INDEX_POSITIVE: Final = 34
 _SPEEDS_TURNS_S: Final = (0.5, 2.0, 8.0)
@@ -41,7 +39,7 @@ _FOUND: Final = Status.MODE_12
 _FAILED: Final = Status.MODE_13
 
 
-def can_home(session: "Session") -> bool:
+def can_home(session: Session) -> bool:
     """The drive has homing, as far as it tells."""
     objects = session.objects
     if objects.read_if_there(Object.HOMING_METHOD, 0, "b") is None:
@@ -50,7 +48,7 @@ def can_home(session: "Session") -> bool:
     return not modes or bool(modes & supported_mode_bit(Mode.HOMING))
 
 
-def index_turn(session: "Session") -> tuple[float | None, str]:
+def index_turn(session: Session) -> tuple[float | None, str]:
     """Position units of one turn, and how they were found; None with the reason if they were not."""
     drive, objects, found = session.drive, session.objects, session.found
     told = found.told
@@ -91,7 +89,7 @@ class _Found(NamedTuple):
     """How far the shaft went on behind it."""
 
 
-def _by_searches(session: "Session") -> float | None:
+def _by_searches(session: Session) -> float | None:
     """What one turn is worth, rad by the units in use; None if no two pulses a turn apart were found.
 
     A shaft that came to rest before the pulse that it had passed finds the same one again: that is no turn.
@@ -110,7 +108,7 @@ def _by_searches(session: "Session") -> float | None:
     return None
 
 
-def _search(session: "Session", limit_s: float) -> _Found | None:
+def _search(session: Session, limit_s: float) -> _Found | None:
     """Home once; None if no pulse came in time."""
     control, network, drive = session.drive.control, session.network, session.drive
     history: list[Reading] = []
@@ -163,7 +161,7 @@ def _jump(history: list[Reading], reading: Reading) -> float:
     return difference
 
 
-def hand_turn(session: "Session") -> tuple[float | None, str]:
+def hand_turn(session: Session) -> tuple[float | None, str]:
     """Have somebody turn the shaft by one turn, with the drive disabled."""
     dialog, objects = session.dialog, session.objects
     before = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")

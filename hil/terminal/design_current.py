@@ -11,7 +11,7 @@ from hil.terminal.exit_status import reported_errors
 
 if TYPE_CHECKING:
     from hil.current_control import CurrentResult
-    from hil.current_figures import OtherAxis
+    from hil.current_request import OtherAxis
 
 
 class Axis(StrEnum):
@@ -113,7 +113,8 @@ def current(
         from hil.configuration.config_files import NamedBy
         from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor
         from hil.configuration.weights_file import load_weights
-        from hil.current_control import CurrentRequest, design_current
+        from hil.current_control import design_current
+        from hil.current_request import CurrentRequest
         from hil.terminal.design_errors import refused
 
         if gamma is not None and gamma_factor is not None:
@@ -145,7 +146,7 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """The continuous controller in ``path``, made for the axis that is not designed."""
     from hil.configuration.config_files import NamedBy
     from hil.configuration.current_controller_file import load_current_controller
-    from hil.current_figures import OtherAxis
+    from hil.current_request import OtherAxis
 
     if path is None:
         return None

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.commissioning.step import Verdict
+from hil.commissioning.outcome import Verdict
 from tests.commissioning import Errors, errors_of, unknown_world
 
 LIMITS = {"inertia": 0.03, "viscous": 0.08, "coulomb": 0.08}

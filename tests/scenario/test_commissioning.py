@@ -11,8 +11,8 @@ from drivers.dictionary import load_dictionary
 from drivers.objects402 import Object
 from drivers.profile402 import Mode, supported_mode_bit
 from hil.cli import app
+from hil.commissioning.outcome import Verdict
 from hil.commissioning.report import REPORT_FILE
-from hil.commissioning.step import Verdict
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor

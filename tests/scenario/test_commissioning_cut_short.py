@@ -25,10 +25,11 @@ from hil.commissioning.command import check_mark
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
 from hil.commissioning.journal import DriveMark, append_restored, read_journal
+from hil.commissioning.outcome import Outcome, Verdict
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.restore import restore
 from hil.commissioning.session import Session
-from hil.commissioning.step import Outcome, Step, Verdict
+from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.machine.stopping import Interrupted
 from hil.world import World, WorldPlan, open_world

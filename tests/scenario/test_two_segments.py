@@ -61,7 +61,7 @@ def test_each_segment_has_its_own_losses_and_a_recorded_run_replays(servo_bench:
     assert again.digest == run.digest
     lost = (run.folder / "faults.jsonl").read_text()
     for identifier in (0x181, 0x182, 0x281, 0x282):
-        assert f'"can_id": {identifier},' in lost
+        assert f'"can_id":{identifier},' in lost
 
 
 def changed(change: Any) -> list[BadInput]:

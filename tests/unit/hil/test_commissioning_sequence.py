@@ -11,9 +11,10 @@ import pytest
 
 from drivers.errors import BusDown, LimitExceeded
 from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent, Terminal
+from hil.commissioning.outcome import Outcome, StepFailed, StepRecord, Verdict
 from hil.commissioning.sequence import Abandoned, run_sequence
 from hil.commissioning.session import Session
-from hil.commissioning.step import Outcome, Step, StepFailed, StepRecord, Verdict
+from hil.commissioning.step import Step
 from hil.machine.stopping import Interrupted, StopRequest
 
 
