@@ -15,7 +15,7 @@ from drivers.errors import TransferAborted
 from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.profile402 import State, state_of
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 from hil.commissioning.journal import read_journal
 from hil.commissioning.report import REPORT_FILE
 from tests.motors import LING
@@ -95,7 +95,9 @@ class Witness:
                 self.network.upload(1, 0x606C)
                 self.network.upload(1, 0x6041)
             self.network.pump(Instant(self.now() + 1_000_000))
-        return Duration(self.disabled_at - since)
+        took = Duration(self.disabled_at - since)
+        print(f"disabled and at rest after {took / NS_PER_MS:.0f} ms")  # pytest -rP shows it
+        return took
 
     def memory(self) -> dict[tuple[int, int], bytes]:
         """What a master could have changed, as the drive tells it."""
