@@ -86,6 +86,14 @@ class NetworkFile(Section):
 def load_network(path: Path, option: str = "--network") -> Network:
     """The network in the file at ``path``. Raises BadInput or BadInputs."""
     tables = read_toml(path, "network file", NamedBy(option, "", str(path)))
+    if "network" not in tables and "bench" in tables:
+        raise BadInput(
+            option,
+            "",
+            f"{path}, a bench file",
+            "a network file, as a run leaves it in its recording: network.toml",
+            f"hil run {path} --record DIR makes one",
+        )
     try:
         found = NetworkFile.model_validate(tables).network
     except ValidationError as error:

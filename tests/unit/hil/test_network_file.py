@@ -126,3 +126,10 @@ def test_nothing_came_so_there_is_no_network() -> None:
     meter = NetworkMeter(PERIOD_US, 1)
     meter.add(rows_of([LOST, LOST]))
     assert meter.network() is None
+
+
+def test_a_bench_file_is_told_from_a_network_file(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text('[bench]\nname = "b"\n')
+    with pytest.raises(BadInput, match=r"a bench file.*network\.toml.*hil run"):
+        load_network(path)
