@@ -257,10 +257,3 @@ def _over_direct_gain(generator: StateSpace, D22: Array) -> StateSpace:
     feedback = np.zeros((m, p))
     feedback[:p2, :m2] = -D22
     return connect(generator, feedback, np.eye(m), np.eye(p)) if np.any(D22) else generator
-
-
-def identity_parameter(rows: int, columns: int, size: float) -> StateSpace:
-    """A constant Phi with the norm ``size``, for trials of the parametrisation."""
-    return StateSpace(
-        np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), size * np.eye(rows, columns)
-    )

@@ -24,7 +24,7 @@ from design.delay_loop import Array, DelayLoop
 from design.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
 from design.errors import NoSolution
 from design.lmi import solve
-from design.speed_design import SpeedDesign, largest_delay, least_gain
+from design.speed_design import largest_delay, least_gain
 from design.speed_loop import Feedback, SpeedModel
 
 _ROUNDS = 6
@@ -43,11 +43,6 @@ class CertifiedDesign:
     K: Array
     delay_s: float
     certified: CertifiedGain
-
-    @property
-    def as_design(self) -> SpeedDesign:
-        """The same with the certified gain as the gain it reaches."""
-        return SpeedDesign(self.K, self.delay_s, self.certified.gain)
 
 
 def largest_certified_delay(

@@ -102,8 +102,3 @@ def error_weight(crossing_rad_s: float, peak: float, static_error: float) -> Wei
             "can stabilise; ask for a small one above 0, 1e-4 say"
         )
     return crossing_weight(1.0 / static_error, 1.0 / peak, crossing_rad_s)
-
-
-def output_weight(crossing_rad_s: float, low_peak: float, roll_off: float) -> Weight:
-    """w3: 1/|w3| starts at ``low_peak``, crosses 1 at ``crossing_rad_s`` and falls to ``roll_off``."""
-    return crossing_weight(1.0 / low_peak, 1.0 / roll_off, crossing_rad_s)

@@ -140,12 +140,11 @@ class Spy:
         return float(np.median(delays) + ages.mean()) / 1e3
 
 
-class Watching(Step):
-    """A step that is spied on."""
+class WrappedStep(Step):
+    """Another step to all who look at it; a subclass says what ``run`` does around that one's."""
 
-    def __init__(self, inner: Step, spy: Spy) -> None:
+    def __init__(self, inner: Step) -> None:
         self._inner = inner
-        self._spy = spy
         for name in ("name", "title", "needs", "writes", "moves", "essential"):
             setattr(self, name, getattr(inner, name))
 
@@ -156,6 +155,14 @@ class Watching(Step):
     def plan(self, session: Session, /) -> str:
         """As the inner one."""
         return self._inner.plan(session)
+
+
+class Watching(WrappedStep):
+    """A step that is spied on."""
+
+    def __init__(self, inner: Step, spy: Spy) -> None:
+        super().__init__(inner)
+        self._spy = spy
 
     def run(self, session: Session) -> Outcome:
         """As the inner one, with the spy awake."""

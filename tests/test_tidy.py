@@ -125,7 +125,7 @@ def test_set_up_names_no_package_index() -> None:
         (tidy.leftovers, "@pytest.mark.xfail\n", "@pytest.mark.skip\n"),
         (tidy.unnamed_exemptions, "f()  # type: ignore\n", "f()  # type: ignore[misc]\n"),
         (tidy.unnamed_exemptions, "f()  # noqa\n", "f()  # noqa: B008\n"),
-        (tidy.machine_paths, "see /home/someone\n", "see ~/home/someone and a/work/b\n"),
+        (tidy.machine_paths, "see /" + "home/someone\n", "see ~/" + "home/someone and a/" + "work/b\n"),
         (tidy.package_indexes, "--index-url x\n", "make lock\n"),
     ],
 )

@@ -17,9 +17,6 @@ BITS = SIGNED_BITS | UNSIGNED_BITS | REAL_BITS | TIME_BITS
 
 TEXT_TYPES = (VISIBLE_STRING, UNICODE_STRING)
 BYTE_TYPES = (OCTET_STRING, DOMAIN)
-LAST_STATIC_TYPE = 0x1B
-RECORD_TYPES = range(0x20, 0x40)
-"""PDO communication parameter, PDO mapping, SDO parameter, identity and what else is a record."""
 
 KNOWN_TYPES = frozenset(BITS) | frozenset(TEXT_TYPES) | frozenset(BYTE_TYPES)
 

@@ -10,7 +10,7 @@ from drivers.profile402 import Mode, supported_mode_bit
 from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scaling_from
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.journal import DriveMark, Journal, JournalHead
-from hil.commissioning.known_objects import differing, dump, missing, whole
+from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.request import motion_limits
 from hil.commissioning.restore import ERROR_HISTORY
@@ -242,8 +242,3 @@ def _modes(session: Session) -> tuple[Mode, ...]:
     if not bits:
         return tuple(QUANTITY_OF_MODE)
     return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode))
-
-
-def told_integer(session: Session, index: int, sub: int = 0) -> int | None:
-    """An object out of the dump, or from the drive."""
-    return whole(session.found.dump, index, sub) or session.objects.read_if_there(index, sub)

@@ -1,7 +1,6 @@
 """``hil commission`` of an unknown drive in another process, on whatever bus in real time."""
 
 import json
-import signal
 import subprocess
 import tomllib
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenario.processes import HIL, START_LIMIT_S, quiet_environment
+from tests.scenario.processes import HIL, quiet_environment, serving
 
 SEED = 3
 """Polarity, position and velocity are told wrong."""
@@ -20,21 +19,10 @@ COMMISSION_LIMIT_S = 110
 @contextmanager
 def unknown_drive(bus: str, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``hil rehearse`` on ``bus``, ready when entered; nameplate and truth are in ``folder``."""
-    command = [*HIL, "rehearse", "--bus", bus, "--node", "1", "--seed", str(SEED)]
+    command = ["rehearse", "--bus", bus, "--node", "1", "--seed", str(SEED)]
     command += ["--nameplate", str(folder / "plate.toml"), "--truth", str(folder / "truth.toml"), *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment())
-    try:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "Ctrl-C ends it" in line:
-                break
-        else:
-            raise AssertionError(f"hil rehearse ended with {process.wait()}")
+    with serving(command) as process:
         yield process
-    finally:
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=START_LIMIT_S)
-        assert process.returncode == 0, said
 
 
 class CommissionSuite:

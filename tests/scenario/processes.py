@@ -40,20 +40,27 @@ def hub_name(test: str) -> str:
 @contextmanager
 def simulated_drive(bus: str, *options: str) -> Iterator[subprocess.Popen[str]]:
     """``hil simulate`` on ``bus``, ready when entered, ended when left."""
-    command = [*HIL, "simulate", "--bus", bus, "--node", "1", *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment())
+    command = ["simulate", "--bus", bus, "--node", "1", *options]
+    with serving(command, ends_with=(0, -signal.SIGKILL, 3)) as process:
+        yield process
+
+
+@contextmanager
+def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator[subprocess.Popen[str]]:
+    """A command of ``hil`` that serves until Ctrl-C: ready when entered, ended when left."""
+    process = subprocess.Popen([*HIL, *command], stderr=subprocess.PIPE, text=True, env=quiet_environment())
     try:
         assert process.stderr is not None
         for line in process.stderr:
             if "Ctrl-C ends it" in line:
                 break
         else:
-            raise AssertionError(f"hil simulate ended with {process.wait()}")
+            raise AssertionError(f"hil {command[0]} ended with {process.wait()}")
         yield process
     finally:
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=START_LIMIT_S)
-        assert process.returncode in (0, -signal.SIGKILL, 3), said
+        assert process.returncode in ends_with, said
 
 
 def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:

@@ -33,6 +33,7 @@ from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.machine.stopping import Interrupted
 from hil.world import World, WorldPlan, open_world
+from tests.commissioning import WrappedStep
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.unknown_drive import unknown_drive
 
@@ -96,21 +97,13 @@ class Stop(EmergencyStop):
         return "SIGINT"
 
 
-class InTheMiddle(Step):
+class InTheMiddle(WrappedStep):
     """A step at whose beginning ``arm`` is called with the bus."""
 
     def __init__(self, inner: Step, arm: Callable[[], None], note: Callable[[str, int], None]) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._arm = arm
         self._note = note
-        for name in ("name", "title", "needs", "writes", "moves", "essential"):
-            setattr(self, name, getattr(inner, name))
-
-    def left_out(self, session: Session) -> str | None:
-        return self._inner.left_out(session)
-
-    def plan(self, session: Session, /) -> str:
-        return self._inner.plan(session)
 
     def run(self, session: Session) -> Outcome:
         self._arm()

@@ -1,16 +1,13 @@
 """``hil scan`` as a user types it: nodes on a hub, also over serial, and a node-ID for the one without."""
 
 import json
-import signal
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, simulated_drive
+from tests.scenario.processes import HIL, START_LIMIT_S, hub_name, serving, simulated_drive
 from tests.scenario.serial_processes import adapter_process
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -24,23 +21,9 @@ def scan(*options: str) -> tuple[int, dict[str, Any], str]:
     return ended.returncode, found, ended.stderr
 
 
-@contextmanager
-def nameless_drive(bus: str) -> Iterator[None]:
-    """``hil simulate`` of a drive without node-ID."""
-    command = [*HIL, "simulate", "--bus", bus, "--node", "unconfigured"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        assert process.stderr is not None
-        assert any("Ctrl-C ends it" in line for line in process.stderr)
-        yield
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=START_LIMIT_S)
-
-
 def test_nodes_on_a_hub_and_a_node_id_for_the_one_that_has_none() -> None:
     bus = hub_name("scan")
-    with simulated_drive(bus, "--node", "5"), nameless_drive(bus):
+    with simulated_drive(bus, "--node", "5"), serving(["simulate", "--bus", bus, "--node", "unconfigured"]):
         status, found, said = scan("--bus", bus, "--listen", "0.2")
         assert status == 0, said
         report = found["bus"]

@@ -20,7 +20,6 @@ from virtual_bus.fault_injection.fault_plan import Direction, node_of
 from virtual_bus.fault_injection.special_faults import Instead, instead_of, replaced
 from virtual_bus.frame import Frame
 
-_BY_DELAY = frozenset({"delay", "reorder"})
 _GOES_ON = frozenset({"corruption", "duplicate"})
 
 

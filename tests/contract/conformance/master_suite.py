@@ -1,39 +1,19 @@
 """python canopen as it is, with its own network and Notifier thread, as master of ``hil simulate``."""
 
-import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import canopen
 import pytest
 
-from tests.scenario.processes import HIL, quiet_environment
+from tests.scenario.processes import serving
 
 NODE, OTHER = 1, 9
 PATIENCE_S = 20.0
 EDS = Path(__file__).parent / "rehearsed.eds"
 NOTE, STATUSWORD, TARGET_TORQUE = 0x2000, 0x6041, 0x6071
-
-
-@contextmanager
-def simulated(bus_spec: str, *options: str) -> Iterator[None]:
-    """``hil simulate`` while the block is entered."""
-    command = [*HIL, "simulate", "--bus", bus_spec, *options]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=quiet_environment()) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "Ctrl-C ends it" in line:
-                break
-        else:
-            raise AssertionError(f"hil simulate ended with {process.wait()}")
-        try:
-            yield
-        finally:
-            process.terminate()
-            process.communicate(timeout=PATIENCE_S)
 
 
 def eventually(condition: Callable[[], bool]) -> bool:
@@ -62,7 +42,7 @@ class MasterSuite:
         store = str(tmp_path / "drive.json")
         options = ("--node", str(NODE), "--eds", str(EDS), "--store", store)
         content = bytes(number * 7 & 0xFF for number in range(2000))
-        with simulated(bus_spec, *options):
+        with serving(["simulate", "--bus", bus_spec, *options]):
             node = self.node(network)
             node.sdo[0x1017].raw = 20
             node.sdo[NOTE].raw = b"by segments, both ways"
@@ -75,11 +55,11 @@ class MasterSuite:
             with pytest.raises(canopen.SdoAbortedError, match="0x06020000"):
                 node.sdo.upload(0x1029, 1)
             node.sdo[0x1010][1].raw = int.from_bytes(b"save", "little")
-        with simulated(bus_spec, *options):
+        with serving(["simulate", "--bus", bus_spec, *options]):
             assert self.node(network).sdo[0x1017].raw == 20
 
     def test_remapped_tpdo_by_sync_and_emcy(self, bus_spec: str, network: Any) -> None:
-        with simulated(bus_spec, "--node", str(NODE), "--eds", str(EDS)):
+        with serving(["simulate", "--bus", bus_spec, "--node", str(NODE), "--eds", str(EDS)]):
             node = self.node(network)
             node.tpdo.read()
             node.rpdo.read()
@@ -100,7 +80,7 @@ class MasterSuite:
             assert eventually(lambda: [error.code for error in node.emcy.active] == [0x8210])
 
     def test_lss_finds_and_configures(self, bus_spec: str, network: Any) -> None:
-        with simulated(bus_spec, "--node", "unconfigured"):
+        with serving(["simulate", "--bus", bus_spec, "--node", "unconfigured"]):
             lss = network.lss
             found, identity = lss.fast_scan()
             assert found
