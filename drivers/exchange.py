@@ -1,5 +1,6 @@
 """What passes between a drive and a loop in one cycle, in SI units, and who they are to each other."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from mypy_extensions import mypyc_attr
@@ -8,26 +9,63 @@ from drivers.timebase import Instant
 
 
 class Reading(NamedTuple):
-    """One coherent set of actual values from a drive, as it came off the bus."""
+    """What a drive told with one SYNC: its speed and, if it has a clock, the stamp of that very sample.
 
-    sequence: int
-    """Number of SYNCs that the master had sent when the reading was complete (first SYNC: 1)."""
-    position_rad: float
+    Position, torque and statusword travel in other frames, some of them more seldom. They are the last
+    known; ``..._told_at`` is the bus stamp of the frame that told them, so ``received_at - ..._told_at`` is
+    their age.
+    """
+
     velocity_rad_s: float
+    device_time_ns: int | None
+    """The drive's own stamp of the sampling instant, unwrapped, on the drive's clock; None if the frame that
+    carries the speed carries none."""
+    received_at: Instant
+    """Bus stamp of the frame that carries the speed."""
+    position_rad: float
+    """Carried on by the speed since it was told."""
+    position_told_at: Instant
     torque_nm: float
+    """NaN until it was told."""
+    torque_told_at: Instant
     statusword: int
     """0x6041, raw."""
-    device_time_ns: int | None
-    """The drive's own stamp of the sampling instant, unwrapped, on the drive's clock; None if it has none."""
+    status_told_at: Instant
+
+
+class Readback(NamedTuple):
+    """The torque demand 0x6074 as a drive told it: which command it was following at a SYNC."""
+
+    demand_raw: int
+    """In the unit of 0x6071."""
     received_at: Instant
-    """Bus stamp of the frame that completed the reading."""
+    readings: int
+    """How many readings of this drive were complete when it came: it goes with the SYNC of the last of them,
+    if no frame was lost or overtaken on the way."""
+
+
+class SentCommand:
+    """A set-point that was handed to the bus, and what the bus told of it since."""
+
+    __slots__ = ("handed_at", "on_bus_at", "raw", "sequence")
+
+    def __init__(self, sequence: int, raw: int, handed_at: Instant) -> None:
+        self.sequence = sequence
+        """The cycle that produced it."""
+        self.raw = raw
+        """As it was sent, in the unit of 0x6071 (0x60FF, 0x607A)."""
+        self.handed_at = handed_at
+        """Just before the bus was given it."""
+        self.on_bus_at: Instant | None = None
+        """End of its frame on the bus, by its echo; None until that comes, and for ever on a bus without
+        echoes or for a frame that never reached the wire."""
 
 
 class Command(NamedTuple):
     """A torque set-point and the time for which it is meant."""
 
     sequence: int
-    """The cycle that produced it, counted as in :class:`Reading`."""
+    """The cycle that produced it."""
     torque_nm: float
     effective_at: Instant
     """When it is meant to act on the drive."""
@@ -43,8 +81,12 @@ class Drive:
         """The complete readings since the last call, oldest first."""
         raise NotImplementedError
 
-    def write(self, command: Command) -> Instant:
-        """Send a set-point; when it was handed to the bus."""
+    def take_readbacks(self) -> list[Readback]:
+        """The read-backs since the last call, oldest first; always empty for a drive that tells none."""
+        raise NotImplementedError
+
+    def write(self, command: Command) -> SentCommand | None:
+        """Send a set-point; None if it had expired and was not sent."""
         raise NotImplementedError
 
     def check(self) -> None:
@@ -59,6 +101,8 @@ class Master:
     def __init__(self) -> None:
         self.sync_count = 0
         """SYNCs sent."""
+        self.on_sync_echo: Callable[[Instant], None] | None = None
+        """Told of each of our SYNCs that was on the bus: its end of frame."""
 
     def send_sync(self) -> Instant:
         """Send a SYNC; when it was handed to the bus."""

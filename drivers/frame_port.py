@@ -4,6 +4,7 @@ Compiled, the methods of a class that is known are called directly: that takes a
 """
 
 from collections.abc import Callable
+from enum import Enum
 from typing import Literal, NamedTuple
 
 from mypy_extensions import mypyc_attr
@@ -28,6 +29,21 @@ class WireFrame(NamedTuple):
     """DLC of a remote frame; not used for a data frame."""
 
 
+class EchoBasis(Enum):
+    """Where the instants of own frames come from, once they were on the bus."""
+
+    NONE = "none"
+    """Own frames do not come back."""
+    RECEIPT = "receipt"
+    """They come back, stamped when this process received them."""
+    KERNEL = "kernel"
+    """They come back with the kernel's stamp."""
+    HARDWARE = "hardware"
+    """They come back with the adapter's stamp."""
+    BUS = "bus"
+    """They come back with the computed end of frame: simulated bus and hub."""
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FramePort:
     """What a bus may have as its ``frame_port``. Override both methods."""
@@ -35,6 +51,9 @@ class FramePort:
     def __init__(self) -> None:
         self.came_at = Instant(0)
         """Stamp of the frame that was last received."""
+        self.came_own = False
+        """Whether that is one of our own, which has been on the bus: an echo. It says nothing of delivery."""
+        self.echoes = EchoBasis.NONE
 
     def receive(self, until: Instant) -> WireFrame | None:
         """The next frame; None once ``until`` has come."""
