@@ -115,3 +115,7 @@ class Master:
     def pump_one(self, until: Instant) -> bool:
         """Handle one frame; False if none came until then."""
         raise NotImplementedError
+
+    def rest(self, until: Instant) -> None:
+        """As ``pump``, but frames may pile up until then: their stamps are the bus's."""
+        self.pump(until)

@@ -5,7 +5,9 @@ from collections.abc import Callable
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.axis import Axis, AxisParts, LoadMachine
+from hil.attribution import OrderAttribution, StampAttribution
 from hil.clock_map import ClockMap
+from hil.command_meter import CommandMeter
 from hil.compensation import Arrival, Compensator, Stamp
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive as DriveConfig
@@ -22,11 +24,14 @@ from hil.loop import Actuation, LoopTiming
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from hil.syncs import SyncLog
 from hil.world import SegmentPlan
-from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
+from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.frame import Frame
 
 SYNC_FRAME = Frame(0x080)
+FRAME_BITS_BARE = 44
+"""Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
 COMMAND_FRAME = Frame(0x201, bytes(4))
 """As long as a command can be told to be before its data are known."""
 
@@ -46,6 +51,21 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
         sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
         command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
     )
+
+
+def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
+    """From handing a SYNC over until its end on an idle segment; None: the first one."""
+    return timing_at(config, config.bitrate_on(segment)).sync_latency
+
+
+def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
+    """The least time that a frame takes on the wire: one without a stuff bit (ISO 11898-1)."""
+    return bits_duration(FRAME_BITS_BARE + 8 * data_bytes, bitrate)
+
+
+def command_duration(bitrate: int) -> Duration:
+    """How long a command keeps an idle segment of that bit rate, with the intermission after it."""
+    return bits_duration(frame_bits(COMMAND_FRAME) + INTERMISSION_BITS, bitrate)
 
 
 def segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
@@ -109,19 +129,30 @@ def axis(
     config: BenchConfig,
     number: int,
     drive: Drive,
+    reading_bytes: int,
     load_machine: LoadMachine | None,
     timing: LoopTiming,
+    syncs: SyncLog,
     record: Callable[[CycleRecord], None],
+    tell: Callable[[str], None],
     own_controller: Controller | None = None,
 ) -> Axis:
-    """The ``number``-th axis of the bench, on ``drive``; ``own_controller``: in place of the bench's."""
+    """The ``number``-th axis of the bench, on ``drive``.
+
+    ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes what is to be said of the drive's clock. ``own_controller``: in
+    place of the bench's.
+    """
     name = config.axes[number]
     wanted = config.drive[name]
     period_s = timing.period / NS_PER_S
     own = timing_at(config, config.bitrate_of(name))
     later = own.sync_latency - timing.sync_latency
     if timing.actuation is Actuation.ON_ARRIVAL:
+        # The commands of a cycle go out one after the other, in the order of the axes.
+        earlier = [other for other in config.axes[:number] if config.drive[other].segment == wanted.segment]
         later = own.command_latency - timing.command_latency
+        later += len(earlier) * command_duration(config.bitrate_of(name))
+    transit = shortest_transit(reading_bytes, config.bitrate_of(name))
     limits = SafetyLimits(
         torque_max_nm=wanted.limits.torque_max_nm,
         speed_max_rad_s=wanted.limits.speed_max_rad_s,
@@ -137,7 +168,10 @@ def axis(
         reference=speed_profile(config.reference.get(name, ())),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
         load_machine=load_machine,
-        clock_map=ClockMap(own.sync_latency),
+        syncs=syncs,
+        by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
+        by_order=OrderAttribution(syncs, timing.period, transit, tell),
         meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
+        commands=CommandMeter(config.loop.horizon_periods),
     )
-    return Axis(number, parts, timing.period, own.sync_latency, record, Duration(later))
+    return Axis(number, parts, timing.period, record, Duration(later))

@@ -5,24 +5,20 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, Drive, Reading
+from drivers.exchange import Command, Drive, Reading, SentCommand
 from drivers.timebase import Duration, Instant
-from hil.clock_map import ClockMap
+from hil.attribution import OrderAttribution, StampAttribution
+from hil.command_meter import CommandMeter
 from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Sample, StateEstimate
+from hil.samples import CycleRecord, Sending, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile
+from hil.syncs import SyncLog, SyncMark
 
-NOT_SENT: Final = Instant(-1)
-SYNCS_REMEMBERED: Final = 64
-
-_new: Final = tuple.__new__
-_COMMAND: Final = Command
-_RECORD: Final = CycleRecord
-_SAMPLE: Final = Sample
-"""``_new(_SAMPLE, values)`` takes a third of the time of ``Sample(*values)``, for the path of every cycle."""
+READINGS_REMEMBERED: Final = 64
+"""Readings that a read-back may come after."""
 
 
 class LoadMachine(Protocol):
@@ -36,39 +32,39 @@ class LoadMachine(Protocol):
 class Tick:
     """What all axes of a cycle share."""
 
-    __slots__ = ("due_at", "sequence", "sync_sent_at", "time_s", "woke_at")
+    __slots__ = ("due_at", "sequence", "time_s", "woke_at")
 
-    def __init__(
-        self, sequence: int, due_at: Instant, woke_at: Instant, sync_sent_at: Instant, time_s: float
-    ) -> None:
-        """``time_s``: since the run began."""
+    def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
+        """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
         self.sequence = sequence
         self.due_at = due_at
         self.woke_at = woke_at
-        self.sync_sent_at = sync_sent_at
         self.time_s = time_s
 
 
 class Decision:
-    """What was done in one cycle, while the fate of its own reading may still be open."""
+    """What was done in one cycle, while the fates of its reading and of its command may still be open."""
 
-    __slots__ = ("command", "command_sent_at", "estimate", "load_torque_nm", "reference_rad_s", "tick")
+    __slots__ = (
+        "command",
+        "estimate",
+        "fate",
+        "load_torque_nm",
+        "mark",
+        "reference_rad_s",
+        "sent",
+        "tick",
+    )
 
-    def __init__(
-        self,
-        tick: Tick,
-        estimate: StateEstimate,
-        reference_rad_s: float,
-        load_torque_nm: float,
-        command: Command,
-        command_sent_at: Instant,
-    ) -> None:
+    def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
         self.tick = tick
-        self.estimate = estimate
         self.reference_rad_s = reference_rad_s
         self.load_torque_nm = load_torque_nm
-        self.command = command
-        self.command_sent_at = command_sent_at
+        self.mark: SyncMark | None = None
+        self.estimate: StateEstimate | None = None
+        self.command: Command | None = None
+        self.sent: SentCommand | None = None
+        self.fate: Fate | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +79,13 @@ class AxisParts:
     reference: SpeedProfile
     load: LoadProfile
     load_machine: LoadMachine | None
-    clock_map: ClockMap
+    syncs: SyncLog
+    """Of the axis's segment."""
+    by_stamp: StampAttribution
+    by_order: OrderAttribution
+    """For readings without a stamp."""
     meter: DelayMeter
+    commands: CommandMeter
 
 
 class Axis:
@@ -95,7 +96,6 @@ class Axis:
         number: int,
         parts: AxisParts,
         period: Duration,
-        sync_latency: Duration,
         record: Callable[[CycleRecord], None],
         acts_later: Duration = Duration(0),  # noqa: B008 - an int
     ) -> None:
@@ -104,7 +104,7 @@ class Axis:
         self.meter = parts.meter
         self._number = number
         self._period = period
-        self._sync_latency = sync_latency
+        self._half_period = period // 2
         self._record = record
         self._acts_later = acts_later
         self._drive = parts.drive
@@ -112,39 +112,72 @@ class Axis:
         self._update = parts.controller.update
         self._receive = parts.compensator.receive
         self._estimate = parts.compensator.estimate
-        self._syncs: list[Tick] = []
+        self._by_stamp = parts.by_stamp
+        self._by_order = parts.by_order
+        self._commands = parts.commands
         self._decisions: list[Decision] = []
+        """Of the cycles whose readings' fates are open, the oldest first."""
+        self._settled: list[Decision] = []
+        """Of those whose commands' fates still are."""
         self._fresh = False
         self._load_nm = 0.0
+        self._readings = 0
+        self._placed: list[tuple[Instant, Instant] | None] = [None] * READINGS_REMEMBERED
+        """Of the last readings, by their count: their SYNC's instant and their own; None if uncertain."""
 
-    def calibrate(self, sync_sent_at: Instant) -> bool:
-        """Take readings that can only answer the SYNC sent at ``sync_sent_at``; whether one came."""
+    @property
+    def wants_probe(self) -> bool:
+        """Whether the next SYNC should go out a quarter of a period late, see :class:`OrderAttribution`."""
+        return self._by_order.wants_probe
+
+    def probed(self) -> None:
+        """The last SYNC has gone out late."""
+        if self._by_order.wants_probe:
+            self._by_order.probed(self.parts.syncs.marks[-1])
+
+    def calibrate(self) -> bool:
+        """Take readings that can only answer the last SYNC; whether one came."""
+        mark = self.parts.syncs.marks[-1]
         readings = self._drive.take_readings()
+        self._drive.take_readbacks()
         for reading in readings:
+            self._readings += 1
             if reading.device_time_ns is not None:
-                self.parts.clock_map.observe(sync_sent_at, reading.device_time_ns, reading.received_at)
+                self._by_stamp.learn(reading, mark)
             else:
-                self.meter.learn(Duration(reading.received_at - sync_sent_at - self._sync_latency))
+                self._by_order.learn(reading, mark)
+            if mark.on_bus_at is not None:
+                self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
         return bool(readings)
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out."""
-        syncs = self._syncs
-        syncs.append(tick)
-        if len(syncs) > SYNCS_REMEMBERED:
-            syncs.pop(0)
+        decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
+        decision.mark = self.parts.syncs.marks[-1]
+        self._decisions.append(decision)
         self.meter.sync_sent(tick.sequence, tick.due_at)
+
+    def miss(self, tick: Tick) -> str | None:
+        """A planned cycle goes without SYNC; why the run must stop after it, or None."""
+        self._decisions.append(Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm))
+        self.meter.missed(tick.sequence, tick.due_at)
+        reason = self.parts.guard.miss_cycle()
+        return None if reason is None else f"{self.parts.name}: {reason}"
 
     def collect(self) -> None:
         """Take in what has arrived."""
-        for reading in self._drive.take_readings():
-            sample = self._place(reading)
-            if sample is None:
-                self.meter.unmatched += 1
-            elif self.meter.arrived(sample):
-                self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
-                self._receive(sample)
-                self._fresh = True
+        readings = self._drive.take_readings()
+        if readings:
+            for reading in readings:
+                self._take(reading)
+        for readback in self._drive.take_readbacks():
+            placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
+            behind = self._readings - readback.readings
+            # Half a period after the reading it would come after that of the next SYNC, whose own was lost.
+            if placed is not None and 0 <= behind < READINGS_REMEMBERED:
+                sync_at, received_at = placed
+                if 0 <= readback.received_at - received_at < self._half_period:
+                    self._commands.told(readback.demand_raw, sync_at)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
         """Whether nothing more is to be expected before the decision of this cycle.
@@ -159,91 +192,88 @@ class Axis:
         """Compute, limit and send the command of this cycle."""
         parts = self.parts
         apply_at = Instant(apply_at + self._acts_later)
-        reference = parts.reference.value(tick.time_s)
+        decision = self._decisions[-1]
         self._apply_load(parts.load.value(tick.time_s))
+        decision.load_torque_nm = self._load_nm
         estimate = self._estimate(apply_at)
-        demand_nm = self._output(estimate, reference)
+        demand_nm = self._output(estimate, decision.reference_rad_s)
         torque_nm = parts.guard.limit(demand_nm)
-        command = _new(_COMMAND, (tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period)))
+        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
         self._drive.check()
-        sent_at = self._drive.write(command)
+        sent = self._drive.write(command)
+        if sent is not None:
+            self._commands.sent(sent)
         self._update(estimate, command)
-        self._decisions.append(Decision(tick, estimate, reference, self._load_nm, command, sent_at))
+        decision.estimate = estimate
+        decision.command = command
+        decision.sent = sent
 
-    def settle(self) -> None:
-        """Record the cycles whose readings' fates are known."""
+    def settle(self, now: int) -> None:
+        """Record the cycles of which everything is known in cycle ``now``."""
         for fate in self.meter.settle():
-            self._finish(fate)
+            self._hold(fate)
+        settled = self._settled
+        while settled:
+            decision = settled[0]
+            sending = None
+            if decision.sent is not None:
+                sending = self._commands.outcome(decision.tick.sequence, now)
+                if sending is None:
+                    return
+            del settled[0]
+            self._finish(decision, sending)
 
-    def settle_all(self) -> None:
-        """End of the run: record what is left."""
+    def settle_all(self, now: int) -> None:
+        """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
         for fate in self.meter.settle_all():
             if self._decisions:
-                self._finish(fate)
+                self._hold(fate)
+        self.settle(now)
 
-    def _finish(self, fate: Fate) -> None:
+    def _take(self, reading: Reading) -> None:
+        self._readings += 1
+        by_stamp = reading.device_time_ns is not None
+        sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
+        place = (self._readings - 1) % READINGS_REMEMBERED
+        self._placed[place] = None
+        if sample is None or not self.meter.arrived(sample):
+            return
+        if sample.certain:
+            self._placed[place] = (sample.sampled_at, reading.received_at)
+        self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
+        self._receive(sample)
+        self._fresh = True
+
+    def _hold(self, fate: Fate) -> None:
         decision = self._decisions.pop(0)
-        tick = decision.tick
+        decision.fate = fate
+        self._settled.append(decision)
+
+    def _finish(self, decision: Decision, sending: Sending | None) -> None:
+        tick, fate, mark = decision.tick, decision.fate, decision.mark
+        assert fate is not None
+        clock = self._by_stamp.clock
         self._record(
-            _new(
-                _RECORD,
-                (
-                    tick.sequence,
-                    self._number,
-                    tick.due_at,
-                    tick.woke_at,
-                    tick.sync_sent_at,
-                    fate.observation,
-                    fate.delay,
-                    decision.estimate,
-                    decision.reference_rad_s,
-                    decision.load_torque_nm,
-                    decision.command,
-                    decision.command_sent_at,
-                ),
+            CycleRecord(
+                tick.sequence,
+                self._number,
+                tick.due_at,
+                tick.woke_at,
+                None if mark is None else mark.handed_at,
+                None if mark is None else mark.on_bus_at,
+                fate.observation,
+                fate.delay,
+                decision.estimate,
+                decision.reference_rad_s,
+                decision.load_torque_nm,
+                decision.command,
+                sending,
+                clock.offset_ns if clock.ready else None,
+                clock.error_ns if clock.ready else None,
             )
         )
-
-    def _place(self, reading: Reading) -> Sample | None:
-        """Which SYNC a reading answers, and when it was taken; None if no remembered SYNC fits."""
-        if reading.device_time_ns is None or not self.parts.clock_map.ready:
-            return self._place_by_arrival(reading)
-        sampled_at, error_ns = self.parts.clock_map.place(reading.device_time_ns)
-        # A SYNC may be a quarter of a period late by the map's error or early by queueing.
-        latest_sent_at = sampled_at + self._period // 4
-        for tick in reversed(self._syncs):
-            sent_at = tick.sync_sent_at
-            if sent_at <= latest_sent_at:
-                if sampled_at - sent_at > self._period:
-                    return None
-                self.parts.clock_map.observe(sent_at, reading.device_time_ns, reading.received_at)
-                return _new(_SAMPLE, (tick.sequence, reading, sampled_at, error_ns))
-        return None
-
-    def _place_by_arrival(self, reading: Reading) -> Sample | None:
-        """The SYNC of which a reading, after the usual delay, would have come nearest to this moment.
-
-        A drive answers SYNCs in order, so those before the newest one answered are out. A delay that jumps
-        by more than half a period is taken for one that is whole periods off.
-        """
-        usual = self.meter.typical_delay + self._sync_latency
-        newest = self.meter.newest
-        best_sequence, best_sent_at, best_miss = 0, Instant(0), -1
-        for tick in reversed(self._syncs):
-            sequence, sent_at = tick.sequence, tick.sync_sent_at
-            age = reading.received_at - sent_at
-            if age < 0:
-                continue
-            miss = abs(age - usual)
-            if sequence <= newest or 0 <= best_miss < miss:
-                break
-            best_sequence, best_sent_at, best_miss = sequence, sent_at, miss
-        if best_miss < 0:
-            return None
-        error_ns = reading.received_at - best_sent_at
-        return Sample(best_sequence, reading, Instant(best_sent_at + self._sync_latency), error_ns)
 
     def _apply_load(self, torque_nm: float) -> None:
         if torque_nm != self._load_nm and self.parts.load_machine is not None:

@@ -13,6 +13,7 @@ from drivers.network import CanopenNetwork
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
+from hil.axis import Axis
 from hil.commissioned_drive import as_the_loop_counts, write_commissioned
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import raise_all
@@ -30,9 +31,11 @@ from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.samples import CycleRecord
-from hil.segments import masters, record_frames
+from hil.segments import masters, record_frames, sync_log
 from hil.simulated_drives import simulated_drives
+from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
+from hil.timing_report import distrust, timing_report
 from hil.world import World, WorldPlan, check_time, open_world
 from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.servo import SimulatedServo
@@ -179,9 +182,11 @@ class _Run:
         self._worse = worse
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
-        networks, self._master = masters(self._network, world)
+        self._networks, self._master = masters(self._network, world)
+        self._axes: list[Axis] = []
+        self._syncs: dict[str, SyncLog] = {}
         self._drives = [
-            ServoDrive(networks[config.drive[name].segment], config.drive[name].node, name)
+            ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
             for name in config.axes
         ]
         self._load = LoadMachines(config, self._network, recorder, servos)
@@ -224,26 +229,41 @@ class _Run:
         config, world = self._config, self._world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
+        syncs = {
+            segment: sync_log(network, assembly.sync_latency(config, segment), timing.period)
+            for segment, network in self._networks.items()
+        }
+        self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
         axes = [
             assembly.axis(
                 config,
                 number,
                 as_the_loop_counts(drive, config.drive[drive.name].commissioned),
+                drive.reading_bytes,
                 self._load.find(drive, self._say),
                 timing,
+                syncs[config.drive[drive.name].segment],
                 self._watched(drive),
+                self._teller(drive),
                 own,
             )
             for number, drive in enumerate(self._drives)
             for own in [self._controllers.get(drive.name)]
         ]
-        loop = Loop(self._master, world.clock, axes, timing, self._load.chore)
+        self._axes = axes
+        stall = None if world.faults is None else world.faults.host_stall
+        loop = Loop(
+            self._master, world.clock, axes, list(syncs.values()), timing, self._load.chore, stall
+        )
+        self._enter("calibrating")
+        loop.calibrate()
+        self._stop.check()
         self._enter("enabling")
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
-        self._enter("calibrating")
-        loop.calibrate()
+        for drive in self._drives:
+            self._say(f"{drive.name}: {drive.supervise_commands()}")
         self._stop.check()
         self._enter("running")
         wall = MonotonicClock()
@@ -296,8 +316,8 @@ class _Run:
                 self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
-        if ended.ticks_missed:
-            self._say(f"{ended.ticks_missed} ticks missed", "WARN")
+        if ended.cycles_missed:
+            self._say(f"{ended.cycles_missed} cycles missed: the host was too late for their SYNC", "WARN")
         if ended.interrupted:
             self._say(f"ended by {self._stop.signal_name}", "WARN")
         bench_time = ended.ended_at - ended.started_at
@@ -308,7 +328,12 @@ class _Run:
             reason=f"ended by {self._stop.signal_name}" if ended.interrupted else "",
             network_notes=self._worse.notes,
             load_machine=self._load.figures(),
+            timing=timing_report(self._axes, self._syncs),
+            distrust=distrust(self._axes, self._config.loop.period),
         )
+
+    def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
+        return lambda text: self._say(f"{drive.name}: {text}", "WARN")
 
     def _watched(self, drive: ServoDrive) -> Callable[[CycleRecord], None]:
         """Where the records of an axis go: past a guard, if its controller was made for a network."""

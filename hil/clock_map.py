@@ -1,124 +1,117 @@
-"""Where on the bench's time axis a drive took its sample.
+"""The map between a drive's clock and the host's.
 
-A SYNC leaves the host at ``sent``, the drive samples on receiving it and stamps the
-sample with its own clock, the reading arrives at ``received``:
+A drive latches its actual values when a SYNC ends, and stamps them with its own clock; the end of that SYNC
+is known on the host's clock, from its echo:
 
-    host    --- sent ------------------------------ received --->
-                   \\ SYNC                          / TPDO
-    drive   ---------- sampled (device stamp) -----------------> other origin, other rate
+    host    --- b(k) ------------------- b(k+1) ---------------->   end of SYNC k on the bus
+    drive   --- d(k) ------------------- d(k+1) ---------------->   stamp: other origin, other rate
 
-So each exchange bounds the offset between the clocks: sent < sampled < received. The
-lower bound is the tight one: a SYNC of known length goes out first in its cycle.
+The map is a straight line that is followed by a Kalman filter of two states, offset and rate. Which SYNC a
+stamp belongs to, and whether a stamp that lies off the line may move it, is decided elsewhere
+(:mod:`hil.attribution`). No rate is too large to be followed.
 """
 
-from collections import deque
+import math
+from collections.abc import Sequence
 from typing import Final
 
-from drivers.timebase import Duration, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 
-BLOCK: Final = 64
-"""Exchanges of which the tightest one enters the fit."""
-BLOCKS_KEPT: Final = 32
-DRIFT_MAX_PPM: Final = 500.0
-"""Fastest drift between two quartz clocks that is believed."""
-
-
-class _Bound:
-    """What one exchange says of host minus device: at least ``lower_ns``, at most ``upper_ns``."""
-
-    __slots__ = ("device_ns", "lower_ns", "upper_ns")
-
-    def __init__(self, device_ns: int, lower_ns: int, upper_ns: int) -> None:
-        self.device_ns = device_ns
-        self.lower_ns = lower_ns
-        self.upper_ns = upper_ns
+STAMP_RESOLUTION: Final = NS_PER_US
+"""1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16)."""
+_ROUNDING_VARIANCE: Final = STAMP_RESOLUTION**2 / 12.0
+"""Of a value that is equally likely anywhere in a microsecond, ns^2."""
+_RATE_WALK: Final = 1e-12
+"""How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 1 ppm in a second, which is that of a
+clock being warmed by a hand, so that the filter never falls asleep."""
+_FIRST_RATE_VARIANCE: Final = (2e-3) ** 2
+"""Before anything is known of the rate: 2000 ppm, ten times a poor quartz."""
 
 
 class ClockMap:
-    """Offset and rate of one drive's clock against the host's.
+    """Host instant = ``offset`` + (1 + ``rate``) * stamp, both followed from stamp to stamp."""
 
-    Of every :data:`BLOCK` exchanges the largest lower bound is kept (the SYNC that
-    waited least); a straight line through the last :data:`BLOCKS_KEPT` of them is
-    the map. Until two blocks are full the rates are taken as equal.
-    """
-
-    def __init__(self, sync_latency: Duration) -> None:
-        """``sync_latency``: from handing a SYNC over until its end on an idle bus."""
-        self._sync_latency = sync_latency
-        self._blocks: deque[_Bound] = deque(maxlen=BLOCKS_KEPT)
-        self._best: _Bound | None = None
-        self._upper_ns = 0
-        self._count = 0
-        self._origin_ns = 0
-        self._offset_ns = 0
+    def __init__(self) -> None:
+        self.ready = False
+        """Whether at least one stamp with its SYNC has been seen."""
+        self._device_ns = 0
+        self._host_ns = 0
+        self._part_ns = 0.0
+        """What ``_host_ns``, a whole number, lacks."""
         self._rate = 0.0
-        self._width_ns = 0
-
-    @property
-    def ready(self) -> bool:
-        """Whether at least one exchange has been seen."""
-        return self._best is not None or bool(self._blocks)
+        self._offset_var = 0.0
+        self._cross = 0.0
+        self._rate_var = 0.0
 
     @property
     def drift_ppm(self) -> float:
-        """How much the drive's clock runs slow against the host's (negative: fast), parts per million."""
-        return self._rate * 1e6
+        """How much faster the drive's clock runs than the host's (negative: slower), parts per million."""
+        return (1.0 / (1.0 + self._rate) - 1.0) * 1e6
 
-    def observe(self, sent: Instant, device_ns: int, received: Instant) -> None:
-        """Learn from an exchange whose SYNC is known without doubt."""
-        lower = sent - device_ns
-        upper = received - device_ns
-        best = self._best
-        if best is None:
-            self._best = _Bound(device_ns, lower, upper)
-            self._upper_ns = upper
-        elif lower > best.lower_ns + self._rate * (device_ns - best.device_ns):
-            self._best = _Bound(device_ns, lower, upper)
-        if upper < self._upper_ns:
-            self._upper_ns = upper
-        self._count += 1
-        if self._count == BLOCK or not self._blocks:
-            self._refit()
-        if self._count == BLOCK:
-            self._count = 0
-            self._best = None
+    @property
+    def rate(self) -> float:
+        """By how much more than a nanosecond of the host passes in one of the drive's, ns/ns."""
+        return self._rate
 
-    def place(self, device_ns: int) -> tuple[Instant, int]:
-        """The host instant of a device stamp, and half the width of the interval that certainly holds it, ns.
+    @property
+    def drift_error_ppm(self) -> float:
+        """Two standard deviations of it."""
+        return 2.0 * math.sqrt(self._rate_var) * 1e6
 
-        Needs ``ready``.
+    @property
+    def offset_ns(self) -> int:
+        """Host minus device, at the last stamp."""
+        return self._host_ns - self._device_ns
+
+    @property
+    def error_ns(self) -> int:
+        """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
+        return STAMP_RESOLUTION + int(4.0 * math.sqrt(self._offset_var))
+
+    def place(self, device_ns: int) -> Instant:
+        """The host's instant of a device stamp. Needs :attr:`ready`."""
+        passed = device_ns - self._device_ns
+        return Instant(self._host_ns + passed + round(self._part_ns + self._rate * passed))
+
+    def observe(self, device_ns: int, host_ns: Instant, variance_ns2: float) -> None:
+        """A stamp whose host instant is known; ``variance_ns2``: of that instant, beside a stamp's rounding.
+
+        A stamp older than the last one teaches nothing, as the line has passed it.
         """
-        offset = self._offset_ns + round(self._rate * (device_ns - self._origin_ns))
-        return Instant(device_ns + offset + self._sync_latency), self._width_ns
+        if not self.ready:
+            self.ready = True
+            self._device_ns, self._host_ns, self._part_ns, self._rate = device_ns, int(host_ns), 0.0, 0.0
+            self._offset_var = _ROUNDING_VARIANCE + variance_ns2
+            self._cross, self._rate_var = 0.0, _FIRST_RATE_VARIANCE
+            return
+        passed = device_ns - self._device_ns
+        if passed <= 0:
+            return
+        dt = float(passed)
+        moved = self._part_ns + self._rate * dt
+        # P <- A P A' + Q with A = [1 dt; 0 1]; the rate's wandering enters through itself alone.
+        offset_var = self._offset_var + dt * (2.0 * self._cross + dt * self._rate_var)
+        cross = self._cross + dt * self._rate_var
+        rate_var = self._rate_var + _RATE_WALK * dt / NS_PER_S
+        innovation = float(host_ns - self._host_ns - passed) - moved
+        spread = offset_var + _ROUNDING_VARIANCE + variance_ns2
+        gain, rate_gain = offset_var / spread, cross / spread
+        part = moved + gain * innovation
+        whole = math.floor(part)
+        self._device_ns = device_ns
+        self._host_ns += passed + whole
+        self._part_ns = part - whole
+        self._rate += rate_gain * innovation
+        self._offset_var = (1.0 - gain) * offset_var
+        self._cross = (1.0 - gain) * cross
+        self._rate_var = rate_var - rate_gain * cross
 
-    def _refit(self) -> None:
-        best = self._best
-        assert best is not None
-        if self._count == BLOCK:
-            self._blocks.append(_Bound(best.device_ns, best.lower_ns, self._upper_ns))
-        points = list(self._blocks) or [best]
-        self._origin_ns = points[-1].device_ns
-        self._rate = _slope(points)
-        self._offset_ns = points[-1].lower_ns + round(_residual(points, self._rate))
-        self._width_ns = max(0, points[-1].upper_ns - self._offset_ns - self._sync_latency)
+    def shift(self, by_ns: int) -> None:
+        """Move the line: placed instants are later by ``by_ns`` from now on."""
+        self._host_ns += by_ns
 
-
-def _slope(points: list[_Bound]) -> float:
-    """Least-squares rate through the bounds, limited to what two quartz clocks can do."""
-    if len(points) < 2:
-        return 0.0
-    origin, base = points[-1].device_ns, points[-1].lower_ns
-    x = [float(point.device_ns - origin) for point in points]
-    y = [float(point.lower_ns - base) for point in points]
-    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    spread = sum((value - mean_x) ** 2 for value in x)
-    slope = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True)) / spread
-    limit = DRIFT_MAX_PPM * 1e-6
-    return min(max(slope, -limit), limit)
-
-
-def _residual(points: list[_Bound], rate: float) -> float:
-    """Mean distance of the bounds from a line of that rate through the last one, ns."""
-    last = points[-1]
-    offsets = (point.lower_ns - last.lower_ns - rate * (point.device_ns - last.device_ns) for point in points)
-    return sum(offsets) / len(points)
+    def start_anew(self, pairs: Sequence[tuple[int, Instant]], variance_ns2: float) -> None:
+        """Forget the line, and learn it from (stamp, host instant) pairs in order of their stamps."""
+        self.ready = False
+        for device_ns, host_ns in pairs:
+            self.observe(device_ns, host_ns, variance_ns2)

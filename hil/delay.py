@@ -5,7 +5,7 @@
     fate        used   late   lost   used   used       ':' is the deadline
 
 A sequence keeps its place until its reading has come or the horizon has passed;
-fates are handed out in order of sequence.
+fates are handed out in order of sequence. A cycle without SYNC has its fate at once.
 """
 
 from typing import Final
@@ -13,7 +13,9 @@ from typing import Final
 from drivers.timebase import Duration, Instant
 from hil.samples import Dropout, DropoutCause, Observation, Sample
 
-UNKNOWN_DELAY: Final = Duration(-1)
+MEDIAN_STEP: Final = 20.0
+"""The running median moves by this part of itself: it follows a change within some twenty readings, and one
+outlier hardly moves it."""
 
 
 class Fate:
@@ -21,8 +23,8 @@ class Fate:
 
     __slots__ = ("delay", "observation", "sequence")
 
-    def __init__(self, sequence: int, observation: Observation, delay: Duration) -> None:
-        """``delay``: sampled to received; :data:`UNKNOWN_DELAY` if it never came."""
+    def __init__(self, sequence: int, observation: Observation, delay: Duration | None) -> None:
+        """``delay``: sampled to received; None if it never came."""
         self.sequence = sequence
         self.observation = observation
         self.delay = delay
@@ -31,12 +33,14 @@ class Fate:
 class _Outstanding:
     """A SYNC whose reading is still awaited, or has come but waits for earlier ones."""
 
-    __slots__ = ("due_at", "fate", "sequence")
+    __slots__ = ("doubtful", "due_at", "fate", "sequence")
 
     def __init__(self, sequence: int, due_at: Instant) -> None:
         self.sequence = sequence
         self.due_at = due_at
         self.fate: Fate | None = None
+        self.doubtful = False
+        """Whether the fate rests on a reading of uncertain place."""
 
 
 class DelayMeter:
@@ -49,8 +53,10 @@ class DelayMeter:
         self._outstanding: list[_Outstanding] = []
         self._newest = 0
         self._typical_ns = 0.0
+        self._doubt_first = self._doubt_last = -horizon - 1
+        """First and last cycle of the latest readings in a row whose place is uncertain."""
         self.unmatched = 0
-        """Readings that answered no outstanding SYNC: duplicates, or later than the horizon."""
+        """Readings whose cycle had its fate already: later than the horizon, or the second of their SYNC."""
 
     @property
     def typical_delay(self) -> Duration:
@@ -66,15 +72,25 @@ class DelayMeter:
         """A SYNC has gone out; sequences must rise."""
         self._outstanding.append(_Outstanding(sequence, due_at))
 
+    def missed(self, sequence: int, due_at: Instant) -> None:
+        """A cycle goes without SYNC."""
+        place = _Outstanding(sequence, due_at)
+        place.fate = Fate(sequence, Dropout(sequence, due_at, DropoutCause.MISSED, True), None)
+        self._outstanding.append(place)
+
     def arrived(self, sample: Sample) -> bool:
         """A reading has come; whether the loop may use it."""
-        sequence, reading, sampled_at, _ = sample
+        sequence, reading, sampled_at, _, certain = sample
         place = self._find(sequence)
-        if place is None or place.fate is not None:
+        if place is None or (place.fate is not None and not (certain and place.doubtful)):
             self.unmatched += 1
             return False
+        place.doubtful = not certain
+        if not certain:
+            self._note_doubt(sequence)
         delay = Duration(reading.received_at - sampled_at)
-        self.learn(delay)
+        if certain:
+            self.learn(delay)
         cause = None
         if delay > self._deadline:
             cause = DropoutCause.LATE
@@ -82,7 +98,7 @@ class DelayMeter:
             cause = DropoutCause.STALE
         observation: Observation = sample
         if cause is not None:
-            observation = Dropout(sequence, Instant(place.due_at + self._deadline), cause)
+            observation = Dropout(sequence, place.due_at, cause, certain)
         self._newest = max(self._newest, sequence)
         place.fate = Fate(sequence, observation, delay)
         return cause is None
@@ -116,17 +132,24 @@ class DelayMeter:
         return None
 
     def _lost(self, place: _Outstanding) -> Fate:
-        dropout = Dropout(place.sequence, Instant(place.due_at + self._deadline), DropoutCause.LOST)
-        return Fate(place.sequence, dropout, UNKNOWN_DELAY)
+        sequence, near = place.sequence, self._horizon
+        # A reading of uncertain place may have been this one's.
+        certain = not self._doubt_first - near <= sequence <= self._doubt_last + near
+        return Fate(sequence, Dropout(sequence, place.due_at, DropoutCause.LOST, certain), None)
+
+    def _note_doubt(self, sequence: int) -> None:
+        if sequence > self._doubt_last + self._horizon:
+            self._doubt_first = sequence
+        self._doubt_last = max(self._doubt_last, sequence)
 
     def learn(self, delay: Duration) -> None:
         """Take a delay into :attr:`typical_delay`.
 
-        Median by stochastic approximation: a step up or down, as long as a twentieth of the value.
+        Median by stochastic approximation: a step up or down of a fixed part of the value.
         """
         if self._typical_ns == 0.0:
             self._typical_ns = float(delay)
             return
-        step = self._typical_ns / 20.0
+        step = abs(self._typical_ns) / MEDIAN_STEP
         difference = delay - self._typical_ns
         self._typical_ns += min(max(difference, -step), step)

@@ -1,12 +1,15 @@
 """The control loop: one thread, one SYNC a cycle, all axes.
 
     tick         due                  decide_at                        next due
-    host          | SYNC ....... decide, RPDO ............................ |
+    host          | SYNC ....... decide, RPDO ......... rest ............. |
     drive            | sample, TPDOs       | set-point acts
 
-Time passes only inside ``network.pump`` and ``network.pump_one``, which wait in the
+Time passes only inside ``network.rest``, ``network.pump`` and ``network.pump_one``, which wait in the
 bus's ``recv``; on hardware that blocks, in simulation it steps the event heap. The
 loop cannot tell which.
+
+Every tick of the grid is a cycle and has a fate. One for which the host comes more than half a period too
+late, or whose SYNC would be handed over while the last one has not come to the bus, goes without SYNC.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,14 +17,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from drivers.errors import NoAnswer
+from drivers.errors import LimitExceeded, NoAnswer
 from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
-from hil.ticker import next_tick
+from hil.syncs import SyncLog
+from hil.ticker import next_due
 
 CALIBRATION_SYNCS: Final = 16
+"""Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
 PROGRESS_EVERY_CYCLES: Final = 50
+BEYOND_ANY_HORIZON: Final = 1 << 30
 
 
 class Actuation(Enum):
@@ -29,6 +35,17 @@ class Actuation(Enum):
 
     ON_ARRIVAL = "on_arrival"
     ON_SYNC = "on_sync"
+
+
+class SyncSource(Enum):
+    """Who makes the SYNC."""
+
+    OWN = "own"
+    """This process, at each tick."""
+    KERNEL = "kernel"
+    """The bus's cyclic sender, e.g. SocketCAN's broadcast manager, on behalf of this process."""
+    FOREIGN = "foreign"
+    """A drive or another master."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +69,9 @@ class LoopOutcome:
     """How a run ended."""
 
     cycles: int
-    ticks_missed: int
+    """Planned cycles that have a fate."""
+    cycles_missed: int
+    """Those without SYNC."""
     started_at: Instant
     ended_at: Instant
     interrupted: bool
@@ -66,16 +85,24 @@ class Loop:
         network: Master,
         clock: Clock,
         axes: Sequence[Axis],
+        syncs: Sequence[SyncLog],
         timing: LoopTiming,
         chore: Callable[[Instant], None] | None = None,
+        stall: Callable[[Instant], Duration] | None = None,
     ) -> None:
-        """``chore``: done at the end of each cycle, when the commands are out; it must not wait."""
+        """``syncs``: of each segment. ``chore``: done at the end of each cycle, when the commands are out; it
+        must not wait. ``stall``: for how long the host, which is to act now, is kept from it."""
         self._network = network
+        self._clock = clock
         self._now = clock.now
         self._axes = tuple(axes)
+        self._syncs = tuple(syncs)
         self._timing = timing
         self._chore = chore
+        self._stall = stall
         self._started_at = Instant(0)
+        self._number = 0
+        self._missed = 0
 
     def calibrate(self) -> None:
         """Learn the drives' clocks from SYNCs so far apart that each reading answers the last one.
@@ -84,10 +111,10 @@ class Loop:
         """
         answered = [False] * len(self._axes)
         for _ in range(CALIBRATION_SYNCS):
-            sent_at = self._network.send_sync()
+            sent_at = self._send_sync(0)
             self._network.pump(Instant(sent_at + self._timing.settle))
             for number, axis in enumerate(self._axes):
-                answered[number] |= axis.calibrate(sent_at)
+                answered[number] |= axis.calibrate()
         for axis, came in zip(self._axes, answered, strict=True):
             if not came:
                 raise NoAnswer(
@@ -106,45 +133,108 @@ class Loop:
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
-        timing = self._timing
-        period = timing.period
+        period = self._timing.period
+        planned = -(-duration // period)
         due = Instant(self._now() + period)
-        end = Instant(due + duration)
         self._started_at = due
         on_start(due)
-        cycles = ticks_missed = 0
         interrupted = False
+        self._number = self._missed = 0
         try:
-            while due < end:
+            while self._number < planned:
                 if should_stop():
                     interrupted = True
                     break
-                self._cycle(due)
-                cycles += 1
-                if cycles % PROGRESS_EVERY_CYCLES == 0:
-                    progress(cycles)
-                due, missed = next_tick(due, period, self._now())
-                ticks_missed += missed
+                due = self._serve(due, planned)
+                if self._number % PROGRESS_EVERY_CYCLES == 0:
+                    progress(self._number)
             ended_at = self._now()
             self._drain(interrupted)
         finally:
             for axis in self._axes:
-                axis.settle_all()
-        return LoopOutcome(cycles, ticks_missed, self._started_at, ended_at, interrupted)
+                axis.settle_all(BEYOND_ANY_HORIZON)
+        return LoopOutcome(self._number, self._missed, self._started_at, ended_at, interrupted)
 
-    def _cycle(self, due: Instant) -> None:
-        network, axes = self._network, self._axes
-        network.pump(due)
-        woke_at = self._now()
-        sync_sent_at = network.send_sync()
-        tick = Tick(network.sync_count, due, woke_at, sync_sent_at, (due - self._started_at) / NS_PER_S)
+    def _serve(self, due: Instant, planned: int) -> Instant:
+        """Wait for the tick at ``due`` and serve it, or the first after it that can be; the next tick."""
+        period = self._timing.period
+        self._network.rest(due)
+        woke_at = self._wake()
+        late = next_due(due, period, woke_at)
+        for _ in range(min(late.missed, planned - self._number)):
+            self._miss(due, None)
+            due = Instant(due + period)
+        if self._number >= planned:
+            return due
+        if late.at > woke_at:
+            # The tick for which the host came too late is over; this one is still to come.
+            return late.at
+        if self._may_hand_over(due):
+            self._cycle(due, woke_at)
+        else:
+            self._miss(due, woke_at)
+        return Instant(due + period)
+
+    def _wake(self) -> Instant:
+        """The host's instant, after what keeps it."""
+        now = self._now()
+        if self._stall is not None:
+            stalled = self._stall(now)
+            if stalled > 0:
+                self._clock.sleep_until(Instant(now + stalled))
+                now = self._now()
+        return now
+
+    def _may_hand_over(self, due: Instant) -> bool:
+        """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
+        half = self._timing.period // 2
+        now = self._now()
+        earliest = now
+        for syncs in self._syncs:
+            if not syncs.may_hand_over(now):
+                return False
+            earliest = max(earliest, Instant(syncs.last_on_bus + half))
+        if earliest > due + half:
+            return False
+        if earliest > now:
+            self._network.pump(earliest)
+        return True
+
+    def _send_sync(self, sequence: int) -> Instant:
+        at = self._network.send_sync()
+        for syncs in self._syncs:
+            syncs.handed(sequence, at)
+        return at
+
+    def _miss(self, due: Instant, woke_at: Instant | None) -> None:
+        """A tick goes without SYNC."""
+        self._number += 1
+        self._missed += 1
+        tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
+        reasons = [axis.miss(tick) for axis in self._axes]
+        for axis in self._axes:
+            axis.settle(self._number)
+        for reason in reasons:
+            if reason is not None:
+                raise LimitExceeded(reason, remedy="the drive is being brought to rest")
+
+    def _cycle(self, due: Instant, woke_at: Instant) -> None:
+        axes = self._axes
+        self._number += 1
+        probe = any(axis.wants_probe for axis in axes)
+        if probe:
+            self._network.pump(Instant(due + self._timing.period // 4))
+        self._send_sync(self._number)
+        tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
         for axis in axes:
+            if probe:
+                axis.probed()
             axis.begin(tick)
         self._await_readings(tick)
         for axis in axes:
             axis.decide(tick, self._apply_at(due))
         for axis in axes:
-            axis.settle()
+            axis.settle(self._number)
         if self._chore is not None:
             self._chore(self._now())
 

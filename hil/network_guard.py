@@ -179,10 +179,16 @@ class NetworkGuard:
             )
 
     def _action_delay(self, record: CycleRecord, sample: Sample) -> int:
-        """As :func:`hil.recording.network_meter.action_delay_ns`."""
-        delay = record.command.effective_at - sample.sampled_at
-        late = sample.reading.received_at - record.command_sent_at
-        if late > 0 and record.command_sent_at >= 0:
+        """The least that it certainly was, see :func:`hil.recording.network_meter.action_delays_ns`."""
+        sending = record.sending
+        if sending is None:
+            return 0
+        acts_at = sending.acts_after
+        if acts_at is None:
+            acts_at = sending.on_bus_at if sending.on_bus_at is not None else sending.handed_at
+        delay = acts_at - sample.sampled_at
+        late = sample.reading.received_at - sending.handed_at
+        if late > 0:
             delay += -(-late // self._period) * self._period
         return delay
 

@@ -52,9 +52,19 @@ class SafetyGuard:
 
         ``fresh``: a new sample came since the last cycle.
         """
+        reason = self._count(fresh)
+        if reason is not None:
+            return reason
+        if math.isnan(demand_nm):
+            return f"the controller's torque is not a number (speed estimate {estimate.velocity_rad_s} rad/s)"
+        return None
+
+    def miss_cycle(self) -> str | None:
+        """Why the run must stop after a cycle without SYNC, or None."""
+        return self._count(False)
+
+    def _count(self, fresh: bool) -> str | None:
         self._dropouts = 0 if fresh else self._dropouts + 1
         if self._dropouts > self._dropouts_max:
             return f"no usable reading for {self._dropouts} cycles (limit {self._dropouts_max})"
-        if math.isnan(demand_nm):
-            return f"the controller's torque is not a number (speed estimate {estimate.velocity_rad_s} rad/s)"
         return None

@@ -12,25 +12,30 @@ from drivers.timebase import Duration, Instant
 
 
 class DropoutCause(Enum):
-    """Why a cycle's reading was of no use."""
+    """Why a cycle has no reading of use."""
 
     LOST = "lost"
     """It never came within the horizon."""
     LATE = "late"
     """It came, but older than the bench's deadline."""
     STALE = "stale"
-    """It came in time, but a newer one had already been used, or it repeats one."""
+    """It came in time, but a newer one had already been used."""
+    MISSED = "missed"
+    """The host sent no SYNC: it was too late itself, or its last SYNC was not on the bus yet."""
 
 
 class Sample(NamedTuple):
-    """A reading placed on the bench's time axis."""
+    """A reading placed on the bench's time axis. What "sampled" means stands in docs/timing.md."""
 
     sequence: int
-    """The SYNC that this reading answers."""
+    """The cycle whose SYNC this reading answers."""
     reading: Reading
     sampled_at: Instant
+    """The end of that SYNC at the drive."""
     sampled_at_error_ns: int
     """Half-width of the interval that certainly holds the sampling instant."""
+    certain: bool
+    """Whether the data decide which SYNC it answers."""
 
 
 class Dropout(NamedTuple):
@@ -38,7 +43,10 @@ class Dropout(NamedTuple):
 
     sequence: int
     due_at: Instant
+    """The tick of that cycle."""
     cause: DropoutCause
+    certain: bool
+    """Whether the data decide that it was this cycle's reading."""
 
 
 Observation = Sample | Dropout
@@ -55,21 +63,58 @@ class StateEstimate(NamedTuple):
     """The sample that it rests on; 0 before the first."""
 
 
+class CommandFate(Enum):
+    """What became of a command behind the bus."""
+
+    NOT_MEASURED = "not measured"
+    """The drive does not tell which command it follows."""
+    ACTING = "acting"
+    """The drive followed it."""
+    LOST = "lost"
+    """The drive never followed it while that could be seen."""
+    NOT_IDENTIFIABLE = "not identifiable"
+    """It equals a neighbour, or was replaced before the drive told."""
+
+
+class Sending(NamedTuple):
+    """What is known of a command on its way."""
+
+    raw: int
+    """In the unit of 0x6071."""
+    handed_at: Instant
+    on_bus_at: Instant | None
+    """End of its frame by the echo; None without one."""
+    fate: CommandFate
+    acts_after: Instant | None
+    """The latest instant known at which it did not act yet; None unless it is known to act."""
+    acts_by: Instant | None
+    """The earliest instant known at which it acted."""
+
+
 class CycleRecord(NamedTuple):
-    """Everything about one cycle of one axis, complete: what came of its SYNC, and what was done in it."""
+    """Everything about one planned cycle of one axis: what came of its SYNC, and what was done in it."""
 
     sequence: int
+    """The cycle's number on the grid of ticks, from 1."""
     axis: int
     due_at: Instant
-    woke_at: Instant
-    sync_sent_at: Instant
+    woke_at: Instant | None
+    """None if the host was not there at all."""
+    sync_handed_at: Instant | None
+    """None for a cycle without SYNC."""
+    sync_on_bus_at: Instant | None
+    """None if it is not known to have come there."""
     observation: Observation
     """The fate of this cycle's own reading."""
-    delay: Duration
-    """Sampled to received, of this cycle's own reading; -1 for one that was lost."""
-    estimate: StateEstimate
+    delay: Duration | None
+    """Sampled to received, of this cycle's own reading; None for one that never came."""
+    estimate: StateEstimate | None
+    """None, like all that follows but reference and load, where nothing was decided."""
     reference_rad_s: float
     load_torque_nm: float
-    command: Command
-    command_sent_at: Instant
-    """-1 if the command was not sent."""
+    command: Command | None
+    sending: Sending | None
+    """None if the command was not sent."""
+    clock_offset_ns: int | None
+    """Host minus drive, by the map of the drive's clock; None for a drive without one."""
+    clock_error_ns: int | None

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from drivers.exchange import Master
 from drivers.frame_port import FrameTap
 from drivers.network import CanopenNetwork
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
+from hil.syncs import SyncLog
 from hil.world import FurtherSegment, World
 
 
@@ -41,6 +42,9 @@ class SegmentMasters(Master):
         while self.pump_one(until):
             pass
 
+    def rest(self, until: Instant) -> None:
+        self.pump(until)
+
     def pump_one(self, until: Instant) -> bool:
         while True:
             now = self._now()
@@ -50,6 +54,16 @@ class SegmentMasters(Master):
             if now >= until:
                 return False
             self._wait(min(until, *[pump.housekeeping_at for pump in self._pumps]))
+
+
+def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
+    """The SYNCs of a network's segment, which hears their echoes from now on.
+
+    ``latency``: from handing one over until its end on an idle bus.
+    """
+    log = SyncLog(latency, period, network.link.echoes)
+    network.frame_pump.on_sync_echo = log.came
+    return log
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:

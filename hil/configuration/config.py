@@ -79,14 +79,16 @@ class Loop(Section):
     """The command is computed no later than this after the tick."""
     deadline_us: int = Field(default=2000, gt=0)
     """A reading older than this when it arrives is LATE."""
-    horizon_periods: int = Field(default=20, ge=1, le=10_000)
+    horizon_periods: int = Field(default=20, ge=1, le=100)
     """A reading not there after so many periods is LOST."""
     actuation: Literal["on_arrival", "on_sync"] = "on_arrival"
     """When the drive applies a set-point: as soon as it has it, or at the next SYNC."""
     position_every_cycles: int = Field(default=1, ge=1, le=240)
-    """1: position and the drive's time stamp come with every reading. More: the position comes once in so
-    many cycles and is carried along by the speed in between, without a stamp; three drives then fit a bus.
-    Without stamps a delay that jumps by more than half a period is taken for whole periods more or less."""
+    """How often torque, position and torque demand come: with every reading, or once in so many cycles, so
+    that three drives fit a bus. The position is carried along by the speed in between."""
+    sync: Literal["own", "kernel", "foreign"] = "own"
+    """Who makes the SYNC: this process at each tick, the bus's own cyclic sender on its behalf (SocketCAN's
+    broadcast manager), or a drive or another master, whose SYNC the loop then follows."""
 
     @property
     def period(self) -> Duration:
@@ -118,6 +120,10 @@ class Verdict(Section):
     dropouts_percent_max: float | None = Field(default=None, ge=0, le=100)
     delay_p99_us_max: float | None = Field(default=None, gt=0)
     bus_load_percent_max: float | None = Field(default=None, gt=0, le=100)
+    missed_percent_max: float | None = Field(default=None, ge=0, le=100)
+    """Cycles without SYNC, as the host came too late for them."""
+    lateness_us_max: float | None = Field(default=None, ge=0)
+    """How late the host may wake for a cycle."""
     settling_ms: int = Field(default=250, ge=0, le=3_600_000)
     """After a reference step the speed error is not counted for so long."""
 
@@ -191,9 +197,12 @@ class BenchConfig(Section):
 
     def bitrate_of(self, axis: str) -> int:
         """Bit rate of the segment that the drive of ``axis`` is on, bit/s."""
-        name = self.drive[axis].segment
+        return self.bitrate_on(self.drive[axis].segment)
+
+    def bitrate_on(self, segment: str | None) -> int:
+        """Bit rate of a segment, bit/s; None: the first one."""
         return next(
-            (each.bitrate_bit_s for each in self.bus.segment if each.name == name), self.bus.bitrate_bit_s
+            (each.bitrate_bit_s for each in self.bus.segment if each.name == segment), self.bus.bitrate_bit_s
         )
 
     @property

@@ -5,7 +5,7 @@ A run leaves one, ``network.toml``, in its folder; ``hil design speed --network`
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
@@ -40,7 +40,10 @@ class Network(Section):
     losses_in_a_row_max: int = Field(ge=0, le=1000, description="most readings missing in a row")
     delay_max_us: int = Field(ge=0, description="largest delay from sample to actuator, us")
     command_losses_in_a_row_max: int = Field(default=0, ge=0, le=1000)
-    """Commands lost in a row: the host cannot see them, who knows them adds them here."""
+    """Most commands lost in a row."""
+    commands: Literal["stated", "measured", "not measured"] = "stated"
+    """How the way of the commands is known: stated by whoever wrote the file, told by the drive (6074h), or not
+    at all; then nothing can be certified on it."""
     cycles: int = Field(default=0, ge=0)
     """Readings asked for; all axes together."""
     lost: int = Field(default=0, ge=0)
@@ -52,7 +55,19 @@ class Network(Section):
     reading_delay_us: Delays | None = None
     """From sample to host, of every reading that came."""
     action_delay_us: Delays | None = None
-    """From sample to the actuation that can first rest on it."""
+    """From sample to the actuation that can first rest on it: the most that it may be."""
+    action_delay_least_us: Delays | None = None
+    """The least that it may be."""
+    command_delay_us: Delays | None = None
+    """From handing a command over until its end on the bus, by its echo."""
+    commands_acting: int = Field(default=0, ge=0)
+    """Commands that the drive was seen to follow."""
+    commands_lost: int = Field(default=0, ge=0)
+    """Commands that it was seen not to follow."""
+    commands_not_identifiable: int = Field(default=0, ge=0)
+    """Commands that equal a neighbour: neither can be said."""
+    command_loss_percent: float | None = Field(default=None, ge=0, le=100)
+    """Of those of which it can be said."""
     histogram: DelayHistogram | None = None
     """Of the readings' delay."""
 

@@ -176,7 +176,7 @@ def _run(variant: Variant, folder: Path, tell: Callable[[str], None]) -> PaperRu
 def _errors(folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     rows = np.concatenate(list(read_records(folder / RECORDS_FILE)))
     came = np.isfinite(rows["velocity_rad_s"])
-    time_s = (rows["observation_at"] - rows["due_at"][0]) / NS_PER_S
+    time_s = (rows["sampled_at"] - rows["due_at"][0]) / NS_PER_S
     return time_s[came], (rows["reference_rad_s"] - rows["velocity_rad_s"])[came]
 
 

@@ -9,8 +9,7 @@ from hil.figures.histogram import TimeHistogram
 from hil.figures.speed_error import SpeedErrorMeter, worst
 from hil.figures.summary import DropoutCounts, Figures, Percentiles
 from hil.recording.recording_plan import ReviewPlan
-from hil.recording.records import CAUSES, ROW_DTYPE, Rows
-from hil.samples import DropoutCause
+from hil.recording.records import CAUSES, NOTHING, ROW_DTYPE, Rows
 
 DIGEST_BYTES = 16
 
@@ -42,8 +41,9 @@ class Review:
         self._digest.update(np.ascontiguousarray(rows).data)
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
         delay = rows["delay_ns"]
-        self.delay.add(delay[delay >= 0])
-        self._lateness.add(rows["woke_at"] - rows["due_at"])
+        self.delay.add(delay[delay != NOTHING])
+        woken = rows[rows["woke_at"] != NOTHING]
+        self._lateness.add(woken["woke_at"] - woken["due_at"])
         for axis, meter in enumerate(self._errors):
             mine = rows if len(self._errors) == 1 else rows[rows["axis"] == axis]
             self._axis_rows[axis] += mine.size
@@ -55,9 +55,7 @@ class Review:
         return Figures(
             cycles=max(self._axis_rows, default=0),
             rows=int(self._fates.sum()),
-            dropouts=DropoutCounts(
-                count[DropoutCause.LOST], count[DropoutCause.LATE], count[DropoutCause.STALE]
-            ),
+            dropouts=DropoutCounts(**{cause.value: number for cause, number in count.items()}),
             delay_us=_percentiles_us(self.delay),
             speed_error=worst([meter.figures() for meter in self._errors]),
             lateness_us=_percentiles_us(self._lateness),

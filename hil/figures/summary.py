@@ -14,6 +14,8 @@ _METRICS = {
     "dropouts_percent_max": "dropouts [%]",
     "delay_p99_us_max": "delay p99 [us]",
     "bus_load_percent_max": "bus load [%]",
+    "missed_percent_max": "cycles without SYNC [%]",
+    "lateness_us_max": "lateness, largest [us]",
 }
 
 
@@ -27,6 +29,8 @@ class VerdictLimits:
     dropouts_percent_max: float | None = None
     delay_p99_us_max: float | None = None
     bus_load_percent_max: float | None = None
+    missed_percent_max: float | None = None
+    lateness_us_max: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +49,12 @@ class DropoutCounts:
     lost: int
     late: int
     stale: int
+    missed: int
+    """Cycles without SYNC."""
 
     @property
     def total(self) -> int:
-        return self.lost + self.late + self.stale
+        return self.lost + self.late + self.stale + self.missed
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +88,10 @@ class Figures:
     def dropouts_percent(self) -> float | None:
         return 100.0 * self.dropouts.total / self.rows if self.rows else None
 
+    @property
+    def missed_percent(self) -> float | None:
+        return 100.0 * self.dropouts.missed / self.rows if self.rows else None
+
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
@@ -98,6 +108,10 @@ class RunOutcome:
     """In what the network was worse than a controller was made for; only where the run was to go on."""
     load_machine: Mapping[str, Any] | None = None
     """What the instrument that made the load came to, if there was one."""
+    timing: Mapping[str, Any] | None = None
+    """What the timing rests on (:mod:`hil.timing_report`)."""
+    distrust: Sequence[str] = ()
+    """Why what the run says of its timing is not to be trusted; such a run never passes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +132,8 @@ class Verdict:
     completed: bool
     reason: str
     limits: tuple[Check, ...]
+    distrust: tuple[str, ...] = ()
+    """Why the timing is not to be trusted."""
 
 
 def judge(figures: Figures, outcome: RunOutcome, limits: VerdictLimits) -> Verdict:
@@ -129,14 +145,20 @@ def judge(figures: Figures, outcome: RunOutcome, limits: VerdictLimits) -> Verdi
         "dropouts_percent_max": figures.dropouts_percent,
         "delay_p99_us_max": figures.delay_us.p99,
         "bus_load_percent_max": outcome.bus_load_percent,
+        "missed_percent_max": figures.missed_percent,
+        "lateness_us_max": figures.lateness_us.max,
     }
     checks = tuple(
         Check(key, value, limit, value is not None and value <= limit)
         for key, value in values.items()
         if (limit := getattr(limits, key)) is not None
     )
-    passed = outcome.completed and all(check.passed for check in checks)
-    return Verdict(passed, outcome.completed, outcome.reason, checks)
+    distrust = tuple(outcome.distrust)
+    passed = outcome.completed and not distrust and all(check.passed for check in checks)
+    reason = outcome.reason
+    if distrust and not reason:
+        reason = f"not trustworthy: {'; '.join(distrust)}"
+    return Verdict(passed, outcome.completed, reason, checks, distrust)
 
 
 def metric_title(key: str) -> str:
@@ -166,11 +188,13 @@ class Summary:
     """In what the network was worse than a controller was made for."""
     load_machine: Mapping[str, Any] | None = None
     """Identity, tally, and for each load step the torque asked for and measured (:mod:`hil.instrument`)."""
+    timing: Mapping[str, Any] | None = None
+    """What the timing rests on (:mod:`hil.timing_report`)."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
         found = asdict(self)
-        for name in ("recording_faults", "network_notes", "load_machine"):
+        for name in ("recording_faults", "network_notes", "load_machine", "timing"):
             if not found[name]:
                 del found[name]
         return found
@@ -185,6 +209,7 @@ class Summary:
         values["speed_error"] = SpeedError(**values["speed_error"])
         verdict = dict(values["verdict"])
         verdict["limits"] = tuple(Check(**check) for check in verdict["limits"])
+        verdict["distrust"] = tuple(verdict.get("distrust", ()))
         values["verdict"] = Verdict(**verdict)
         for name in ("recording_faults", "network_notes"):
             values[name] = tuple(values.get(name, ()))
@@ -211,4 +236,5 @@ def summarise(
         recording_faults=recording_faults,
         network_notes=tuple(outcome.network_notes),
         load_machine=outcome.load_machine,
+        timing=outcome.timing,
     )

@@ -17,11 +17,15 @@ from hil.configuration.network_file import (
 )
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
-from hil.recording.records import CAUSES, FATE_SAMPLE, Rows
+from hil.recording.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.side_rows import RunEvent
-from hil.samples import DropoutCause
+from hil.samples import CommandFate, DropoutCause
 
 _BARS = 100
+_ACTING, _LOST, _NOT_IDENTIFIABLE = (
+    COMMAND_FATES.index(fate)
+    for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
+)
 _RUN_MAX = 1000
 """Losses in a row that are counted apart; more count as so many."""
 
@@ -31,7 +35,11 @@ class NetworkMeter:
 
     def __init__(self, period_us: int, axes: int) -> None:
         self._period_us = period_us
-        self._reading, self._action = TimeHistogram(), TimeHistogram()
+        self._reading, self._command = TimeHistogram(), TimeHistogram()
+        self._action_least, self._action = TimeHistogram(), TimeHistogram()
+        self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
+        self._command_runs = np.zeros(_RUN_MAX + 1, np.int64)
+        self._commands_open = [0] * axes
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._runs = np.zeros(_RUN_MAX + 1, np.int64)
         self._open = [0] * axes
@@ -43,26 +51,38 @@ class NetworkMeter:
             return
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
         came = rows[rows["fate"] == FATE_SAMPLE]
-        self._reading.add(came["received_at"] - came["observation_at"])
-        self._action.add(action_delay_ns(came, self._period_us * NS_PER_US))
+        self._reading.add(came["received_at"] - came["sampled_at"])
+        on_bus = rows[rows["command_on_bus_at"] != NOTHING]
+        self._command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
+        least, most = action_delays_ns(came, self._period_us * NS_PER_US)
+        self._action_least.add(least)
+        self._action.add(most)
+        fates = rows["command_fate"]
+        self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
         for axis in range(len(self._open)):
-            self._count_runs(axis, rows["fate"][rows["axis"] == axis] != FATE_SAMPLE)
+            mine = rows[rows["axis"] == axis]
+            _count_runs(self._runs, self._open, axis, mine["fate"] != FATE_SAMPLE)
+            told = mine["command_fate"]
+            told = told[(told == _ACTING) | (told == _LOST)]
+            _count_runs(self._command_runs, self._commands_open, axis, told == _LOST)
 
     def network(self) -> Network | None:
         """The network so far; None before the first reading."""
-        runs = self._runs.copy()
-        for still_open in self._open:
-            runs[min(still_open, _RUN_MAX)] += 1 if still_open else 0
-        longest = int(np.flatnonzero(runs)[-1]) if runs.any() else 0
-        reading, action = _delays(self._reading), _delays(self._action)
-        if reading is None or action is None:
+        runs, longest = _closed(self._runs, self._open)
+        _, command_longest = _closed(self._command_runs, self._commands_open)
+        reading = _delays(self._reading)
+        if reading is None:
             return None
+        action = _delays(self._action)
+        acting, lost = (int(self._command_fates[place]) for place in (_ACTING, _LOST))
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
         return Network(
             period_us=self._period_us,
             losses_in_a_row_max=longest,
-            delay_max_us=math.ceil(action.max),
+            delay_max_us=math.ceil(reading.max if action is None else action.max),
+            commands="not measured" if action is None else "measured",
+            command_losses_in_a_row_max=command_longest,
             cycles=total,
             lost=count[DropoutCause.LOST],
             late=count[DropoutCause.LATE],
@@ -71,31 +91,51 @@ class NetworkMeter:
             losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
             reading_delay_us=reading,
             action_delay_us=action,
+            action_delay_least_us=_delays(self._action_least),
+            command_delay_us=_delays(self._command),
+            commands_acting=acting,
+            commands_lost=lost,
+            commands_not_identifiable=int(self._command_fates[_NOT_IDENTIFIABLE]),
+            command_loss_percent=100.0 * lost / (acting + lost) if acting + lost else None,
             histogram=_histogram(self._reading),
         )
 
-    def _count_runs(self, axis: int, missing: NDArray[np.bool_]) -> None:
-        if not missing.size:
-            return
-        present = np.flatnonzero(~missing)
-        if not present.size:
-            self._open[axis] += missing.size
-            return
-        lengths = np.diff(np.concatenate([[-1], present])) - 1
-        lengths[0] += self._open[axis]
-        self._runs += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
-        self._open[axis] = int(missing.size - 1 - present[-1])
+
+def _count_runs(runs: NDArray[np.int64], still_open: list[int], axis: int, lost: NDArray[np.bool_]) -> None:
+    """Take the runs of ``lost`` into ``runs``; what has not ended stays in ``still_open``, by axis."""
+    if not lost.size:
+        return
+    kept = np.flatnonzero(~lost)
+    if not kept.size:
+        still_open[axis] += lost.size
+        return
+    lengths = np.diff(np.concatenate([[-1], kept])) - 1
+    lengths[0] += still_open[axis]
+    runs += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
+    still_open[axis] = int(lost.size - 1 - kept[-1])
 
 
-def action_delay_ns(came: Rows, period_ns: int) -> NDArray[np.int64]:
-    """From the sample to the first actuation that can rest on it: that of its own cycle, or a later one's.
+def _closed(runs: NDArray[np.int64], still_open: list[int]) -> tuple[NDArray[np.int64], int]:
+    """The runs with those that have not ended, and the longest."""
+    closed = runs.copy()
+    for length in still_open:
+        closed[min(length, _RUN_MAX)] += 1 if length else 0
+    return closed, int(np.flatnonzero(closed)[-1]) if closed.any() else 0
 
-    ``came``: (n,) of ROW_DTYPE with usable readings only.
+
+def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """From the sample to the actuation that can first rest on it: the least and the most that it may be.
+
+    That actuation is by the command of the sample's own cycle, or of a later one if the reading came after
+    it. A drive that tells its torque demand tells it at SYNCs: the command acts after one and by the next.
+    ``came``: (n,) of ROW_DTYPE with usable readings only; (m,) ns each, of the commands known to act.
     """
-    late = came["received_at"] - came["command_sent_at"]
-    behind = np.where((late > 0) & (came["command_sent_at"] >= 0), -(-late // period_ns), 0)
-    found: NDArray[np.int64] = came["command_effective_at"] + behind * period_ns - came["observation_at"]
-    return found
+    acting = came[came["command_fate"] == _ACTING]
+    late = acting["received_at"] - acting["command_handed_at"]
+    behind = np.where(late > 0, -(-late // period_ns), 0) * period_ns - acting["sampled_at"]
+    least: NDArray[np.int64] = acting["command_acts_after"] + behind
+    most: NDArray[np.int64] = acting["command_acts_by"] + behind
+    return least, most
 
 
 class NetworkKeeper:

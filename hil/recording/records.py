@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from hil.samples import (
+    CommandFate,
+    CycleRecord,
+    Dropout,
+    DropoutCause,
+    Sample,
+    Sending,
+    StateEstimate,
+)
 
 LAYOUT: tuple[tuple[str, str], ...] = (
     # CycleRecord
@@ -21,20 +29,23 @@ LAYOUT: tuple[tuple[str, str], ...] = (
     ("axis", "q"),
     ("due_at", "q"),
     ("woke_at", "q"),
-    ("sync_sent_at", "q"),
+    ("sync_handed_at", "q"),
+    ("sync_on_bus_at", "q"),
     # its observation
     ("fate", "q"),
-    ("observation_sequence", "q"),
-    ("observation_at", "q"),  # sampled_at of a Sample, due_at of a Dropout
+    ("certain", "q"),
+    ("sampled_at", "q"),
     ("sampled_at_error_ns", "q"),
     # the reading of a Sample
-    ("reading_sequence", "q"),
-    ("position_rad", "d"),
     ("velocity_rad_s", "d"),
-    ("torque_nm", "d"),
-    ("statusword", "q"),
     ("device_time_ns", "q"),
     ("received_at", "q"),
+    ("position_rad", "d"),
+    ("position_told_at", "q"),
+    ("torque_nm", "d"),
+    ("torque_told_at", "q"),
+    ("statusword", "q"),
+    ("status_told_at", "q"),
     # CycleRecord
     ("delay_ns", "q"),
     # its estimate
@@ -47,12 +58,19 @@ LAYOUT: tuple[tuple[str, str], ...] = (
     ("reference_rad_s", "d"),
     ("load_torque_nm", "d"),
     # its command
-    ("command_sequence", "q"),
     ("command_torque_nm", "d"),
     ("command_effective_at", "q"),
     ("command_expires_at", "q"),
+    # the way of it
+    ("command_raw", "q"),
+    ("command_handed_at", "q"),
+    ("command_on_bus_at", "q"),
+    ("command_fate", "q"),
+    ("command_acts_after", "q"),
+    ("command_acts_by", "q"),
     # CycleRecord
-    ("command_sent_at", "q"),
+    ("clock_offset_ns", "q"),
+    ("clock_error_ns", "q"),
 )
 """Name and struct code of each field, in the order in which the named tuples nest."""
 
@@ -60,68 +78,108 @@ ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
 _pack_into: Final = ROW.pack_into
 _NUMPY: Final = {"q": "<i8", "d": "<f8"}
 ROW_DTYPE: Final = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
-"""The same row for numpy. Fields of a reading that never came are NaN, -1 and statusword 0."""
+"""The same row for numpy. A real number that there is none of is NaN, a whole number :data:`NOTHING`."""
 
 Rows = NDArray[np.void]
 """(n,) of ROW_DTYPE."""
 
-NO_TIME: Final = -(2**63)
-"""``device_time_ns`` of a drive without a clock: no instant of any clock."""
+NOTHING: Final = -(2**63)
+"""Stands for None: no instant of any clock, no delay and no count is that."""
 
 FATE_SAMPLE: Final = 0
-CAUSES: tuple[DropoutCause, ...] = (DropoutCause.LOST, DropoutCause.LATE, DropoutCause.STALE)
+CAUSES: tuple[DropoutCause, ...] = (
+    DropoutCause.LOST,
+    DropoutCause.LATE,
+    DropoutCause.STALE,
+    DropoutCause.MISSED,
+)
 """``fate`` of a dropout is its cause's place here, counted from 1."""
 _FATE_OF: Final = {cause: place for place, cause in enumerate(CAUSES, start=1)}
-_NO_READING: Final = (-1, math.nan, math.nan, math.nan, 0, NO_TIME, Instant(-1))
+COMMAND_FATES: tuple[CommandFate, ...] = (
+    CommandFate.NOT_MEASURED,
+    CommandFate.ACTING,
+    CommandFate.LOST,
+    CommandFate.NOT_IDENTIFIABLE,
+)
+"""``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
+_COMMAND_FATE_OF: Final = {fate: place for place, fate in enumerate(COMMAND_FATES)}
+_NO_READING: Final = (math.nan, NOTHING, NOTHING, math.nan, NOTHING, math.nan, NOTHING, NOTHING, NOTHING)
+_NO_ESTIMATE: Final = (math.nan, math.nan, math.nan, NOTHING, NOTHING)
+_NO_COMMAND: Final = (math.nan, NOTHING, NOTHING)
+_NO_SENDING: Final = (NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
 
 
 def row_fields(record: CycleRecord) -> tuple[object, ...]:
     """The values of ``record`` in the order of :data:`LAYOUT`."""
     # Unpacking whole tuples costs half of naming each field; this runs in every cycle.
-    sequence, axis, due_at, woke_at, sync_at, observed, delay, estimate, aim, load, command, sent_at = record
+    (
+        sequence,
+        axis,
+        due_at,
+        woke_at,
+        handed_at,
+        on_bus_at,
+        observed,
+        delay,
+        estimate,
+        reference,
+        load,
+        command,
+        sending,
+        clock_offset,
+        clock_error,
+    ) = record
+    sampled_at = error = NOTHING
+    reading: tuple[object, ...] = _NO_READING
     if isinstance(observed, Sample):
-        place, reading, observed_at, error = observed
-        fate = FATE_SAMPLE
-        answered, position, velocity, torque, status, device_time, received_at = reading
-        if device_time is None:
-            device_time = NO_TIME
+        _, read, at, error, certain = observed
+        sampled_at, fate = int(at), FATE_SAMPLE
+        speed, stamp, received, position, position_at, torque, torque_at, status, status_at = read
+        stamp = NOTHING if stamp is None else stamp
+        reading = (speed, stamp, received, position, position_at, torque, torque_at, status, status_at)
     else:
-        place, observed_at, cause = observed
-        fate, error = _FATE_OF[cause], -1
-        answered, position, velocity, torque, status, device_time, received_at = _NO_READING
-    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
-    asked, torque_nm, effective_at, expires_at = command
-    # fmt: off
+        fate, certain = _FATE_OF[observed.cause], observed.certain
+    asked: tuple[object, ...] = _NO_COMMAND
+    if command is not None:
+        _, torque_nm, effective_at, expires_at = command
+        asked = (torque_nm, effective_at, expires_at)
+    way: tuple[object, ...] = _NO_SENDING
+    if sending is not None:
+        raw, sent_at, sent_on_bus_at, command_fate, after, by = sending
+        way = (
+            raw,
+            sent_at,
+            NOTHING if sent_on_bus_at is None else sent_on_bus_at,
+            _COMMAND_FATE_OF[command_fate],
+            NOTHING if after is None else after,
+            NOTHING if by is None else by,
+        )
     return (
-        sequence, axis, due_at, woke_at, sync_at, fate, place, observed_at, error,
-        answered, position, velocity, torque, status, device_time, received_at,
-        delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, aim, load,
-        asked, torque_nm, effective_at, expires_at, sent_at,
+        sequence,
+        axis,
+        due_at,
+        NOTHING if woke_at is None else woke_at,
+        NOTHING if handed_at is None else handed_at,
+        NOTHING if on_bus_at is None else on_bus_at,
+        fate,
+        int(certain),
+        sampled_at,
+        error,
+        *reading,
+        NOTHING if delay is None else delay,
+        *(_NO_ESTIMATE if estimate is None else estimate),
+        reference,
+        load,
+        *asked,
+        *way,
+        NOTHING if clock_offset is None else clock_offset,
+        NOTHING if clock_error is None else clock_error,
     )
-    # fmt: on
 
 
 def store_record(memory: Any, place: int, record: CycleRecord) -> None:
-    """Pack ``record`` into ``memory`` from byte ``place`` on: :func:`row_fields` without the tuple."""
-    sequence, axis, due_at, woke_at, sync_at, observed, delay, estimate, aim, load, command, sent_at = record
-    if not isinstance(observed, Sample):
-        ROW.pack_into(memory, place, *row_fields(record))
-        return
-    matched, reading, sampled_at, error = observed
-    answered, position, velocity, torque, status, device_time, received_at = reading
-    if device_time is None:
-        device_time = NO_TIME
-    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
-    asked, torque_nm, effective_at, expires_at = command
-    # fmt: off
-    _pack_into(
-        memory, place,
-        sequence, axis, due_at, woke_at, sync_at, FATE_SAMPLE, matched, sampled_at, error,
-        answered, position, velocity, torque, status, device_time, received_at,
-        delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, aim, load,
-        asked, torque_nm, effective_at, expires_at, sent_at,
-    )
-    # fmt: on
+    """Pack ``record`` into ``memory`` from byte ``place`` on."""
+    _pack_into(memory, place, *row_fields(record))
 
 
 def record_of(row: np.void) -> CycleRecord:
@@ -131,41 +189,79 @@ def record_of(row: np.void) -> CycleRecord:
         sequence=field["sequence"],
         axis=field["axis"],
         due_at=Instant(field["due_at"]),
-        woke_at=Instant(field["woke_at"]),
-        sync_sent_at=Instant(field["sync_sent_at"]),
+        woke_at=_instant(field["woke_at"]),
+        sync_handed_at=_instant(field["sync_handed_at"]),
+        sync_on_bus_at=_instant(field["sync_on_bus_at"]),
         observation=_observation_of(field),
-        delay=Duration(field["delay_ns"]),
-        estimate=StateEstimate(
-            field["estimate_position_rad"],
-            field["estimate_velocity_rad_s"],
-            field["estimate_torque_nm"],
-            Instant(field["estimate_valid_at"]),
-            field["estimate_sequence"],
-        ),
+        delay=_duration(field["delay_ns"]),
+        estimate=_estimate_of(field),
         reference_rad_s=field["reference_rad_s"],
         load_torque_nm=field["load_torque_nm"],
-        command=Command(
-            field["command_sequence"],
-            field["command_torque_nm"],
-            Instant(field["command_effective_at"]),
-            Instant(field["command_expires_at"]),
-        ),
-        command_sent_at=Instant(field["command_sent_at"]),
+        command=_command_of(field),
+        sending=_sending_of(field),
+        clock_offset_ns=_duration(field["clock_offset_ns"]),
+        clock_error_ns=_duration(field["clock_error_ns"]),
     )
 
 
-def _observation_of(field: dict[str, int | float]) -> Sample | Dropout:
-    sequence, observed_at = int(field["observation_sequence"]), Instant(int(field["observation_at"]))
+def _instant(value: int) -> Instant | None:
+    return None if value == NOTHING else Instant(value)
+
+
+def _duration(value: int) -> Duration | None:
+    return None if value == NOTHING else Duration(value)
+
+
+def _observation_of(field: dict[str, Any]) -> Sample | Dropout:
+    sequence, certain = field["sequence"], bool(field["certain"])
     if field["fate"] != FATE_SAMPLE:
-        return Dropout(sequence, observed_at, CAUSES[int(field["fate"]) - 1])
-    device_time = int(field["device_time_ns"])
+        return Dropout(sequence, Instant(field["due_at"]), CAUSES[field["fate"] - 1], certain)
     reading = Reading(
-        sequence=int(field["reading_sequence"]),
-        position_rad=field["position_rad"],
         velocity_rad_s=field["velocity_rad_s"],
+        device_time_ns=_duration(field["device_time_ns"]),
+        received_at=Instant(field["received_at"]),
+        position_rad=field["position_rad"],
+        position_told_at=Instant(field["position_told_at"]),
         torque_nm=field["torque_nm"],
-        statusword=int(field["statusword"]),
-        device_time_ns=None if device_time == NO_TIME else device_time,
-        received_at=Instant(int(field["received_at"])),
+        torque_told_at=Instant(field["torque_told_at"]),
+        statusword=field["statusword"],
+        status_told_at=Instant(field["status_told_at"]),
     )
-    return Sample(sequence, reading, observed_at, int(field["sampled_at_error_ns"]))
+    at, error_ns = Instant(field["sampled_at"]), field["sampled_at_error_ns"]
+    return Sample(sequence, reading, at, error_ns, certain)
+
+
+def _estimate_of(field: dict[str, Any]) -> StateEstimate | None:
+    if field["estimate_sequence"] == NOTHING:
+        return None
+    return StateEstimate(
+        field["estimate_position_rad"],
+        field["estimate_velocity_rad_s"],
+        field["estimate_torque_nm"],
+        Instant(field["estimate_valid_at"]),
+        field["estimate_sequence"],
+    )
+
+
+def _command_of(field: dict[str, Any]) -> Command | None:
+    if field["command_expires_at"] == NOTHING:
+        return None
+    return Command(
+        field["sequence"],
+        field["command_torque_nm"],
+        Instant(field["command_effective_at"]),
+        Instant(field["command_expires_at"]),
+    )
+
+
+def _sending_of(field: dict[str, Any]) -> Sending | None:
+    if field["command_fate"] == NOTHING:
+        return None
+    return Sending(
+        field["command_raw"],
+        Instant(field["command_handed_at"]),
+        _instant(field["command_on_bus_at"]),
+        COMMAND_FATES[field["command_fate"]],
+        _instant(field["command_acts_after"]),
+        _instant(field["command_acts_by"]),
+    )

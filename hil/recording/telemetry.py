@@ -17,7 +17,7 @@ from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
 from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, TIMELINE, VERDICT, layout
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import FATE_SAMPLE, Rows
+from hil.recording.records import FATE_SAMPLE, NOTHING, Rows
 from hil.recording.row_states import LINK_DEGRADED, LINK_DOWN, LINK_OK, Change, DriveStates, LinkStates
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.verdict_text import verdict_markdown, verdict_word
@@ -182,7 +182,7 @@ class Telemetry:
         due_at = rows["due_at"]
         read = rows[rows["fate"] == FATE_SAMPLE]
         dropped = rows[rows["fate"] != FATE_SAMPLE]
-        came = rows[rows["delay_ns"] >= 0]
+        came = rows[rows["delay_ns"] != NOTHING]
         error = read["reference_rad_s"] - read["velocity_rad_s"]
         self._plot(f"/{name}/speed/reference", due_at, rows["reference_rad_s"] * _RPM)
         self._plot(f"/{name}/speed/measured", read["due_at"], read["velocity_rad_s"] * _RPM)

@@ -40,7 +40,7 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
     return [
         f"| delay p50 / p99 / max | {_times(summary.delay_us)} |",
         f"| dropouts | {lost.total} of {readings} readings ({share:.1f} %): "
-        f"{lost.lost} lost, {lost.late} late, {lost.stale} stale |",
+        f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         f"| bus load | {summary.bus_load_percent:.1f} % |",
         f"| times real time | {summary.realtime_factor:.1f} |",

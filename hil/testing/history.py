@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.profile402 import State, state_of
 from drivers.timebase import NS_PER_S, Instant
-from hil.recording.records import CAUSES, FATE_SAMPLE, Rows
+from hil.recording.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -42,7 +42,7 @@ class AxisHistory:
         self.reference_rad_s: Floats = rows["reference_rad_s"]
         self.load_nm: Floats = rows["load_torque_nm"]
         self.torque_nm: Floats = rows["command_torque_nm"]
-        self.commanded: Flags = rows["command_sent_at"] >= 0
+        self.commanded: Flags = rows["command_handed_at"] != NOTHING
         self.sampled: Flags = rows["fate"] == FATE_SAMPLE
         self.velocity_rad_s: Floats = np.where(self.sampled, rows["velocity_rad_s"], np.nan)
         self.error_rad_s: Floats = self.reference_rad_s - self.velocity_rad_s

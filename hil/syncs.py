@@ -1,0 +1,154 @@
+"""The SYNCs of one segment, each with the instant of its end on the bus.
+
+The instant comes from the SYNC's own echo. A bus without echoes has the instant of the hand-over instead,
+plus the time of the frame on an idle bus; the SYNC may have ended later than that.
+
+    handed over   1       2       3                4
+    on the bus      1       2          ?               4      3 has not come back: lost in front of the bus
+
+A SYNC carries no number. While one echo at a time is awaited, it is the echo of that SYNC. Where a SYNC was
+given up and a later one handed over, one echo may be that of either: both are then unsure, until the other
+echo comes too and their order tells.
+"""
+
+from typing import Final
+
+from drivers.frame_port import EchoBasis
+from drivers.timebase import Duration, Instant
+
+REMEMBERED: Final = 128
+"""SYNCs that a reading may still answer: more than any horizon, which is 50 periods at most."""
+GIVEN_UP_AFTER_PERIODS: Final = 2
+"""An echo that is so late will not come: a frame of the highest priority waits for one frame at most, so its
+bus has been stopped or has lost it. The bench goes on, as a drive without SYNC stands still."""
+SURPLUS: Final = 0
+"""The sequence of a SYNC on the bus that this host did not hand over, or not so often."""
+
+
+class SyncMark:
+    """One SYNC."""
+
+    __slots__ = ("handed_at", "number", "on_bus_at", "sequence", "sure")
+
+    def __init__(self, number: int, sequence: int, handed_at: Instant) -> None:
+        self.number = number
+        """Counted along all SYNCs of the segment, 1, 2, ..., a surplus one included."""
+        self.sequence = sequence
+        """The cycle it belongs to; :data:`SURPLUS` for none."""
+        self.handed_at = handed_at
+        self.on_bus_at: Instant | None = None
+        """Its end on the bus; None: not known (yet), or it never came there."""
+        self.sure = True
+        """Whether ``on_bus_at`` is certainly this SYNC's."""
+
+
+class SyncLog:
+    """What is known of the SYNCs of one segment."""
+
+    def __init__(self, latency: Duration, period: Duration, echoes: EchoBasis) -> None:
+        """``latency``: from handing a SYNC over until its end on an idle bus."""
+        self.marks: list[SyncMark] = []
+        """In the order of handing over; the last :data:`REMEMBERED`."""
+        self.echoes = echoes
+        self.surplus = 0
+        """SYNCs on the bus that nobody here handed over."""
+        self.crowded = 0
+        """SYNCs that ended on the bus less than half a period after the one before."""
+        self._latency = latency
+        self._period = period
+        self._echoed = echoes is not EchoBasis.NONE
+        self._pending: list[SyncMark] = []
+        """Those whose echo may still come, in the order of handing over."""
+        self._instants: list[Instant] = []
+        """Echoes that came while several were pending."""
+        self._counted = 0
+        self._last_on_bus = Instant(-(1 << 62))
+
+    def handed(self, sequence: int, at: Instant) -> SyncMark:
+        """A SYNC has been handed over."""
+        mark = self._remember(sequence, at)
+        if self._echoed:
+            if self._instants:
+                # The doubt is over: what has not come by now was lost in front of the bus.
+                self._pending.clear()
+                self._instants.clear()
+            self._pending.append(mark)
+        else:
+            self._put_on_bus(mark, Instant(at + self._latency))
+        return mark
+
+    def heard(self, sequence: int, at: Instant) -> SyncMark:
+        """A SYNC that this host did not hand over ended on the bus."""
+        mark = self._remember(sequence, at)
+        self._put_on_bus(mark, at)
+        return mark
+
+    def came(self, at: Instant) -> None:
+        """The echo of one of our SYNCs."""
+        pending, instants = self._pending, self._instants
+        if len(pending) == 1:
+            self._put_on_bus(pending.pop(), at)
+        elif len(pending) > len(instants):
+            # The newest are the likelier ones, as the older ones had been given up.
+            instants.append(at)
+            sure = len(instants) == len(pending)
+            for mark, instant in zip(pending[-len(instants) :], instants, strict=True):
+                mark.on_bus_at = instant
+            for mark in pending:
+                mark.sure = sure
+            self._note_spacing(at)
+        else:
+            self.surplus += 1
+            self.heard(SURPLUS, at)
+
+    def may_hand_over(self, now: Instant) -> bool:
+        """Whether no echo is awaited that may still come."""
+        pending = self._pending
+        if not pending or self._instants:
+            return True
+        return now - pending[-1].handed_at >= GIVEN_UP_AFTER_PERIODS * self._period
+
+    @property
+    def last_on_bus(self) -> Instant:
+        """The end of the last SYNC on the bus."""
+        return self._last_on_bus
+
+    def nearest(self, at: Instant) -> SyncMark | None:
+        """The SYNC whose end on the bus is nearest to ``at``."""
+        best: SyncMark | None = None
+        least = -1
+        for mark in reversed(self.marks):
+            on_bus_at = mark.on_bus_at
+            if on_bus_at is None:
+                continue
+            miss = abs(at - on_bus_at)
+            if best is not None and miss > least:
+                break
+            best, least = mark, miss
+        return best
+
+    def newest_before(self, at: Instant) -> SyncMark | None:
+        """The last SYNC that had ended by ``at``."""
+        for mark in reversed(self.marks):
+            on_bus_at = mark.on_bus_at
+            if on_bus_at is not None and on_bus_at <= at:
+                return mark
+        return None
+
+    def _remember(self, sequence: int, at: Instant) -> SyncMark:
+        self._counted += 1
+        mark = SyncMark(self._counted, sequence, at)
+        marks = self.marks
+        marks.append(mark)
+        if len(marks) > REMEMBERED:
+            del marks[0]
+        return mark
+
+    def _put_on_bus(self, mark: SyncMark, at: Instant) -> None:
+        mark.on_bus_at = at
+        self._note_spacing(at)
+
+    def _note_spacing(self, at: Instant) -> None:
+        if at - self._last_on_bus < self._period // 2:
+            self.crowded += 1
+        self._last_on_bus = at
