@@ -13,16 +13,18 @@ but for the errors of stamp and map; a positive one is what the SYNC took behind
 echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of the SYNC
 behind its echo cannot be told from the offset of the clock.
 
-A stamp off all SYNCs has another cause, that the drive's clock was set. While that is open, its readings are
-marked uncertain. It is settled when :data:`AGREEING` of them in a row lie on one line at which each has a SYNC
-of its own and came no sooner than a frame can; of the lines whole periods apart, it is the one at which the
-smallest delay is what it was before.
+Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
+more than half a period, the drive's clock may have been set. While that is open, readings are marked uncertain.
+It is settled when :data:`AGREEING` of them lie on one line on which each has a SYNC of its own and came no
+sooner than a frame can. Of several such lines, whole periods apart, the one is taken that needs least to have
+happened: no step rather than a step, the same smallest delay rather than another, and no readings lost.
 
 A drive without a clock is placed by order alone (:class:`OrderAttribution`).
 """
 
+from collections import deque
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from drivers.exchange import Reading
 from drivers.frame_port import EchoBasis
@@ -43,15 +45,27 @@ adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes:
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp so near to a SYNC is its own: two steps of the stamp's resolution and one of rounding."""
 AGREEING: Final = 8
-"""Stamps that must agree before a clock counts as set: fewer could be chance under a jittering SYNC."""
+"""Readings that must agree before it is settled: fewer could be chance under a jittering SYNC."""
 AGREEING_SPREAD: Final = 32
 """The same where delays spread over more than half a period, so that only the smallest of many is telling."""
-SUSPECTS_KEPT: Final = 48
-"""Within so many readings the question is decided, or put anew without the oldest."""
+REVOKED: Final = 12
+"""Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time: twelve
+in a row are one chance in four thousand."""
+SUSPECTS_MAX: Final = 48
+"""After so many it is settled for the clock as it was."""
+STEP_COST: Final = 3
+"""That a clock was set,"""
+DELAY_COST: Final = 3
+"""that the smallest delay changed by more than half a period,"""
+LOSS_COST_MAX: Final = 2
+"""and that readings were lost just then, one each up to this: a step and a change of delay are as rare as one
+another, while losses are common and come in bursts."""
 DRIFT_WITHIN: Final = 2e-3
 """Rates up to 2000 ppm off the old one are looked for among suspects."""
 LATE_KEPT: Final = 0.97
-"""Weight of the past in the mean lateness: it forgets within some thirty readings."""
+"""Weight of the past in the mean change of lateness: it forgets within some thirty readings."""
+STAMPS_MAX: Final = 512
+"""Stamps kept before those of forgotten SYNCs are dropped."""
 DELAYS_WATCHED: Final = 256
 """Readings of which the smallest and the largest delay stand for the present network."""
 
@@ -105,7 +119,7 @@ class Attribution(Protocol):
 
 
 class _Suspect:
-    """A reading whose stamp lies off all SYNCs."""
+    """A reading that came while it is open whether the clock was set."""
 
     __slots__ = ("device_ns", "received_at", "second")
 
@@ -114,6 +128,18 @@ class _Suspect:
         self.received_at = received_at
         self.second = second
         """Whether it lies on a SYNC that has another stamp already."""
+
+
+class _Line(NamedTuple):
+    """A way to place the last suspects."""
+
+    cost: int
+    delay_change: int
+    """By how much the smallest delay would have changed, ns; it decides between equals, but not at once."""
+    marks: tuple[SyncMark, ...]
+    """The SYNC of each."""
+    steps: bool
+    """Whether the clock was set."""
 
 
 class _DelayWindow:
@@ -160,18 +186,37 @@ class StampAttribution:
         self._match_ns = MATCH_NS + echo_error
         self._variance = float(echo_error) ** 2 / 9.0
         self._late_ns = 0.0
+        self._lateness = 0
         self._unanchored = 0
         self._least_late = 0
         self._stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
+        self._answered = 0
+        """Number of the newest SYNC answered."""
         self._suspects: list[_Suspect] = []
+        self._suspects_from = 0
+        """``_answered`` when the question was put."""
+        self._twice = 0
+        """Readings that came twice since the last one that raised no question."""
+        self._early = False
+        """Whether a suspect would have come before its SYNC, which no network can do."""
         self._delays = _DelayWindow()
+        self._recent: deque[int] = deque(maxlen=REVOKED)
+        self.revoked: set[int] = set()
+        """Cycles whose readings were placed as certain just before a question came up that touches them."""
+
+    @property
+    def spread(self) -> bool:
+        """Whether delays spread over more than half a period, so that a clock that was set by whole periods may
+        not show with the first reading: a placement is final only :data:`REVOKED` readings later."""
+        return self._delays.high - self._delays.low >= self._half
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
         device_ns, on_bus_at = reading.device_time_ns, mark.on_bus_at
         if device_ns is not None and on_bus_at is not None:
             self.clock.observe(device_ns, on_bus_at, self._variance)
+            self._answer(mark, device_ns)
             self._delays.add(reading.received_at - on_bus_at)
 
     def place(self, reading: Reading) -> Sample | None:
@@ -181,23 +226,35 @@ class StampAttribution:
             return None
         at = self.clock.place(device_ns)
         mark = self._syncs.nearest(at)
-        if mark is None:
+        if mark is None or mark.on_bus_at is None:
             self.health.unmatched += 1
             return None
-        on_bus_at = mark.on_bus_at
-        assert on_bus_at is not None
-        lateness = at - on_bus_at
+        lateness = at - mark.on_bus_at
         match_ns = self._match_ns + self.clock.error_ns
         late_max = min(int(4.0 * self._late_ns), self._quarter)
-        if -match_ns <= lateness <= (match_ns if match_ns > late_max else late_max):
-            known = self._stamps.get(mark.number)
-            if known is None:
-                return self._matched(reading, device_ns, mark, at, lateness, match_ns)
-            if known == device_ns:
-                self.health.duplicates += 1
-                return None
-            return self._suspect(reading, device_ns, at, lateness, True)
-        return self._suspect(reading, device_ns, at, lateness, False)
+        fits = -match_ns <= lateness <= (match_ns if match_ns > late_max else late_max)
+        known = self._stamps.get(mark.number) if fits else None
+        if known == device_ns:
+            self.health.duplicates += 1
+            self._twice += 1
+            return None
+        free = fits and known is None
+        if free and self._usual(mark, reading.received_at - mark.on_bus_at):
+            if self._suspects:
+                self._acquit()
+            self._twice = 0
+            return self._matched(reading, device_ns, mark, at, lateness, match_ns)
+        return self._suspect(reading, device_ns, mark if free else None, at, lateness, known is not None)
+
+    def _usual(self, mark: SyncMark, delay: int) -> bool:
+        """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
+        low, high, half = self._delays.low, self._delays.high, self._half
+        if not low - half <= delay <= high + half:
+            return False
+        if not self._suspects:
+            return True
+        # A clock set back makes every delay longer by what it was set, at least a period.
+        return mark.number > self._suspects_from and not self._early and delay < 4 * self._quarter
 
     def _matched(
         self, reading: Reading, device_ns: int, mark: SyncMark, at: Instant, lateness: int, match_ns: int
@@ -205,13 +262,9 @@ class StampAttribution:
         health = self.health
         on_bus_at = mark.on_bus_at
         assert on_bus_at is not None
-        if self._suspects:
-            self._acquit()
-        self._stamps[mark.number] = device_ns
-        if len(self._stamps) > 2 * len(self._syncs.marks) + 64:
-            oldest = self._syncs.marks[0].number
-            self._stamps = {number: stamp for number, stamp in self._stamps.items() if number >= oldest}
-        sampled_at, error_ns = on_bus_at, match_ns
+        self._answer(mark, device_ns)
+        # A SYNC that was late by less than can be told moves the map by as much, so the bound is twice that.
+        sampled_at, error_ns = on_bus_at, 2 * match_ns
         if lateness > match_ns:
             # Late to the drive: the stamp knows better. Nothing but the SYNC itself excludes that it was not.
             sampled_at, error_ns = at, lateness + match_ns
@@ -226,7 +279,16 @@ class StampAttribution:
         else:
             health.uncertain += 1
         self._delays.add(reading.received_at - sampled_at)
+        self._recent.append(mark.sequence)
         return Sample(mark.sequence, reading, sampled_at, error_ns, certain)
+
+    def _answer(self, mark: SyncMark, device_ns: int) -> None:
+        """``mark`` has its reading."""
+        self._stamps[mark.number] = device_ns
+        self._answered = max(self._answered, mark.number)
+        if len(self._stamps) > STAMPS_MAX:
+            oldest = self._syncs.marks[0].number
+            self._stamps = {number: stamp for number, stamp in self._stamps.items() if number >= oldest}
 
     def _judge(self, delay: int, error_ns: int) -> None:
         """What cannot be is an alarm."""
@@ -240,8 +302,8 @@ class StampAttribution:
 
     def _follow(self, device_ns: int, on_bus_at: Instant, lateness: int, match_ns: int) -> None:
         """Let the map follow a SYNC that was not late; anchor it anew if none was for long."""
-        late = lateness if lateness > match_ns else 0
-        self._late_ns = LATE_KEPT * self._late_ns + (1.0 - LATE_KEPT) * late
+        late = lateness > match_ns
+        self._note_lateness(lateness if late else 0)
         if not late:
             self.clock.observe(device_ns, on_bus_at, self._variance)
             self._unanchored = 0
@@ -253,6 +315,12 @@ class StampAttribution:
             self.clock.shift(-self._least_late)
             self._unanchored = 0
 
+    def _note_lateness(self, lateness: int) -> None:
+        """Follow how much the lateness changes from reading to reading; a clock that was set changes it once."""
+        change = abs(lateness - self._lateness)
+        self._lateness = lateness
+        self._late_ns = LATE_KEPT * self._late_ns + (1.0 - LATE_KEPT) * change
+
     # ---- clocks that were set -----------------------------------------------------------------------------
 
     def _acquit(self) -> None:
@@ -261,128 +329,145 @@ class StampAttribution:
             if suspect.second:
                 self.health.two_stamps += 1
         self._suspects.clear()
+        self._early = False
 
     def _suspect(
-        self, reading: Reading, device_ns: int, at: Instant, lateness: int, second: bool
+        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, lateness: int, second: bool
     ) -> Sample | None:
-        """A stamp off all SYNCs: the clock was set, or this SYNC came late to the drive."""
+        """A reading that puts the question, or came while it is open; ``free``: the SYNC it lies on."""
         suspects = self._suspects
         if any(known.device_ns == device_ns for known in suspects):
             self.health.duplicates += 1
             return None
-        if lateness > 0:
-            self._late_ns = LATE_KEPT * self._late_ns + (1.0 - LATE_KEPT) * min(lateness, self._quarter)
+        if not suspects:
+            self._suspects_from = self._answered
+            if self.spread:
+                self.revoked.update(self._recent)
+        if free is None and lateness > 0:
+            self._note_lateness(min(lateness, self._quarter))
+        self._early = self._early or at > reading.received_at - self._transit + self._match_ns
         suspects.append(_Suspect(device_ns, reading.received_at, second))
-        if len(suspects) >= AGREEING and self._relearn():
-            return self.place(reading)
-        if len(suspects) > SUSPECTS_KEPT:
-            del suspects[0]
-        return self._guess(reading, at)
+        guess = self._guess(reading, free, at)
+        self._settle()
+        return guess
 
-    def _guess(self, reading: Reading, at: Instant) -> Sample | None:
+    def _guess(self, reading: Reading, free: SyncMark | None, at: Instant) -> Sample | None:
         """A reading's most likely place, marked uncertain; its interval holds every SYNC that is open."""
         received_at = reading.received_at
         latest = Instant(received_at - self._transit)
-        mark = self._syncs.newest_before(min(at, latest) if at <= latest else latest)
-        while mark is not None and (mark.number in self._stamps or mark.sequence == SURPLUS):
-            mark = self._later_open(mark, latest)
-        if mark is None:
-            mark = self._syncs.newest_before(latest)
-        if mark is None or mark.on_bus_at is None or mark.sequence == SURPLUS:
+        open_marks = [
+            mark
+            for mark in self._syncs.marks
+            if mark.on_bus_at is not None
+            and mark.on_bus_at <= latest
+            and mark.number not in self._stamps
+            and mark.sequence != SURPLUS
+        ]
+        if not open_marks:
             self.health.unmatched += 1
             return None
+        mark = free if free is not None and free in open_marks else open_marks[-1]
+        sampled_at, earliest = mark.on_bus_at, open_marks[0].on_bus_at
+        assert sampled_at is not None
+        assert earliest is not None
         self.health.placed += 1
         self.health.uncertain += 1
-        sampled_at = mark.on_bus_at
-        first = self._syncs.marks[0].on_bus_at
-        earliest = next(
-            (
-                open_mark.on_bus_at
-                for open_mark in self._syncs.marks
-                if open_mark.on_bus_at is not None and open_mark.number not in self._stamps
-            ),
-            first if first is not None else sampled_at,
-        )
         error_ns = max(received_at - sampled_at, sampled_at - earliest)
         return Sample(mark.sequence, reading, sampled_at, error_ns, False)
 
-    def _later_open(self, after: SyncMark, latest: Instant) -> SyncMark | None:
-        """The next SYNC that nothing answered yet."""
-        for mark in self._syncs.marks:
-            on_bus_at = mark.on_bus_at
-            if mark.number > after.number and on_bus_at is not None and on_bus_at <= latest:
-                return mark
-        return None
+    def _settle(self) -> None:
+        """Close the question if the last suspects leave one answer."""
+        agreeing = AGREEING_SPREAD if self.spread else AGREEING
+        count = len(self._suspects)
+        if count < agreeing or (count - agreeing) % (AGREEING // 2):
+            return
+        last = self._suspects[-agreeing:]
+        lines = sorted(self._lines(last), key=lambda line: (line.cost, line.delay_change))
+        if lines and (len(lines) == 1 or lines[0].cost < lines[1].cost or count > SUSPECTS_MAX // 2):
+            self._take(lines[0], last)
+        elif count > SUSPECTS_MAX:
+            self._acquit()
 
-    def _relearn(self) -> bool:
-        """Find the line on which the suspects lie; whether one was found, and is followed from now on."""
-        spread = self._delays.high - self._delays.low
-        if len(self._suspects) < (AGREEING if spread < self._half else AGREEING_SPREAD):
-            return False
-        best: list[SyncMark] = []
-        least = self._half
-        received_at = self._suspects[0].received_at
-        # A network that also grew slower by more than half a period at that very instant is not looked for.
-        earliest = received_at - self._delays.high - self._half
-        for mark in self._syncs.marks:
-            on_bus_at = mark.on_bus_at
-            if on_bus_at is None or not earliest <= on_bus_at <= received_at - self._transit + self._match_ns:
-                continue
-            fit = self._fit(mark)
-            if fit is None:
-                continue
-            marks, smallest = fit
-            miss = abs(smallest - self._delays.low)
-            if miss < least:
-                best, least = marks, miss
-        if not best:
-            return False
-        old_ns = self.clock.place(self._suspects[0].device_ns)
-        pairs = []
-        for suspect, mark in zip(self._suspects, best, strict=True):
+    def _take(self, line: _Line, last: list[_Suspect]) -> None:
+        pairs: list[tuple[int, Instant]] = []
+        for suspect, mark in zip(last, line.marks, strict=True):
             assert mark.on_bus_at is not None
             pairs.append((suspect.device_ns, mark.on_bus_at))
-        step_us = (old_ns - pairs[0][1]) / NS_PER_US
-        uncertain = len(pairs)
-        self.clock.start_anew(sorted(pairs), self._variance)
-        # The last suspect is being placed now, by the new line.
-        for (device_ns, _), mark in zip(pairs[:-1], best[:-1], strict=True):
-            self._stamps[mark.number] = device_ns
-        self._suspects.clear()
-        self._late_ns = 0.0
-        self.health.steps += 1
-        self._tell(
-            f"its clock was set by {step_us:+.0f} us; {uncertain} readings in between are marked uncertain"
-        )
-        return True
+        if line.steps:
+            step_us = (self.clock.place(pairs[0][0]) - pairs[0][1]) / NS_PER_US
+            self._tell(
+                f"its clock was set by {step_us:+.0f} us; {len(self._suspects)} readings since then are uncertain"
+            )
+            self.clock.start_anew(sorted(pairs), self._variance)
+            self._late_ns = 0.0
+            self.health.steps += 1
+            self._suspects.clear()
+            self._early = False
+        else:
+            self._acquit()
+            self._delays = _DelayWindow()
+        self._twice = 0
+        for suspect, mark in zip(last, line.marks, strict=True):
+            self._answer(mark, suspect.device_ns)
+            assert mark.on_bus_at is not None
+            self._delays.add(suspect.received_at - mark.on_bus_at)
 
-    def _fit(self, first: SyncMark) -> tuple[list[SyncMark], int] | None:
-        """The SYNCs of all suspects if the first one answers ``first``, and the smallest delay then."""
-        suspects = self._suspects
+    def _lines(self, last: list[_Suspect]) -> list[_Line]:
+        """Every way to place these suspects on SYNCs."""
+        received_at = last[0].received_at
+        found = []
+        for mark in self._syncs.marks:
+            on_bus_at = mark.on_bus_at
+            if on_bus_at is not None and on_bus_at <= received_at - self._transit + self._match_ns:
+                line = self._line(last, mark)
+                if line is not None:
+                    found.append(line)
+        return found
+
+    def _line(self, last: list[_Suspect], first: SyncMark) -> _Line | None:
+        """How they are placed if the first answers ``first``; None if they cannot be.
+
+        Readings that seemed to come twice just before may have been the first after a step by whole periods.
+        """
         origin_at = first.on_bus_at
-        if origin_at is None or first.sequence == SURPLUS:
-            return None
-        origin = suspects[0]
+        assert origin_at is not None
+        origin_ns, rate = last[0].device_ns, 1.0 + self.clock.rate
         marks: list[SyncMark] = []
         used: set[int] = set()
         smallest = -1
-        offset = 0.0
-        rate = 1.0 + self.clock.rate
-        for suspect in suspects:
-            passed = suspect.device_ns - origin.device_ns
-            at = Instant(origin_at + round(passed * rate + offset))
+        drifted = 0
+        for suspect in last:
+            at = Instant(origin_at + drifted + round((suspect.device_ns - origin_ns) * rate))
             mark = self._syncs.nearest(at)
-            if mark is None or mark.on_bus_at is None or mark.number in used:
+            if mark is None or mark.on_bus_at is None or mark.number in used or mark.sequence == SURPLUS:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
             if abs(miss) > self._match_ns + DRIFT_WITHIN * self._half or delay < self._transit - self._match_ns:
                 return None
-            offset += miss
+            if self._stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
+                return None
+            drifted += miss
             used.add(mark.number)
             marks.append(mark)
             smallest = delay if smallest < 0 else min(smallest, delay)
-        return marks, smallest
+        steps = abs(self.clock.place(origin_ns) - origin_at) > self._match_ns + self.clock.error_ns
+        lost = self._lost_before(min(used))
+        if steps:
+            cost = STEP_COST + min(max(0, lost - self._twice), LOSS_COST_MAX)
+        else:
+            cost = min(lost + self._twice, LOSS_COST_MAX)
+        change = abs(smallest - self._delays.low)
+        if change > self._half:
+            cost += DELAY_COST
+        return _Line(cost, change, tuple(marks), steps)
+
+    def _lost_before(self, number: int) -> int:
+        """SYNCs of cycles after the last certainly answered one and before ``number``."""
+        return sum(
+            self._suspects_from < mark.number < number and mark.on_bus_at is not None
+            for mark in self._syncs.marks
+        )
 
 
 # ---- drives without a clock -----------------------------------------------------------------------------
@@ -442,16 +527,15 @@ class OrderAttribution:
         age = received_at - mark.on_bus_at
         if mark.number <= self._answered:
             # The second answer to a SYNC: this one, or the one before, was late by a period or more.
-            self._doubt(mark)
+            self._find_beyond(mark.number)
             self.health.unmatched += 1
             return None
         if mark.number > self._answered + 1:
-            self._doubt(mark)
+            self._sure = False
         self._answered = mark.number
         if mark.number == self._probe:
             self._conclude(age)
-        elif mark.number > self._probe > 0:
-            self._probe = 0
+        elif not self._sure and self._probe < mark.number and mark.number >= self._next_probe:
             self.wants_probe = True
         certain = self._sure and mark.sure
         self._usual_ns += (age - self._usual_ns) / 4.0
@@ -470,20 +554,20 @@ class OrderAttribution:
         first = self._syncs.marks[0].on_bus_at
         return first if first is not None else mark.handed_at
 
-    def _doubt(self, mark: SyncMark) -> None:
-        self._sure = False
-        if not self._probe and mark.number >= self._next_probe:
-            self.wants_probe = True
-
     def _conclude(self, age: int) -> None:
         """The SYNC that went out late was answered after ``age``; usual is what the readings before had."""
-        number, self._probe = self._probe, 0
-        if abs(age - self._usual_ns) < self._period / 8.0:
-            if self._beyond:
-                self._beyond = False
-                self._tell("its readings answer the SYNC before them again")
-            self._sure = True
+        if abs(age - self._usual_ns) >= self._period / 8.0:
+            self._find_beyond(self._probe)
             return
+        self._sure = True
+        if self._beyond:
+            self._beyond = False
+            self._tell("its readings answer the SYNC before them again")
+
+    def _find_beyond(self, number: int) -> None:
+        """A reading has come later than the SYNC after its own; ``number``: of the SYNC of now."""
+        self._sure = False
+        self.wants_probe = False
         self._next_probe = number + PROBE_AGAIN_AFTER
         if not self._beyond:
             self._beyond = True

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command, Drive, Reading, SentCommand
 from drivers.timebase import Duration, Instant
-from hil.attribution import OrderAttribution, StampAttribution
+from hil.attribution import REVOKED, OrderAttribution, StampAttribution
 from hil.command_meter import CommandMeter
 from hil.compensation import Compensator
 from hil.controllers import Controller
@@ -217,6 +217,8 @@ class Axis:
         settled = self._settled
         while settled:
             decision = settled[0]
+            if self._by_stamp.spread and now - decision.tick.sequence <= REVOKED:
+                return
             sending = None
             if decision.sent is not None:
                 sending = self._commands.outcome(decision.tick.sequence, now)
@@ -255,6 +257,10 @@ class Axis:
         tick, fate, mark = decision.tick, decision.fate, decision.mark
         assert fate is not None
         clock = self._by_stamp.clock
+        observation = fate.observation
+        if tick.sequence in self._by_stamp.revoked:
+            self._by_stamp.revoked.discard(tick.sequence)
+            observation = observation._replace(certain=False)
         self._record(
             CycleRecord(
                 tick.sequence,
@@ -263,7 +269,7 @@ class Axis:
                 tick.woke_at,
                 None if mark is None else mark.handed_at,
                 None if mark is None else mark.on_bus_at,
-                fate.observation,
+                observation,
                 fate.delay,
                 decision.estimate,
                 decision.reference_rad_s,

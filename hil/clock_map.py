@@ -21,9 +21,9 @@ STAMP_RESOLUTION: Final = NS_PER_US
 """1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16)."""
 _ROUNDING_VARIANCE: Final = STAMP_RESOLUTION**2 / 12.0
 """Of a value that is equally likely anywhere in a microsecond, ns^2."""
-_RATE_WALK: Final = 1e-12
-"""How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 1 ppm in a second, which is that of a
-clock being warmed by a hand, so that the filter never falls asleep."""
+_RATE_WALK: Final = 1e-11
+"""How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 3 ppm in a second, faster than that of a
+clock being warmed, so that the filter never falls asleep."""
 _FIRST_RATE_VARIANCE: Final = (2e-3) ** 2
 """Before anything is known of the rate: 2000 ppm, ten times a poor quartz."""
 

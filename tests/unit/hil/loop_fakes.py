@@ -4,90 +4,135 @@ from collections.abc import Callable
 from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
-from drivers.exchange import Command, Drive, Master, Reading
+from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
+from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
+from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
+from hil.command_meter import CommandMeter
 from hil.compensation import Arrival, Compensator
 from hil.delay import DelayMeter
-from hil.loop import Actuation, LoopTiming
+from hil.loop import Actuation, Loop, LoopTiming
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile, Step
+from hil.syncs import SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 SYNC_LATENCY = Duration(50_000)
+TRANSIT = Duration(76_000)
+COMMAND_LATENCY = Duration(90_000)
 TIMING = LoopTiming(
-    PERIOD, Duration(700_000), Duration(3 * NS_PER_MS), Actuation.ON_ARRIVAL, SYNC_LATENCY, Duration(90_000)
+    PERIOD, Duration(700_000), Duration(3 * NS_PER_MS), Actuation.ON_ARRIVAL, SYNC_LATENCY, COMMAND_LATENCY
 )
 DEVICE_CLOCK_OFFSET_NS = 987_654_321
+OPERATION_ENABLED = 0x0627
+
+
+def reading_at(
+    received_at: Instant, device_time_ns: int | None = None, velocity_rad_s: float = 0.0
+) -> Reading:
+    """A reading whose other values were told with it."""
+    return Reading(
+        velocity_rad_s,
+        device_time_ns,
+        received_at,
+        0.0,
+        received_at,
+        0.0,
+        received_at,
+        OPERATION_ENABLED,
+        received_at,
+    )
 
 
 class FakeDrive(Drive):
-    """Answers each SYNC after ``delay(sequence)`` ns, or not at all if that is None."""
+    """Answers the n-th SYNC after ``delay(n)`` ns, or not at all if that is None."""
 
     def __init__(self, delay: Callable[[int], int | None]) -> None:
         self.delay = delay
         self.commands: list[Command] = []
+        self.sent: list[SentCommand] = []
         self.readings: list[Reading] = []
+        self.readbacks: list[Readback] = []
         self.velocity_rad_s = 0.0
         self.fault = ""
+        self.has_clock = True
 
     def take_readings(self) -> list[Reading]:
         readings, self.readings = self.readings, []
         return readings
 
+    def take_readbacks(self) -> list[Readback]:
+        readbacks, self.readbacks = self.readbacks, []
+        return readbacks
+
     def check(self) -> None:
         if self.fault:
             raise DriveInFault(self.fault)
 
-    def write(self, command: Command) -> Instant:
+    def write(self, command: Command) -> SentCommand | None:
         self.commands.append(command)
-        return Instant(command.effective_at - 90_000)
+        handed_at = Instant(command.effective_at - COMMAND_LATENCY)
+        self.sent.append(SentCommand(command.sequence, round(command.torque_nm * 1000), handed_at))
+        return self.sent[-1]
 
 
 class FakeBus(Master):
-    """Clock and master in one: readings fall due in a heap."""
+    """Clock and master in one: echoes and readings fall due in a heap."""
 
     def __init__(self, drives: list[FakeDrive], oversleep: Callable[[int], int] | None = None) -> None:
         super().__init__()
         self.drives = drives
         self.at = Instant(0)
         self.oversleep = oversleep
-        self._due: list[tuple[int, int, FakeDrive, Reading]] = []
+        self.handed_at: list[Instant] = []
+        self._due: list[tuple[int, int, Callable[[], None]]] = []
         self._entered = 0
 
     def now(self) -> Instant:
         return self.at
 
     def sleep_until(self, when: Instant) -> None:
-        self.pump(when)
+        self.at = Instant(max(self.at, when))
+
+    def call_at(self, at: int, what: Callable[[], None]) -> None:
+        self._entered += 1
+        heappush(self._due, (at, self._entered, what))
 
     def send_sync(self) -> Instant:
         self.sync_count += 1
+        self.handed_at.append(self.at)
+        on_bus_at = Instant(self.at + SYNC_LATENCY)
+        self.call_at(on_bus_at, lambda: self._echo(on_bus_at))
         for drive in self.drives:
             delay = drive.delay(self.sync_count)
             if delay is None:
                 continue
-            sampled_at = self.at + SYNC_LATENCY
-            received_at = Instant(sampled_at + delay)
-            stamp = sampled_at + DEVICE_CLOCK_OFFSET_NS
-            reading = Reading(self.sync_count, 0.0, drive.velocity_rad_s, 0.0, 0x0627, stamp, received_at)
-            self._entered += 1
-            heappush(self._due, (received_at, self._entered, drive, reading))
+            stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
+            reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
+            self.call_at(reading.received_at, lambda drive=drive, reading=reading: drive.readings.append(reading))  # type: ignore[misc]
         return self.at
+
+    def _echo(self, at: Instant) -> None:
+        if self.on_sync_echo is not None:
+            self.on_sync_echo(at)
+
+    def rest(self, until: Instant) -> None:
+        self.pump(until)
+        if self.oversleep is not None:
+            self.at = Instant(self.at + self.oversleep(self.sync_count))
 
     def pump(self, until: Instant) -> None:
         while self.pump_one(until):
             pass
-        if self.oversleep is not None:
-            self.at = Instant(self.at + self.oversleep(self.sync_count))
 
     def pump_one(self, until: Instant) -> bool:
-        if self._due and self._due[0][0] <= until:
-            at, _, drive, reading = heappop(self._due)
+        if self._due and self._due[0][0] <= max(until, self.at):
+            at, _, what = heappop(self._due)
             self.at = Instant(max(self.at, at))
-            drive.readings.append(reading._replace(sequence=self.sync_count))
+            what()
             return True
         self.at = Instant(max(self.at, until))
         return False
@@ -108,7 +153,11 @@ def make_axis(
     records: list[CycleRecord],
     compensator: Compensator | None = None,
     limits: SafetyLimits | None = None,
+    syncs: SyncLog | None = None,
+    told: list[str] | None = None,
 ) -> Axis:
+    log = syncs or SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    tell = (told if told is not None else []).append
     parts = AxisParts(
         name="axis1",
         drive=drive,
@@ -118,7 +167,17 @@ def make_axis(
         reference=SpeedProfile([Step(0.01, 2.0)]),
         load=LoadProfile([]),
         load_machine=None,
-        clock_map=ClockMap(SYNC_LATENCY),
+        syncs=log,
+        by_stamp=StampAttribution(log, ClockMap(), PERIOD, TRANSIT, tell),
+        by_order=OrderAttribution(log, PERIOD, TRANSIT, tell),
         meter=DelayMeter(Duration(2 * NS_PER_MS), 10),
+        commands=CommandMeter(10),
     )
-    return Axis(0, parts, PERIOD, SYNC_LATENCY, records.append)
+    return Axis(0, parts, PERIOD, records.append)
+
+
+def make_loop(bus: FakeBus, axes: list[Axis], stall: Callable[[Instant], Duration] | None = None) -> Loop:
+    """A loop whose SYNC log hears the bus's echoes; the axes share the log of the first."""
+    log = axes[0].parts.syncs
+    bus.on_sync_echo = log.came
+    return Loop(bus, bus, axes, [log], TIMING, stall=stall)

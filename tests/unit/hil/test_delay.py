@@ -4,18 +4,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.exchange import Reading
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.delay import UNKNOWN_DELAY, DelayMeter
+from hil.delay import DelayMeter
 from hil.samples import Dropout, DropoutCause, Sample
+from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)
 
 
-def sample(sequence: int, delay_us: int) -> Sample:
+def sample(sequence: int, delay_us: int, certain: bool = True) -> Sample:
     sampled_at = Instant(sequence * NS_PER_MS)
     received_at = Instant(sampled_at + delay_us * 1000)
-    return Sample(sequence, Reading(sequence, 0.0, 0.0, 0.0, 0x27, None, received_at), sampled_at, 0)
+    return Sample(sequence, reading_at(received_at), sampled_at, 0, certain)
 
 
 def sent(meter: DelayMeter, *sequences: int) -> None:
@@ -79,7 +79,7 @@ def test_what_is_open_at_the_end_is_lost() -> None:
     sent(meter, 1, 2)
     meter.arrived(sample(2, 100))
     fates = meter.settle_all()
-    assert [fate.delay for fate in fates] == [UNKNOWN_DELAY, 100_000]
+    assert [fate.delay for fate in fates] == [None, 100_000]
 
 
 def test_the_typical_delay_is_the_median_not_the_mean() -> None:
@@ -115,3 +115,33 @@ def test_every_sequence_has_exactly_one_fate_in_order(delays_us: list[int | None
             assert fate.observation.cause is DropoutCause.LATE  # type: ignore[union-attr]
         else:
             assert fate.delay == delay * 1000
+
+
+def test_a_cycle_without_sync_has_its_fate_at_once_and_in_order() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1)
+    meter.missed(2, Instant(2 * NS_PER_MS))
+    sent(meter, 3)
+    assert causes(meter) == []
+    meter.arrived(sample(1, 100))
+    assert causes(meter) == [None, DropoutCause.MISSED]
+
+
+def test_a_loss_near_a_reading_of_uncertain_place_is_uncertain_too() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, *range(1, 30))
+    for number in range(1, 30):
+        if number not in (4, 14):
+            meter.arrived(sample(number, 100, certain=number != 15))
+    fates = {fate.sequence: fate.observation for fate in meter.settle_all()}
+    assert [fates[number].certain for number in (4, 14, 15, 20)] == [True, False, False, True]
+
+
+def test_a_certain_reading_takes_the_place_of_an_uncertain_one() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1, 2)
+    assert meter.arrived(sample(1, 100, certain=False))
+    assert meter.arrived(sample(1, 300))
+    (fate,) = meter.settle()
+    assert fate.delay == 300_000
+    assert fate.observation.certain

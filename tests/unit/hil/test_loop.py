@@ -1,16 +1,34 @@
 """The loop and its axes against a made-up bus."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
 from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
-from drivers.timebase import NS_PER_MS, Duration
+from drivers.exchange import Command
+from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.compensation import Stamp
-from hil.loop import CALIBRATION_SYNCS, Loop, LoopOutcome
+from hil.loop import CALIBRATION_SYNCS, LoopOutcome
 from hil.safety import SafetyLimits
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample
-from tests.unit.hil.loop_fakes import PERIOD, TIMING, FakeBus, FakeDrive, make_axis
+from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from tests.unit.hil.loop_fakes import PERIOD, FakeBus, FakeDrive, make_axis, make_loop
+
+
+def estimate_of(record: CycleRecord) -> StateEstimate:
+    assert record.estimate is not None
+    return record.estimate
+
+
+def command_of(record: CycleRecord) -> Command:
+    assert record.command is not None
+    return record.command
+
+
+def handed_after(record: CycleRecord) -> int:
+    """From the tick until its command was handed over, ns."""
+    assert record.sending is not None
+    return record.sending.handed_at - record.due_at
 
 
 def run(
@@ -18,6 +36,7 @@ def run(
     cycles: int,
     *,
     oversleep: Callable[[int], int] | None = None,
+    stall: Callable[[Instant], Duration] | None = None,
     stamp_delay: int = 0,
     limits: SafetyLimits | None = None,
     stop_after: int | None = None,
@@ -28,7 +47,7 @@ def run(
     drive = FakeDrive(lambda sequence: 250_000)
     bus = FakeBus([drive])
     compensator = Stamp(Duration(stamp_delay)) if stamp_delay else None
-    loop = Loop(bus, bus, [make_axis(drive, records, compensator, limits)], TIMING)
+    loop = make_loop(bus, [make_axis(drive, records, compensator, limits)], stall)
     loop.calibrate()
     drive.delay = lambda sequence: delay(sequence - CALIBRATION_SYNCS)
     bus.oversleep = oversleep
@@ -46,21 +65,19 @@ def run(
 def test_each_cycle_uses_its_own_reading_and_is_recorded_once() -> None:
     outcome, records, drive = run(lambda cycle: 300_000, 40)
     assert outcome.cycles == len(records) == len(drive.commands) == 40
-    assert [record.sequence for record in records] == list(
-        range(CALIBRATION_SYNCS + 1, CALIBRATION_SYNCS + 41)
-    )
+    assert [record.sequence for record in records] == list(range(1, 41))
     for record in records:
         assert isinstance(record.observation, Sample)
-        assert record.estimate.sequence == record.sequence
+        assert estimate_of(record).sequence == record.sequence
         assert record.delay == 300_000
-        assert record.observation.sampled_at == record.sync_sent_at + TIMING.sync_latency
-    assert records[9].command.torque_nm == 0.0
-    assert records[10].command.torque_nm == 2.0
+        assert record.observation.sampled_at == record.sync_on_bus_at
+    assert command_of(records[9]).torque_nm == 0.0
+    assert command_of(records[10]).torque_nm == 2.0
 
 
 def test_the_command_is_sent_as_soon_as_the_reading_is_there() -> None:
     _, records, _ = run(lambda cycle: 300_000, 10)
-    assert {record.command_sent_at - record.due_at for record in records} == {350_000}
+    assert {handed_after(record) for record in records} == {350_000}
 
 
 def test_a_lost_reading_delays_the_command_to_the_latest_moment_and_no_further() -> None:
@@ -68,25 +85,25 @@ def test_a_lost_reading_delays_the_command_to_the_latest_moment_and_no_further()
     lost = records[4]
     assert isinstance(lost.observation, Dropout)
     assert lost.observation.cause is DropoutCause.LOST
-    assert lost.delay == -1
-    assert lost.estimate.sequence == records[3].sequence
-    assert lost.command_sent_at - lost.due_at == 700_000
-    assert records[5].command_sent_at - records[5].due_at == 350_000
+    assert lost.delay is None
+    assert estimate_of(lost).sequence == records[3].sequence
+    assert handed_after(lost) == 700_000
+    assert handed_after(records[5]) == 350_000
 
 
 def test_a_steady_delay_beyond_the_period_is_no_dropout_and_costs_no_waiting() -> None:
     _, records, _ = run(lambda cycle: 1_400_000, 120)
     assert all(isinstance(record.observation, Sample) for record in records)
     for record in records[60:]:
-        assert record.estimate.sequence == record.sequence - 1
-        assert record.command_sent_at - record.due_at == 450_000
+        assert estimate_of(record).sequence == record.sequence - 1
+        assert handed_after(record) == 450_000
 
 
 def test_beyond_the_deadline_a_reading_is_late_and_not_used() -> None:
     _, records, _ = run(lambda cycle: 2_500_000 if cycle == 7 else 300_000, 30)
     assert records[6].observation.cause is DropoutCause.LATE  # type: ignore[union-attr]
     assert records[6].delay == 2_500_000
-    assert all(record.estimate.sequence != records[6].sequence for record in records)
+    assert all(estimate_of(record).sequence != records[6].sequence for record in records)
 
 
 def test_an_overtaken_reading_is_stale() -> None:
@@ -97,7 +114,7 @@ def test_an_overtaken_reading_is_stale() -> None:
 def test_stamp_makes_a_varying_delay_constant() -> None:
     delays = [200_000, 900_000, 1_100_000, 450_000]
     _, records, _ = run(lambda cycle: delays[cycle % 4], 80, stamp_delay=2 * NS_PER_MS)
-    ages = {record.command.effective_at - record.estimate.valid_at for record in records[20:]}
+    ages = {command_of(record).effective_at - estimate_of(record).valid_at for record in records[20:]}
     assert min(ages) >= 2 * NS_PER_MS - 20_000
     assert max(ages) < 3 * NS_PER_MS
 
@@ -106,11 +123,85 @@ def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:
     outcome, records, _ = run(
         lambda cycle: 300_000, 40, oversleep=lambda count: 3_200_000 if count == CALIBRATION_SYNCS + 9 else 0
     )
-    assert outcome.ticks_missed > 0
-    assert outcome.cycles + outcome.ticks_missed == 40
+    assert (outcome.cycles, outcome.cycles_missed) == (40, 3)
+    assert [record.sequence for record in records] == list(range(1, 41))
     first = records[0].due_at
-    assert all((record.due_at - first) % PERIOD == 0 for record in records)
-    assert max(record.woke_at - record.due_at for record in records) >= 3_000_000
+    assert [record.due_at - first for record in records] == [number * PERIOD for number in range(40)]
+    causes = {
+        record.sequence: record.observation.cause
+        for record in records
+        if isinstance(record.observation, Dropout)
+    }
+    assert causes == dict.fromkeys((10, 11, 12), DropoutCause.MISSED)
+    missed = records[10]
+    assert missed.woke_at is missed.sync_handed_at is missed.sync_on_bus_at is missed.command is None
+
+
+@pytest.mark.parametrize("late_us", [0, 300, 499, 501, 900, 1400, 1501, 2300])
+def test_no_sync_comes_within_half_a_period_of_another(late_us: int) -> None:
+    bus_of: list[FakeBus] = []
+    drive = FakeDrive(lambda sequence: 250_000)
+    bus = FakeBus([drive])
+    bus_of.append(bus)
+    records: list[CycleRecord] = []
+    calls = iter(range(10**9))
+    loop = make_loop(
+        bus,
+        [make_axis(drive, records)],
+        lambda _now: Duration(late_us * 1000) if next(calls) % 5 == 3 else Duration(0),
+    )
+    loop.calibrate()
+    loop.run(Duration(60 * PERIOD), lambda: False, lambda at: None, lambda done: None)
+    handed = bus.handed_at[CALIBRATION_SYNCS:]
+    assert min(later - earlier for earlier, later in pairwise(handed)) >= PERIOD // 2
+    assert [record.sequence for record in records] == list(range(1, 61))
+    missed = sum(
+        isinstance(record.observation, Dropout) and record.observation.cause is DropoutCause.MISSED
+        for record in records
+    )
+    assert missed + len(handed) == 60
+    assert (missed > 0) is (late_us > 500)
+    used = [record for record in records if isinstance(record.observation, Sample)]
+    assert all(record.observation.sampled_at == record.sync_on_bus_at for record in used)  # type: ignore[union-attr]
+
+
+def test_a_long_stall_counts_among_the_dropouts_in_a_row() -> None:
+    limits = SafetyLimits(5.0, 200.0, dropouts_consecutive_max=8)
+    with pytest.raises(LimitExceeded, match="no usable reading for 9 cycles"):
+        run(
+            lambda cycle: 300_000,
+            100,
+            limits=limits,
+            oversleep=lambda count: 12_000_000 if count == CALIBRATION_SYNCS + 20 else 0,
+        )
+
+
+def test_no_sync_is_handed_over_while_the_last_one_is_not_on_the_bus() -> None:
+    records: list[CycleRecord] = []
+    drive = FakeDrive(lambda sequence: 250_000)
+    bus = FakeBus([drive])
+    loop = make_loop(bus, [make_axis(drive, records)])
+    loop.calibrate()
+    came = bus.on_sync_echo
+    assert came is not None
+
+    def held(at: Instant) -> None:
+        """The echo of the tenth SYNC of the run comes 1.4 periods late, as from a bus that stood still."""
+        if bus.sync_count == CALIBRATION_SYNCS + 10:
+            late = Instant(at + 1_400_000)
+            bus.call_at(late, lambda: came(late))
+        else:
+            came(at)
+
+    bus.on_sync_echo = held
+    loop.run(Duration(20 * PERIOD), lambda: False, lambda at: None, lambda done: None)
+    causes = [
+        record.observation.cause if isinstance(record.observation, Dropout) else None for record in records
+    ]
+    assert causes[10] is DropoutCause.MISSED
+    assert records[10].woke_at is not None
+    assert causes[11:] == [None] * 9, "the SYNC after it waits for half a period, and goes out"
+    assert bus.handed_at[-9] - records[9].sync_on_bus_at >= PERIOD // 2  # type: ignore[operator]
 
 
 def test_a_stop_request_ends_the_run_between_cycles() -> None:
@@ -148,7 +239,7 @@ def test_a_drive_in_fault_stops_the_run_before_another_command() -> None:
 def test_silence_during_calibration_is_named() -> None:
     drive = FakeDrive(lambda sequence: None)
     bus = FakeBus([drive])
-    loop = Loop(bus, bus, [make_axis(drive, [])], TIMING)
+    loop = make_loop(bus, [make_axis(drive, [])])
     with pytest.raises(NoAnswer, match="axis1: no reading"):
         loop.calibrate()
 
@@ -157,7 +248,8 @@ def test_two_axes_share_the_syncs() -> None:
     records: list[CycleRecord] = []
     drives = [FakeDrive(lambda sequence: 250_000), FakeDrive(lambda sequence: 400_000)]
     bus = FakeBus(drives)
-    loop = Loop(bus, bus, [make_axis(drive, records) for drive in drives], TIMING)
+    first = make_axis(drives[0], records)
+    loop = make_loop(bus, [first, make_axis(drives[1], records, syncs=first.parts.syncs)])
     loop.calibrate()
     outcome = loop.run(Duration(10 * PERIOD), lambda: False, lambda at: None, lambda done: None)
     assert outcome.cycles == 10

@@ -1,0 +1,175 @@
+"""Which SYNC a reading answers, against a made-up world that knows."""
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from drivers.frame_port import EchoBasis
+from drivers.timebase import Instant
+from hil.syncs import SyncLog
+from tests.unit.hil.attribution_world import Network, Outcome, play
+from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY
+
+Delay = Callable[[int, random.Random], int | None]
+
+
+def uniform(low_us: int, high_us: int, loss: float = 0.0) -> Delay:
+    return lambda _n, r: None if r.random() < loss else r.randint(low_us * 1000, high_us * 1000)
+
+
+DELAYS: dict[str, Delay] = {
+    "fixed": lambda _n, _r: 240_000,
+    "loss": uniform(240, 240, 0.1),
+    "above a period": lambda _n, _r: 1_240_000,
+    "five periods": lambda _n, _r: 5_300_000,
+    "uniform": uniform(150, 900, 0.05),
+    "reordered": uniform(150, 3_500, 0.02),
+    "burst": lambda n, _r: None if n % 300 > 280 else 300_000,
+}
+
+
+def judge(outcome: Outcome, readings_min: int) -> None:
+    assert outcome.misjudged == []
+    assert outcome.violations == []
+    assert len(outcome.placed) >= readings_min
+    assert outcome.errors[len(outcome.errors) * 99 // 100] < 2_000
+    health = outcome.by_stamp.health
+    assert health.below_transit == health.before_sync == health.two_stamps == 0
+
+
+@pytest.mark.parametrize("drift_ppm", [0.0, 100.0, 1000.0, -1000.0])
+@pytest.mark.parametrize("name", DELAYS)
+def test_no_reading_is_misplaced_and_none_uncertain_once_the_delays_are_known(
+    name: str, drift_ppm: float
+) -> None:
+    outcome = play(Network(DELAYS[name], drift_ppm=drift_ppm), 2000)
+    judge(outcome, 1600)
+    assert max(outcome.uncertain, default=0) <= 50, "calibration had another delay"
+
+
+@pytest.mark.parametrize("drift_ppm", [0.0, 1000.0])
+@pytest.mark.parametrize("step_ns", [-350_000, 200_000, 800_000, 2_000_000, 10**9, 37_000])
+@pytest.mark.parametrize("name", DELAYS)
+def test_a_clock_that_is_set_costs_fifty_cycles_at_most(name: str, step_ns: int, drift_ppm: float) -> None:
+    outcome = play(Network(DELAYS[name], drift_ppm=drift_ppm, steps={500: step_ns, 1000: -step_ns}), 1500)
+    judge(outcome, 1200)
+    uncertain = {number for number in outcome.uncertain if number > 50}
+    assert uncertain <= {*range(484, 550), *range(984, 1050)}, sorted(uncertain)
+    assert outcome.by_stamp.health.steps == len(outcome.told) == 2
+
+
+def test_a_late_host_misplaces_nothing() -> None:
+    def lateness(_n: int, r: random.Random) -> int:
+        return r.choice([0, 0, 0, 80_000, 490_000])
+
+    outcome = play(Network(uniform(150, 900, 0.02), lateness=lateness, drift_ppm=-100.0), 5000)
+    judge(outcome, 4500)
+    assert outcome.uncertain == []
+
+
+def test_a_reading_that_comes_twice_is_known_by_its_stamp() -> None:
+    outcome = play(Network(duplicate=lambda n, _r: 3_000_000 if n % 3 == 0 else None), 2500)
+    judge(outcome, 2500)
+    assert len(outcome.placed) == 2500
+    assert outcome.by_stamp.health.duplicates == 833
+
+
+def test_a_sync_that_is_late_to_the_drive_shifts_the_sample_not_the_cycle() -> None:
+    """As behind a gateway; the smallest delay of it cannot be seen, so it is 0 here."""
+    outcome = play(Network(sync_delay=lambda _n, r: r.choice([0, r.randint(0, 200_000)])), 6000)
+    assert outcome.misjudged == []
+    assert outcome.violations == []
+    settled = [truth for truth in outcome.placed if truth.sequence > 500]
+    errors = sorted(abs(truth.sample.sampled_at - truth.sampled_at) for truth in settled)
+    assert errors[len(errors) * 99 // 100] < 4_000
+    assert sum(not truth.sample.certain for truth in settled) < 0.02 * len(settled)
+
+
+def test_two_stamps_for_one_sync_are_an_alarm() -> None:
+    outcome = play(Network(), 200)
+    place, log = outcome.by_stamp, outcome.by_stamp._syncs
+    mark = log.marks[-5]
+    assert mark.on_bus_at is not None
+    from tests.unit.hil.loop_fakes import reading_at
+
+    stamp = mark.on_bus_at - place.clock.offset_ns + 2_000
+    sample = place.place(reading_at(Instant(mark.on_bus_at + 300_000), stamp))
+    assert sample is None or not sample.certain
+    log.handed(201, Instant(log.marks[-1].handed_at + PERIOD))
+    on_bus = Instant(log.marks[-1].handed_at + SYNC_LATENCY)
+    log.came(on_bus)
+    place.place(reading_at(Instant(on_bus + 240_000), on_bus - place.clock.offset_ns))
+    assert place.health.two_stamps == 1
+
+
+# ---- drives without a clock ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.02, 0.3])
+def test_by_order_nothing_is_misplaced_while_the_drive_answers_before_the_next_sync(loss: float) -> None:
+    def lateness(_n: int, r: random.Random) -> int:
+        return r.choice([0, 0, 60_000, 480_000])
+
+    outcome = play(Network(uniform(150, 400, loss), lateness=lateness, has_clock=False), 8000)
+    assert outcome.misjudged == []
+    assert outcome.violations == []
+    assert len(outcome.placed) > 7_500 * (1.0 - loss)
+    if not loss:
+        assert outcome.uncertain == []
+
+
+def test_by_order_a_delay_that_begins_behind_the_next_sync_is_uncertain_never_wrong() -> None:
+    """A gateway's 5 ms that begin after calibration: they would look like 0.24 ms."""
+    outcome = play(
+        Network(lambda n, _r: 240_000 if n < 1000 else 5_240_000, has_clock=False), 4000
+    )
+    assert outcome.misjudged == []
+    assert outcome.violations == []
+    assert len([number for number in outcome.uncertain if number >= 1000]) > 2_900
+    assert any("later than the next SYNC" in text for text in outcome.told)
+
+
+# ---- the log of SYNCs ---------------------------------------------------------------------------------------
+
+
+def test_a_sync_that_never_came_to_the_bus_makes_the_next_echo_unsure() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    lost = log.handed(1, Instant(0))
+    assert not log.may_hand_over(Instant(PERIOD))
+    assert log.may_hand_over(Instant(2 * PERIOD))
+    later = log.handed(3, Instant(2 * PERIOD))
+    log.came(Instant(2 * PERIOD + SYNC_LATENCY))
+    assert (lost.on_bus_at, later.on_bus_at) == (None, 2 * PERIOD + SYNC_LATENCY)
+    assert not later.sure
+    next_mark = log.handed(4, Instant(3 * PERIOD))
+    log.came(Instant(3 * PERIOD + SYNC_LATENCY))
+    assert next_mark.sure
+
+
+def test_two_echoes_of_two_syncs_are_told_apart_by_their_order() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    first = log.handed(1, Instant(0))
+    second = log.handed(3, Instant(2 * PERIOD))
+    log.came(Instant(2 * PERIOD + 10_000))
+    log.came(Instant(2 * PERIOD + 60_000))
+    assert (first.on_bus_at, second.on_bus_at) == (2 * PERIOD + 10_000, 2 * PERIOD + 60_000)
+    assert first.sure
+    assert second.sure
+    assert log.crowded == 1
+
+
+def test_an_echo_nobody_asked_for_is_surplus() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    log.handed(1, Instant(0))
+    log.came(Instant(50_000))
+    log.came(Instant(110_000))
+    assert log.surplus == 1
+    assert log.nearest(Instant(110_000)) is log.marks[-1]
+
+
+def test_without_echoes_the_hand_over_stands_for_the_bus() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.NONE)
+    mark = log.handed(1, Instant(0))
+    assert mark.on_bus_at == SYNC_LATENCY
+    assert log.may_hand_over(Instant(1))
