@@ -31,7 +31,7 @@ from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.clock_map import ClockMap
 from hil.samples import Sample
-from hil.syncs import SURPLUS, SyncLog, SyncMark
+from hil.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 ECHO_ERROR: Final = {
     EchoBasis.BUS: 0,
@@ -177,6 +177,8 @@ class StampAttribution:
         """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events."""
         self.health = Health()
         self.clock = clock
+        self.doubtful_error_ns = REMEMBERED * period
+        """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
         self._syncs = syncs
         self._quarter = period // 4
         self._half = period // 2
@@ -201,7 +203,7 @@ class StampAttribution:
         self._early = False
         """Whether a suspect would have come before its SYNC, which no network can do."""
         self._delays = _DelayWindow()
-        self._recent: deque[int] = deque(maxlen=REVOKED)
+        self._recent: deque[SyncMark] = deque(maxlen=REVOKED)
         self.revoked: set[int] = set()
         """Cycles whose readings were placed as certain just before a question came up that touches them."""
 
@@ -279,7 +281,7 @@ class StampAttribution:
         else:
             health.uncertain += 1
         self._delays.add(reading.received_at - sampled_at)
-        self._recent.append(mark.sequence)
+        self._recent.append(mark)
         return Sample(mark.sequence, reading, sampled_at, error_ns, certain)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
@@ -342,7 +344,7 @@ class StampAttribution:
         if not suspects:
             self._suspects_from = self._answered
             if self.spread:
-                self.revoked.update(self._recent)
+                self._revoke()
         if free is None and lateness > 0:
             self._note_lateness(min(lateness, self._quarter))
         self._early = self._early or at > reading.received_at - self._transit + self._match_ns
@@ -351,8 +353,15 @@ class StampAttribution:
         self._settle()
         return guess
 
+    def _revoke(self) -> None:
+        """The last placements may have been wrong already: their SYNCs are free again."""
+        for mark in self._recent:
+            self.revoked.add(mark.sequence)
+            self._stamps.pop(mark.number, None)
+        self._recent.clear()
+
     def _guess(self, reading: Reading, free: SyncMark | None, at: Instant) -> Sample | None:
-        """A reading's most likely place, marked uncertain; its interval holds every SYNC that is open."""
+        """A reading's most likely place, marked uncertain."""
         received_at = reading.received_at
         latest = Instant(received_at - self._transit)
         open_marks = [
@@ -367,13 +376,10 @@ class StampAttribution:
             self.health.unmatched += 1
             return None
         mark = free if free is not None and free in open_marks else open_marks[-1]
-        sampled_at, earliest = mark.on_bus_at, open_marks[0].on_bus_at
-        assert sampled_at is not None
-        assert earliest is not None
+        assert mark.on_bus_at is not None
         self.health.placed += 1
         self.health.uncertain += 1
-        error_ns = max(received_at - sampled_at, sampled_at - earliest)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, False)
+        return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""
@@ -459,7 +465,8 @@ class StampAttribution:
             cost = min(lost + self._twice, LOSS_COST_MAX)
         change = abs(smallest - self._delays.low)
         if change > self._half:
-            cost += DELAY_COST
+            # The smallest of many delays that spread is sooner believed than losses.
+            cost += DELAY_COST + (LOSS_COST_MAX + 1 if self.spread else 0)
         return _Line(cost, change, tuple(marks), steps)
 
     def _lost_before(self, number: int) -> int:

@@ -13,7 +13,7 @@ from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Sending, StateEstimate
+from hil.samples import CycleRecord, Observation, Sample, Sending, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile
 from hil.syncs import SyncLog, SyncMark
 
@@ -260,7 +260,7 @@ class Axis:
         observation = fate.observation
         if tick.sequence in self._by_stamp.revoked:
             self._by_stamp.revoked.discard(tick.sequence)
-            observation = observation._replace(certain=False)
+            observation = _revoked(observation, self._by_stamp.doubtful_error_ns)
         self._record(
             CycleRecord(
                 tick.sequence,
@@ -289,3 +289,10 @@ class Axis:
     def _check(self, reason: str | None) -> None:
         if reason is not None:
             raise LimitExceeded(f"{self.parts.name}: {reason}", remedy="the drive is being brought to rest")
+
+
+def _revoked(observation: Observation, error_ns: int) -> Observation:
+    """A placement that turned out to be uncertain."""
+    if isinstance(observation, Sample):
+        return observation._replace(certain=False, sampled_at_error_ns=error_ns)
+    return observation._replace(certain=False)

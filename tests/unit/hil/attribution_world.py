@@ -158,5 +158,6 @@ def play(network: Network, cycles: int, seed: int = 1) -> Outcome:
         heappop(due)[2]()
     for truth in placed:
         if truth.sample.sequence in by_stamp.revoked:
-            truth.sample = truth.sample._replace(certain=False)
+            error_ns = by_stamp.doubtful_error_ns
+            truth.sample = truth.sample._replace(certain=False, sampled_at_error_ns=error_ns)
     return Outcome(placed, by_stamp, by_order, told)
