@@ -2,8 +2,8 @@
 
 import can
 
+from drivers.frame_port import ERROR_FLAG
 from drivers.timebase import Instant
-from virtual_bus.can_bus.error_message import ERROR_FLAG
 from virtual_bus.frame import Frame
 
 

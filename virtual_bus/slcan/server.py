@@ -148,7 +148,7 @@ def open_far_side(spec: BusSpec, bitrate_bit_s: int | None) -> tuple[can.BusABC,
     """
     if spec.interface != "hub":
         wanted = bitrate_bit_s or 1_000_000
-        return open_bus(spec, wanted).bus, wanted
+        return open_bus(spec, wanted, for_link=False).bus, wanted
     try:
         bus = HubBus(spec.channel, bitrate=bitrate_bit_s, receive_own_messages=True)
     except can.CanError as error:

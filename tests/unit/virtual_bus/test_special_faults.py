@@ -186,9 +186,7 @@ class TwoEnds:
         segment = Segment(timeline)
         clock = SimulatedClock(timeline)
         self.peer = SimulatedBus("peer", segment=segment)
-        self.host = FaultyBus(
-            SimulatedBus("host", segment=segment), started(*faults), clock, "host", Duration(0)
-        )
+        self.host = FaultyBus(SimulatedBus("host", segment=segment), started(*faults), clock, "host")
         self.host.start(clock.now())
 
 
