@@ -6,6 +6,7 @@ from typing import Final
 import can
 
 from drivers.frame_port import ERROR_FLAG, FramePort, WireFrame
+from drivers.message import frame_of, message_of
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, wall_clock_offset
 
 
@@ -49,24 +50,12 @@ class MessagePort(FramePort):
             if message.is_fd:
                 continue
             self.came_at = self._stamp(message.timestamp)
-            can_id = message.arbitration_id
             if message.is_error_frame:
-                return WireFrame(ERROR_FLAG | can_id, bytes(message.data))
-            if message.is_remote_frame:
-                return WireFrame(can_id, b"", message.is_extended_id, True, message.dlc)
-            return WireFrame(can_id, bytes(message.data), message.is_extended_id)
+                return WireFrame(ERROR_FLAG | message.arbitration_id, bytes(message.data))
+            return frame_of(message)
 
     def transmit(self, frame: WireFrame) -> None:
-        can_id, data, extended, remote, remote_length = frame
-        self._bus.send(
-            can.Message(
-                arbitration_id=can_id,
-                is_extended_id=extended,
-                is_remote_frame=remote,
-                dlc=remote_length if remote else len(data),
-                data=None if remote else data,
-            )
-        )
+        self._bus.send(message_of(frame, Instant(0)))
 
     def _stamp(self, timestamp_s: float) -> Instant:
         """A message's stamp on the bench's axis; never later than now, even if the wall clock was stepped."""

@@ -16,6 +16,7 @@ import can
 from can.typechecking import CanFilters
 
 from drivers.frame_port import FramePort, WireFrame
+from drivers.message import frame_of, message_of
 from drivers.serial_line import LineFull, LineGone, SerialLine
 from drivers.slcan_protocol import (
     BITRATE_CODES,
@@ -154,31 +155,13 @@ class SlcanBus(can.BusABC):
         received = self._receive(until)
         if received is None:
             return None
-        (can_id, data, extended, remote, remote_length), at, own = received
-        return can.Message(
-            timestamp=at * 1e-9,
-            arbitration_id=can_id,
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            dlc=remote_length if remote else len(data),
-            data=data,
-            is_rx=not own,
-            channel=str(self.channel_info),
-        )
+        frame, at, own = received
+        return message_of(frame, at, is_rx=not own, channel=str(self.channel_info))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand ``msg`` to the adapter, waiting up to ``timeout`` seconds for room."""
-        if msg.is_fd or msg.is_error_frame:
-            raise can.CanOperationError("an SLCAN adapter sends data and remote frames of classical CAN only")
+        frame = frame_of(msg)
         deadline = instant_after(self._clock.now(), timeout or 0.0)
-        remote = msg.is_remote_frame
-        frame = WireFrame(
-            msg.arbitration_id,
-            b"" if remote else bytes(msg.data),
-            msg.is_extended_id,
-            remote,
-            msg.dlc if remote else 0,
-        )
         while self._line.held_bytes and self._clock.now() < deadline:
             self._take(deadline)
         self._transmit(frame)

@@ -10,6 +10,7 @@ import select
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
+from drivers.message import frame_of, message_of
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
 from virtual_bus.can_bus.error_message import bus_state
 from virtual_bus.can_bus.hub_control import HubStatus, Request
@@ -17,7 +18,6 @@ from virtual_bus.can_bus.hub_join import join
 from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
 from virtual_bus.can_bus.hub_port import HubPort
 from virtual_bus.can_bus.hub_protocol import Hello
-from virtual_bus.can_bus.message import frame_of, message_of
 
 _NEVER = Instant(1 << 62)
 

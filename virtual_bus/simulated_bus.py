@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import can
 from can.typechecking import CanFilters
 
+from drivers.message import frame_of, message_of
 from drivers.timebase import Instant, instant_after
 from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.can_bus.error_message import bus_state
 from virtual_bus.can_bus.host_port import HostPort
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
 from virtual_bus.timeline import Timeline
 

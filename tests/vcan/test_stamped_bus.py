@@ -1,6 +1,6 @@
 """The bench's SocketCAN bus on the kernel's interface: frames both ways, stamps, floods and lacks."""
 
-import time
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -113,8 +113,8 @@ def in_uml() -> bool:
 @pytest.mark.skipif(
     not in_uml(), reason="sets the wall clock: only inside User Mode Linux, which has its own"
 )
-@pytest.mark.parametrize("step_s", [-3600.0, -1.0, 1.0, 3600.0])
-def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: float) -> None:
+@pytest.mark.parametrize("step_s", [-3600, -1, 1, 3600])
+def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: int) -> None:
     """Frames before and after the step, all read after it; the echoes of the sender too."""
     clock = MonotonicClock()
     handed = []
@@ -127,7 +127,9 @@ def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: float) ->
                 assert bus.frame_port.receive(clock.now()) is None
             for number in range(40):
                 if number == 20:
-                    time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+                    subprocess.run(
+                        ["date", "--set", f"{step_s:+d} seconds"], check=True, stdout=subprocess.DEVNULL
+                    )
                 before = clock.now()
                 sender.frame_port.transmit(WireFrame(0x100 + number))
                 handed.append((before, clock.now()))

@@ -21,10 +21,10 @@ import can.typechecking
 from can.broadcastmanager import CyclicSendTaskABC
 
 from drivers.frame_port import ERROR_FLAG, FramePort
+from drivers.message import frame_of, message_of
 from drivers.message_port import MessagePort, StampSource
 from drivers.timebase import NS_PER_S, Clock, Instant
 from virtual_bus.can_bus.host_port import HELD_MAX, HostPort
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.faults import FOREVER, FateSource
 from virtual_bus.frame import Frame

@@ -8,9 +8,9 @@ import can
 
 from drivers.adapters import BusSpec, open_bus
 from drivers.errors import BusDown
+from drivers.message import frame_of, message_of
 from drivers.slcan_protocol import Status
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
 from virtual_bus.serial_line.device_line import DeviceLine
