@@ -18,6 +18,8 @@ from tests.ports import fetched
 
 PATIENCE_NS = 10 * NS_PER_S
 FLOOD = 3000
+SLACK_NS = 100 * NS_PER_MS
+"""Between a system call and the kernel's stamp: it may put off what the call has begun. A tenth of a step."""
 
 
 @pytest.fixture
@@ -138,5 +140,5 @@ def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: int) -> N
                     received = fetched(bus, soon(clock))
                     assert received is not None
                     assert received[0].can_id == 0x100 + number
-                    assert before - NS_PER_MS // 10 <= received[1] <= after + NS_PER_MS // 10
+                    assert before - SLACK_NS <= received[1] <= after + SLACK_NS
             handed.clear()
