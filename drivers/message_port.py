@@ -5,7 +5,8 @@ from typing import Final
 
 import can
 
-from drivers.frame_port import ERROR_FLAG, FramePort, WireFrame
+from drivers.frame_port import ERROR_FLAG as ERROR_FLAG
+from drivers.frame_port import FramePort, WireFrame
 from drivers.message import frame_of, message_of
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant, wall_clock_offset
 
