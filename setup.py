@@ -25,12 +25,15 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_port frame_pump link nmt readings servo setpoint"),
+    *_below("drivers", "exchange frame_port frame_pump link message_port nmt readings servo setpoint"),
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
     *_below("virtual_bus/can_bus", "arbitration bit_length bus_load controller error_frame error_handling"),
-    *_below("virtual_bus/can_bus", "error_state filters frame_image host_port inbox listener trial"),
+    *_below(
+        "virtual_bus/can_bus", "error_state filters frame_image host_port hub_broker hub_port hub_protocol"
+    ),
+    *_below("virtual_bus/can_bus", "inbox listener trial"),
     *_below("virtual_bus/canopen_device", "application device_clock heartbeat object_dictionary"),
     *_below(
         "virtual_bus/canopen_device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"

@@ -120,8 +120,12 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
     return BusSpec(interface, channel, line_baud)
 
 
-def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus") -> OpenBus:
+def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus", *, for_link: bool = True) -> OpenBus:
     """Open a real-time bus. Raises BusDown with the remedy, or BadInput for what can never be opened.
+
+    ``for_link``: a :class:`~drivers.link.BusLink` uses it, so own frames come back where they bear the
+    instant at which they were on the bus, and several frames may come at once; not for one who reads
+    python-can's messages or waits on ``fileno``.
 
     ``simulated`` needs its segment and is opened by who owns that.
     """
@@ -130,7 +134,7 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus") -> OpenBu
             source, "", str(spec), "a real-time bus", "use hub:NAME for a simulated bus in real time"
         )
     try:
-        bus = _OPENERS.get(spec.interface, _open_other)(spec, bitrate_bit_s)
+        bus = _OPENERS.get(spec.interface, _open_other)(spec, bitrate_bit_s, for_link)
     except BenchError:
         raise
     except can.CanInterfaceNotImplementedError as error:
@@ -184,7 +188,7 @@ def link_up_command(channel: str, bitrate_bit_s: int = 1_000_000) -> str:
     return f"ip link set {channel} up type can bitrate {bitrate_bit_s}"
 
 
-def _open_socketcan(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
+def _open_socketcan(spec: BusSpec, bitrate_bit_s: int, for_link: bool) -> can.BusABC:
     """Binding to an interface that is down succeeds and only sending fails: look at its state first."""
     link = _NETWORK_LINKS / spec.channel
     if link.is_dir():
@@ -194,31 +198,38 @@ def _open_socketcan(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
             )
         if not _is_up(link):
             raise BusDown(f"{spec.channel} is down", "", link_up_command(spec.channel, bitrate_bit_s))
-    return StampedSocketcanBus(channel=spec.channel)
+    return StampedSocketcanBus(channel=spec.channel, receive_own_messages=for_link)
 
 
-def _open_hub(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
-    return can.Bus(interface=HUB, channel=spec.channel, bitrate=bitrate_bit_s, ignore_config=True)
+def _open_hub(spec: BusSpec, bitrate_bit_s: int, for_link: bool) -> can.BusABC:
+    return can.Bus(
+        interface=HUB,
+        channel=spec.channel,
+        bitrate=bitrate_bit_s,
+        receive_own_messages=for_link,
+        batches=for_link,
+        ignore_config=True,
+    )
 
 
-def _open_slcan(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
+def _open_slcan(spec: BusSpec, bitrate_bit_s: int, _for_link: bool) -> can.BusABC:
     return SlcanBus(spec.channel, bitrate=bitrate_bit_s, tty_baudrate=spec.line_baud or LINE_BAUD)
 
 
-def _open_serial(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
+def _open_serial(spec: BusSpec, bitrate_bit_s: int, _for_link: bool) -> can.BusABC:
     baud = spec.line_baud
     options: dict[str, Any] = {"bitrate": bitrate_bit_s} if baud is None else {"baudrate": baud}
     return can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **options)
 
 
-def _open_other(spec: BusSpec, bitrate_bit_s: int) -> can.BusABC:
+def _open_other(spec: BusSpec, bitrate_bit_s: int, _for_link: bool) -> can.BusABC:
     channel: Any = spec.channel or None
     if spec.interface in _NUMBERED_CHANNELS and spec.channel.isdecimal():
         channel = int(spec.channel)
     return can.Bus(interface=spec.interface, channel=channel, bitrate=bitrate_bit_s, ignore_config=True)
 
 
-_OPENERS: dict[str, Callable[[BusSpec, int], can.BusABC]] = {
+_OPENERS: dict[str, Callable[[BusSpec, int, bool], can.BusABC]] = {
     SOCKETCAN: _open_socketcan,
     HUB: _open_hub,
     **dict.fromkeys(SERIAL_INTERFACES, _open_serial),

@@ -1,11 +1,12 @@
-"""The lean path of a bus (:mod:`drivers.lean_bus`) as a class, and who sees the frames that pass a link.
+"""The way of frames into and out of a bus, and who sees the frames that pass a link.
 
-Compiled, the methods of a class that is known are called directly: that takes a twentieth of the time.
+A bus offers it as its ``frame_port``: frames as plain tuples, with stamps on the bench's axis. Compiled, the
+methods of a class that is known are called directly: that takes a twentieth of the time.
 """
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from mypy_extensions import mypyc_attr
 
@@ -14,6 +15,10 @@ from drivers.timebase import Instant
 Direction = Literal["tx", "rx"]
 Tap = Callable[[Direction, int, bytes, bool, bool, Instant], None]
 """Sees every frame: direction, identifier, data, extended, remote, instant."""
+
+
+ERROR_FLAG: Final = 0x2000_0000
+"""CAN_ERR_FLAG of linux/can.h. An identifier that bears it is that of an error frame, told by the adapter."""
 
 
 class WireFrame(NamedTuple):
@@ -46,7 +51,7 @@ class EchoBasis(Enum):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class FramePort:
-    """What a bus may have as its ``frame_port``. Override both methods."""
+    """What a bus has as its ``frame_port``. Override both methods."""
 
     def __init__(self) -> None:
         self.came_at = Instant(0)
@@ -54,9 +59,12 @@ class FramePort:
         self.came_own = False
         """Whether that is one of our own, which has been on the bus: an echo. It says nothing of delivery."""
         self.echoes = EchoBasis.NONE
+        self.needs_watching = False
+        """Whether somebody has to be inside ``receive`` while time passes: else frames are stamped or sent
+        late."""
 
     def receive(self, until: Instant) -> WireFrame | None:
-        """The next frame; None once ``until`` has come."""
+        """The next frame; None once ``until`` has come and none is waiting."""
         raise NotImplementedError
 
     def transmit(self, frame: WireFrame) -> None:

@@ -18,7 +18,8 @@ class FramePump(Master):
     """Lets time pass on ``link`` and hands out what comes.
 
     ``others(can_id, data, at)`` gets the frames that no entry of ``handlers`` takes; ``keep_house(now)``
-    is called when ``housekeeping_at`` has come, and sets it anew.
+    is called when ``housekeeping_at`` has come, and sets it anew. An echo goes to its entry of
+    ``echo_handlers``, by identifier, and nowhere else.
     """
 
     def __init__(
@@ -30,9 +31,11 @@ class FramePump(Master):
     ) -> None:
         super().__init__()
         self.handlers: dict[int, Handler] = {}
+        self.echo_handlers: dict[int, Handler] = {SYNC: self._on_sync_echo}
         self.housekeeping_at: Instant = NEVER
         self._link = link
         self._now = clock.now
+        self._sleep_until = clock.sleep_until
         self._others = others
         self._keep_house = keep_house
 
@@ -51,10 +54,11 @@ class FramePump(Master):
             due = self.housekeeping_at
             if link.fetch(until if until < due else due):
                 at = link.last_at
-                handler = self.handlers.get(link.last_id)
+                handlers = self.echo_handlers if link.last_own else self.handlers
+                handler = handlers.get(link.last_id)
                 if handler is not None:
                     handler(link.last_data, at)
-                else:
+                elif not link.last_own:
                     self._others(link.last_id, link.last_data, at)
                 if at >= self.housekeeping_at:
                     self._keep_house(at)
@@ -63,6 +67,23 @@ class FramePump(Master):
                 return False
             now = self._now()
             self._keep_house(now if now > due else due)
+
+    def rest(self, until: Instant) -> None:
+        """As :meth:`pump`, but what comes waits in the bus's queue and is handled when ``until`` has come, or
+        housekeeping is due: one wake-up instead of one a frame. The stamps are the bus's, so they tell the
+        same; on a bus that needs watching this is :meth:`pump`.
+        """
+        if not self._link.needs_watching:
+            while self.housekeeping_at < until:
+                due = self.housekeeping_at
+                self._sleep_until(due)
+                self.pump(due)
+            self._sleep_until(until)
+        self.pump(until)
+
+    def _on_sync_echo(self, _data: bytes, at: Instant) -> None:
+        if self.on_sync_echo is not None:
+            self.on_sync_echo(at)
 
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""

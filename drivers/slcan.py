@@ -1,4 +1,4 @@
-"""A serial CAN adapter that speaks the Lawicel protocol, as a bus with the lean path.
+"""A serial CAN adapter that speaks the Lawicel protocol, as a bus with a frame port.
 
 Own code beside python-can's, because that one takes a refusal for success, fails with ValueError on a
 spoilt line, waits without bound for a port that stands still, and reads byte by byte
@@ -15,7 +15,8 @@ from typing import NoReturn
 import can
 from can.typechecking import CanFilters
 
-from drivers.lean_bus import WireFrame
+from drivers.frame_port import FramePort, WireFrame
+from drivers.message import frame_of, message_of
 from drivers.serial_line import LineFull, LineGone, SerialLine
 from drivers.slcan_protocol import (
     BITRATE_CODES,
@@ -44,6 +45,31 @@ _AWAITED_MAX = 1024
 _NEVER = Instant(1 << 62)
 _TELLING = (b"V", b"N", b"F")
 """Commands whose answer bears their letter, so that it tells to what it belongs."""
+
+
+class SlcanPort(FramePort):
+    """The frames of an :class:`SlcanBus`.
+
+    They are stamped when they are taken in. That the adapter has taken a frame, which it acknowledges, does
+    not say that the frame was on the bus: there are no echoes, unless the bus was opened with
+    ``receive_own_messages``.
+    """
+
+    def __init__(self, bus: "SlcanBus") -> None:
+        super().__init__()
+        self.needs_watching = True
+        self._bus = bus
+
+    def receive(self, until: Instant) -> WireFrame | None:
+        received = self._bus._receive(until)
+        if received is None:
+            return None
+        frame, self.came_at, self.came_own = received
+        return frame
+
+    def transmit(self, frame: WireFrame) -> None:
+        """Hand ``frame`` to the adapter without waiting. Raises can.CanOperationError."""
+        self._bus._transmit(frame)
 
 
 class SlcanBus(can.BusABC):
@@ -95,6 +121,7 @@ class SlcanBus(can.BusABC):
         self._refusals = 0
         self._asked_why_at = Instant(0)
         self._own = receive_own_messages
+        self.frame_port = SlcanPort(self)
         self._listen_only = listen_only
         self._bitrate_bit_s = bitrate
         self._line = SerialLine(channel, tty_baudrate)
@@ -106,15 +133,7 @@ class SlcanBus(can.BusABC):
             raise
         super().__init__(channel, can_filters)
 
-    # ---- the lean path --------------------------------------------------------------------------------
-
-    def recv_frame(self, until: Instant) -> tuple[WireFrame, Instant] | None:
-        """The next frame and the instant of its receipt; None once ``until`` has come."""
-        received = self._receive(until)
-        return None if received is None else received[:2]
-
-    def send_frame(self, frame: tuple[int, bytes, bool, bool, int]) -> None:
-        """Hand ``frame`` to the adapter without waiting. Raises can.CanOperationError."""
+    def _transmit(self, frame: WireFrame) -> None:
         self._check_open()
         if self._listen_only:
             raise can.CanOperationError(f"{self.channel_info} only listens")
@@ -126,7 +145,7 @@ class SlcanBus(can.BusABC):
         except LineGone as error:
             self._lost(error)
         if self.acknowledges:
-            self._awaited.append(WireFrame(*frame))
+            self._awaited.append(frame)
 
     # ---- python-can's interface -----------------------------------------------------------------------
 
@@ -136,34 +155,16 @@ class SlcanBus(can.BusABC):
         received = self._receive(until)
         if received is None:
             return None
-        (can_id, data, extended, remote, remote_length), at, own = received
-        return can.Message(
-            timestamp=at * 1e-9,
-            arbitration_id=can_id,
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            dlc=remote_length if remote else len(data),
-            data=data,
-            is_rx=not own,
-            channel=str(self.channel_info),
-        )
+        frame, at, own = received
+        return message_of(frame, at, is_rx=not own, channel=str(self.channel_info))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand ``msg`` to the adapter, waiting up to ``timeout`` seconds for room."""
-        if msg.is_fd or msg.is_error_frame:
-            raise can.CanOperationError("an SLCAN adapter sends data and remote frames of classical CAN only")
+        frame = frame_of(msg)
         deadline = instant_after(self._clock.now(), timeout or 0.0)
-        remote = msg.is_remote_frame
-        frame = WireFrame(
-            msg.arbitration_id,
-            b"" if remote else bytes(msg.data),
-            msg.is_extended_id,
-            remote,
-            msg.dlc if remote else 0,
-        )
         while self._line.held_bytes and self._clock.now() < deadline:
             self._take(deadline)
-        self.send_frame(frame)
+        self._transmit(frame)
 
     def fileno(self) -> int:
         """The serial port, for an event loop to watch. Frames read already do not show there."""

@@ -10,7 +10,7 @@ Linux's slcan driver understands, an extension of some firmwares.
 from enum import IntFlag
 from typing import NamedTuple
 
-from drivers.lean_bus import WireFrame
+from drivers.frame_port import WireFrame
 
 CR, BEL = b"\r", b"\a"
 BITRATE_CODES = {

@@ -53,6 +53,13 @@ def duration_s(seconds: float) -> Duration:
     return Duration(round(seconds * NS_PER_S))
 
 
+def wall_between() -> tuple[Instant, int, Instant]:
+    """The wall clock, ns, between two readings of the monotonic clock: their offset, to their distance."""
+    before = time.monotonic_ns()
+    wall = time.time_ns()
+    return Instant(before), wall, Instant(time.monotonic_ns())
+
+
 def wall_clock_offset() -> Duration:
     """Wall clock minus monotonic clock, ns: the tightest of several bracketed readings.
 
@@ -61,9 +68,7 @@ def wall_clock_offset() -> Duration:
     """
     best_width, best_offset = None, 0
     for _ in range(8):
-        before = time.monotonic_ns()
-        wall = time.time_ns()
-        after = time.monotonic_ns()
+        before, wall, after = wall_between()
         width = after - before
         if best_width is None or width < best_width:
             best_width, best_offset = width, wall - (before + after) // 2

@@ -149,7 +149,7 @@ class _SimulatedSegment:
         self, plan: WorldPlan, own: SegmentPlan, devices: Sequence[SimulatedNode], timeline: Timeline
     ) -> None:
         self.segment = segment = Segment(timeline, own.bitrate_bit_s)
-        self.bus = bus = SimulatedBus(segment=segment)
+        self.bus = bus = SimulatedBus(segment=segment, receive_own_messages=True)
         clock = SimulatedClock(timeline)
         self.injection: Injection | None = None
         self.faulty: FaultyBus | None = None
@@ -159,13 +159,13 @@ class _SimulatedSegment:
                 plan.seed,
                 plan.fault_log,
                 True,
-                bus.host_port.port.name.__eq__,
+                bus.frame_port.port.name.__eq__,
                 own.name or "bus",
             )
             if self.injection.disturber is not None:
                 segment.set_disturb(self.injection.disturber.disturb)
             if self.injection.fates is not None:
-                self.faulty = FaultyBus(bus, self.injection.fates, clock, plan.side, Duration(0))
+                self.faulty = FaultyBus(bus, self.injection.fates, clock, plan.side)
         for device in devices:
             self._attach(device)
         for other in background_nodes(own.background, plan.seed):
@@ -195,7 +195,7 @@ class _Inboxes:
     """What waits for the host on any of several segments."""
 
     def __init__(self, segments: Sequence[_SimulatedSegment]) -> None:
-        self._inboxes = [each.bus.host_port.received for each in segments]
+        self._inboxes = [each.bus.frame_port.received for each in segments]
 
     def __len__(self) -> int:
         return sum(map(len, self._inboxes))
@@ -251,13 +251,12 @@ def _real_world(plan: WorldPlan) -> World:
             "bus.segment", "", f"the bus {plan.spec}", "the bus 'simulated', which the bench makes itself"
         )
     clock = MonotonicClock()
-    opened = open_bus(plan.spec, plan.bitrate_bit_s)
+    opened = open_bus(plan.spec, plan.bitrate_bit_s, for_link=plan.side == "host")
     wall_offset = wall_clock_offset()
-    offsets = {StampSource.MONOTONIC: Duration(0), StampSource.WALL_CLOCK: wall_offset}
     injection = Injection(plan.faults, plan.seed, plan.fault_log) if plan.faults is not None else None
     faulty = None
     if injection is not None and injection.fates is not None:
-        faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, offsets.get(opened.stamps))
+        faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, opened.stamps)
     link = BusLink(faulty or opened.bus, clock, opened.stamps, str(plan.spec))
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)

@@ -8,11 +8,11 @@ from typing import Final
 import can
 
 from drivers.errors import BusDown
+from drivers.message import frame_of, message_of
 from drivers.timebase import NS_PER_S, Clock, Instant
 from virtual_bus.can_bus.error_message import told_bus_off
 from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.listener import Listener
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
 from virtual_bus.segment import Segment

@@ -1,38 +1,25 @@
 """python-can's view of a hub: a CAN bus in real time between the processes of one user.
 
 ``can.Bus(interface="hub", channel="bench", bitrate=1_000_000)``. The first to join starts
-the hub's broker (virtual_bus.can_bus.hub_broker), which leaves after the last one.
+the hub's broker (virtual_bus.can_bus.hub_process), which leaves after the last one.
 """
 
 import errno
 import select
-from collections import deque
-from typing import NoReturn
 
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
+from drivers.message import frame_of, message_of
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
 from virtual_bus.can_bus.error_message import bus_state
-from virtual_bus.can_bus.error_state import ErrorState
-from virtual_bus.can_bus.filters import accepts
-from virtual_bus.can_bus.hub_control import (
-    HubStatus,
-    Request,
-    decode_status,
-    encode_request,
-)
+from virtual_bus.can_bus.hub_control import HubStatus, Request
 from virtual_bus.can_bus.hub_join import join
 from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
-from virtual_bus.can_bus.hub_protocol import FRAME_BYTES, Hello, Received, decode_frame, encode_frame
-from virtual_bus.can_bus.message import frame_of, message_of
-from virtual_bus.frame import Frame
+from virtual_bus.can_bus.hub_port import HubPort
+from virtual_bus.can_bus.hub_protocol import Hello
 
-_WAIT_MAX_S = 3_600.0
 _NEVER = Instant(1 << 62)
-_ANSWER_MAX_S = 5.0
-_ASK_AGAIN_S = 0.01
-"""Another thread that reads may have taken in the answer."""
 
 
 class HubBus(can.BusABC):
@@ -50,70 +37,54 @@ class HubBus(can.BusABC):
         *,
         bitrate: int | None = None,
         receive_own_messages: bool = False,
+        batches: bool = False,
         **_: object,
     ) -> None:
         """Join, and start the hub if it is not there.
 
         ``bitrate`` in bit/s; None joins at whatever the hub runs at, and starts it at 1 Mbit/s.
+        ``batches``: take several frames at one read, which is cheaper, and for who waits on :meth:`fileno`
+        wrong, as only the first of them shows there; own frames may then come 0.5 ms late.
         Raises can.CanInitializationError for a bad name, another bit rate than the hub's, and
         a hub that does not start or answer.
         """
         self._clock = MonotonicClock()
-        place = HubPlace(str(channel))
-        self._socket, self.bitrate_bit_s = join(place, Hello(bitrate or 0, receive_own_messages), self._clock)
+        hello = Hello(bitrate or 0, receive_own_messages, batches)
+        self._socket, self.bitrate_bit_s = join(HubPlace(str(channel)), hello, self._clock)
         self.channel_info = f"hub:{channel}"
         self._channel = str(channel)
-        self._kept: deque[Received] = deque()
-        self._answers: deque[HubStatus] = deque()
-        self._error_state = ErrorState.ACTIVE
+        self.frame_port = HubPort(self._socket, self.channel_info, self._clock, receive_own_messages)
+        """Its frames without python-can."""
         super().__init__(channel, can_filters)
-
-    def recv_frame(self, until: Instant) -> tuple[Frame, Instant] | None:
-        """The next frame and its end of frame; None at ``until`` (CLOCK_MONOTONIC).
-
-        Raises can.CanOperationError if the broker is gone.
-        """
-        received = self._receive(until)
-        return None if received is None else received[:2]
-
-    def send_frame(self, frame: Frame) -> None:
-        """Hand ``frame`` to the hub. Raises can.CanOperationError if the queue is full or the broker gone."""
-        try:
-            self._socket.send(encode_frame(frame))
-        except BlockingIOError:
-            raise self._full() from None
-        except OSError as error:
-            self._lost(error)
-        self._check_state()
 
     def status(self) -> HubStatus:
         """This client's controller and the bus. Raises can.CanOperationError if the broker is gone."""
-        return self._ask(Request.STATUS)
+        return self.frame_port.ask(Request.STATUS)
 
     def go_bus_off(self) -> HubStatus:
         """Take this client's controller off the bus, as after too many errors; its queue is lost."""
-        return self._ask(Request.GO_BUS_OFF)
+        return self.frame_port.ask(Request.GO_BUS_OFF)
 
     def recover(self) -> HubStatus:
         """Let the controller begin to recover, which takes 128 times 11 recessive bits."""
-        return self._ask(Request.RECOVER)
+        return self.frame_port.ask(Request.RECOVER)
 
     def unplug(self) -> HubStatus:
         """Take this client off the wire: it hears and sends nothing, and keeps its queue."""
-        return self._ask(Request.UNPLUG)
+        return self.frame_port.ask(Request.UNPLUG)
 
     def plug(self) -> HubStatus:
         """Put this client back on the wire."""
-        return self._ask(Request.PLUG)
+        return self.frame_port.ask(Request.PLUG)
 
     def set_listen_only(self, listen_only: bool) -> HubStatus:
         """Only listen, or speak again."""
-        return self._ask(Request.LISTEN_ONLY if listen_only else Request.LISTEN_AND_SPEAK)
+        return self.frame_port.ask(Request.LISTEN_ONLY if listen_only else Request.LISTEN_AND_SPEAK)
 
     @property
     def state(self) -> can.BusState:
         """As far as it is known from what was received: ERROR is bus-off. See :meth:`status`."""
-        return bus_state(self._error_state)
+        return bus_state(self.frame_port.error_state)
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
@@ -125,12 +96,11 @@ class HubBus(can.BusABC):
 
         Raises can.CanOperationError if the broker is gone or the bus is shut down.
         """
-        until = _NEVER if timeout is None else instant_after(self._clock.now(), timeout)
-        received = self._receive(until)
-        if received is None:
+        port = self.frame_port
+        frame = port.receive(_NEVER if timeout is None else instant_after(self._clock.now(), timeout))
+        if frame is None:
             return None
-        frame, at, own = received
-        return message_of(frame, at, is_rx=not own, channel=self._channel)
+        return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand ``msg`` to the hub, waiting up to ``timeout`` seconds for a place in a full queue.
@@ -138,18 +108,15 @@ class HubBus(can.BusABC):
         Raises can.CanOperationError if there is none, the broker is gone, or the message is
         none of classical CAN.
         """
-        packet = encode_frame(frame_of(msg))
+        frame = frame_of(msg)
         deadline = instant_after(self._clock.now(), timeout or 0.0)
         while True:
             try:
-                self._socket.send(packet)
-            except BlockingIOError:
-                if not self._wait_for_room(deadline):
-                    raise self._full() from None
-            except OSError as error:
-                self._lost(error)
+                self.frame_port.transmit(frame)
+            except can.CanOperationError as error:
+                if error.error_code != errno.ENOBUFS or not self._wait_for_room(deadline):
+                    raise
             else:
-                self._check_state()
                 return
 
     def fileno(self) -> int:
@@ -159,76 +126,10 @@ class HubBus(can.BusABC):
     def shutdown(self) -> None:
         """Leave the hub; what was sent still goes out."""
         super().shutdown()
-        self._socket.close()
+        self.frame_port.close()
 
-    def _receive(self, until: Instant) -> Received | None:
-        if self._kept:
-            return self._kept.popleft()
-        while True:
-            try:
-                packet = self._socket.recv(FRAME_BYTES)
-            except BlockingIOError:
-                remaining_ns = until - self._clock.now()
-                if remaining_ns <= 0:
-                    return None
-                select.select([self._socket], [], [], min(remaining_ns / NS_PER_S, _WAIT_MAX_S))
-                continue
-            except OSError as error:
-                self._lost(error)
-            if not packet:
-                self._lost(None)
-            if len(packet) != FRAME_BYTES:
-                self._note(packet)
-                continue
-            received = decode_frame(packet)
-            if self._filters is None or accepts(self._filters, received.frame):
-                return received
-
-    def _note(self, packet: bytes) -> None:
-        """Take in what the broker tells of this client's controller."""
-        told = decode_status(packet)
-        if told is None:
-            raise can.CanOperationError(f"{self.channel_info}: the hub sent what is no frame")
-        status, asked = told
-        self._error_state = status.error_state
-        if asked:
-            self._answers.append(status)
-
-    def _ask(self, request: Request) -> HubStatus:
-        """The answer to ``request``; frames that come before it are kept, also if another thread reads."""
-        try:
-            self._socket.send(encode_request(request))
-        except OSError as error:
-            self._lost(error)
-        deadline = instant_after(self._clock.now(), _ANSWER_MAX_S)
-        while not self._answers:
-            now = self._clock.now()
-            if now >= deadline:
-                raise can.CanOperationError(f"{self.channel_info}: the hub does not answer")
-            try:
-                packet = self._socket.recv(FRAME_BYTES)
-            except BlockingIOError:
-                select.select([self._socket], [], [], _ASK_AGAIN_S)
-                continue
-            except OSError as error:
-                self._lost(error)
-            if not packet:
-                self._lost(None)
-            if len(packet) != FRAME_BYTES:
-                self._note(packet)
-                continue
-            received = decode_frame(packet)
-            if self._filters is None or accepts(self._filters, received.frame):
-                self._kept.append(received)
-        return self._answers.popleft()
-
-    def _check_state(self) -> None:
-        """Raises can.CanOperationError if the controller is bus-off, as asked again once it was."""
-        if self._error_state is ErrorState.BUS_OFF and self.status().error_state is ErrorState.BUS_OFF:
-            raise can.CanOperationError(f"{self.channel_info}: the controller is bus-off")
-
-    def _full(self) -> can.CanOperationError:
-        return can.CanOperationError(f"{self.channel_info}: transmit queue is full", errno.ENOBUFS)
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self.frame_port.filters = filters
 
     def _wait_for_room(self, deadline: Instant) -> bool:
         remaining_ns = deadline - self._clock.now()
@@ -236,14 +137,6 @@ class HubBus(can.BusABC):
             return False
         select.select([], [self._socket], [], remaining_ns / NS_PER_S)
         return True
-
-    def _lost(self, error: OSError | None) -> NoReturn:
-        if self._is_shutdown:
-            raise can.CanOperationError(f"{self.channel_info}: the bus is shut down") from error
-        raise can.CanOperationError(
-            f"{self.channel_info}: the hub is gone; its process ended, or it dropped this client for not"
-            " taking its frames. Open the bus again"
-        ) from error
 
     @staticmethod
     def _detect_available_configs() -> list[AutoDetectedConfig]:

@@ -5,12 +5,11 @@ from collections.abc import Callable, Sequence
 import can
 from can.typechecking import CanFilters
 
+from drivers.message import frame_of, message_of
 from drivers.timebase import Instant, instant_after
 from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.can_bus.error_message import bus_state
-from virtual_bus.can_bus.host_port import Entry, HostPort
-from virtual_bus.can_bus.message import frame_of, message_of
-from virtual_bus.frame import Frame
+from virtual_bus.can_bus.host_port import HostPort
 from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
 from virtual_bus.timeline import Timeline
 
@@ -42,13 +41,8 @@ class SimulatedBus(can.BusABC):
         self.timeline = self.segment.timeline
         self.channel_info = f"simulated segment, port {channel or 'host'}"
         self._channel = channel
-        self.host_port = host_port = HostPort(self.segment, channel or "host")
-        self.recv_frame: Callable[[Instant], Entry | None] = host_port.recv_frame
-        """The lean path, without python-can: see :meth:`HostPort.recv_frame`."""
-        self.send_frame: Callable[[Frame], None] = host_port.transmit
-        """See :meth:`HostPort.transmit`."""
-        self.frame_port = host_port
-        """The same, for a link."""
+        self.frame_port = host_port = HostPort(self.segment, channel or "host")
+        """Its frames without python-can."""
         if receive_own_messages:
             host_port.hear_itself()
         if receive_error_frames:
@@ -58,17 +52,17 @@ class SimulatedBus(can.BusABC):
     @property
     def overruns(self) -> int:
         """Frames lost because nobody fetched them."""
-        return self.host_port.overruns
+        return self.frame_port.overruns
 
     @property
     def port(self) -> Port:
         """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
-        return self.host_port.port
+        return self.frame_port.port
 
     @property
     def state(self) -> can.BusState:
         """ACTIVE or PASSIVE for an error active or passive controller; ERROR: bus-off."""
-        return bus_state(self.host_port.port.error_state)
+        return bus_state(self.frame_port.port.error_state)
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
@@ -83,15 +77,16 @@ class SimulatedBus(can.BusABC):
         """
         if self._is_shutdown:
             raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
-        inbox = self.host_port.received
+        inbox = self.frame_port.received
         if timeout is None:
             self._step_until(lambda: bool(inbox), _NEVER)
             if not inbox:
                 raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
-        received = self.recv_frame(instant_after(self.timeline.now, max(timeout or 0.0, 0.0)))
-        if received is None:
+        port = self.frame_port
+        frame = port.receive(instant_after(self.timeline.now, max(timeout or 0.0, 0.0)))
+        if frame is None:
             return None
-        return message_of(*received, is_rx=not self.host_port.last_is_own, channel=self._channel)
+        return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue ``msg`` now; if the queue is full, let up to ``timeout`` seconds pass for a free place.
@@ -100,25 +95,25 @@ class SimulatedBus(can.BusABC):
         message is none of classical CAN.
         """
         frame = frame_of(msg)
-        port = self.host_port.port
+        port = self.frame_port.port
         if timeout and port.pending >= TRANSMIT_QUEUE_MAX:
             limit = instant_after(self.timeline.now, timeout)
             self._step_until(lambda: port.pending < TRANSMIT_QUEUE_MAX, limit)
-        self.send_frame(frame)
+        self.frame_port.transmit(frame)
 
     def flush_tx_buffer(self) -> None:
         """Forget what a fault holds back from sending."""
-        self.host_port.flush()
+        self.frame_port.flush()
 
     def shutdown(self) -> None:
         """Leave the segment; frames already queued still go out as its time passes."""
         if self._is_shutdown:
             return
         super().shutdown()
-        self.host_port.close()
+        self.frame_port.close()
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
-        self.host_port.filters = filters
+        self.frame_port.filters = filters
 
     def _step_until(self, done: Callable[[], bool], limit: Instant) -> None:
         timeline = self.timeline

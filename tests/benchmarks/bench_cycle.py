@@ -151,7 +151,7 @@ def _frame_cycle() -> Callable[[int], None]:
         for _ in range(cycles):
             due = Instant(timeline.now + NS_PER_MS)
             peer.send(frame)
-            bus.recv_frame(due)
+            bus.receive(due)
             timeline.run_until(due)
 
     return run
@@ -194,8 +194,8 @@ def _bus_cycle(faults: FaultInjector | None) -> Callable[[int], None]:
         for _ in range(cycles):
             due = Instant(timeline.now + NS_PER_MS)
             bus.transmit(SYNC)
-            bus.recv_frame(due)
-            bus.recv_frame(due)
+            bus.receive(due)
+            bus.receive(due)
             bus.transmit(RPDO)
             timeline.run_until(due)
 

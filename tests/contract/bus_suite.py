@@ -11,8 +11,10 @@ from itertools import pairwise
 import can
 import pytest
 
+from drivers.message import message_of
+from drivers.timebase import Instant
+from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import random_frame, wire_bits
-from virtual_bus.can_bus.message import message_of
 from virtual_bus.frame import Frame
 
 OpenBus = Callable[..., can.BusABC]
@@ -202,14 +204,16 @@ class ExactBusSuite(BusSuite):
         with pytest.raises(can.CanOperationError, match="shut down"):
             bus.recv(0)
 
-    def test_lean_path_carries_the_same_frames_on_the_same_axis(self, open_bus: OpenBus) -> None:
-        sender, lean, plain = open_bus(), open_bus(), open_bus()
+    def test_the_frame_port_carries_the_same_frames_on_the_same_axis(self, open_bus: OpenBus) -> None:
+        sender, direct, plain = open_bus(), open_bus(), open_bus()
         frame = Frame(0x12345, b"\x07\x08", True)
-        sender.send_frame(frame)  # type: ignore[attr-defined]
+        sender.frame_port.transmit(frame)  # type: ignore[attr-defined]
         message = plain.recv(PATIENCE_S)
         assert content(message) == frame
         assert message is not None
-        received, at = lean.recv_frame(round(message.timestamp * 1e9))  # type: ignore[attr-defined]
+        got = fetched(direct, Instant(round(message.timestamp * 1e9)))
+        assert got is not None
+        received, at = got
         assert received == frame
         assert message.timestamp == pytest.approx(at * 1e-9, abs=1e-9)
-        assert lean.recv_frame(at) is None  # type: ignore[attr-defined]
+        assert fetched(direct, at) is None

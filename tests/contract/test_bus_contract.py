@@ -1,4 +1,4 @@
-"""The bus contract on the simulated segment and on the hub."""
+"""The bus contract, that of echoes too, on the simulated segment and on the hub."""
 
 from collections.abc import Iterator
 from itertools import count
@@ -8,9 +8,13 @@ from typing import Any
 import can
 import pytest
 
+from drivers.frame_port import EchoBasis
+from drivers.timebase import Clock, MonotonicClock
 from tests.contract.bus_suite import ExactBusSuite, OpenBus
+from tests.contract.echo_suite import EchoSuite
+from virtual_bus.fault_injection.faulty_bus import FaultyBus
 from virtual_bus.segment import Segment
-from virtual_bus.timeline import Timeline
+from virtual_bus.timeline import SimulatedClock, Timeline
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -21,12 +25,31 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("hub")
 
 
-class TestSimulated(ExactBusSuite):
+class InFront(FaultyBus):
+    """The faults of a bus that is not simulated."""
+
+
+class TestSimulated(ExactBusSuite, EchoSuite):
     """All participants on one segment, in simulated time."""
 
+    basis = EchoBasis.BUS
+
     @pytest.fixture
-    def open_bus(self) -> Iterator[OpenBus]:
-        segment = Segment(Timeline(), self.bitrate_bit_s)
+    def timeline(self) -> Timeline:
+        return Timeline()
+
+    @pytest.fixture
+    def clock(self, timeline: Timeline) -> Clock:
+        return SimulatedClock(timeline)
+
+    @pytest.fixture(params=[FaultyBus, InFront], ids=["at_the_port", "in_front"])
+    def make_faulty(self, request: pytest.FixtureRequest) -> type[FaultyBus]:
+        chosen: type[FaultyBus] = request.param
+        return chosen
+
+    @pytest.fixture
+    def open_bus(self, timeline: Timeline) -> Iterator[OpenBus]:
+        segment = Segment(timeline, self.bitrate_bit_s)
         opened: list[can.BusABC] = []
         numbers = count()
 
@@ -46,11 +69,21 @@ class TestSimulated(ExactBusSuite):
             bus.shutdown()
 
 
-class TestHub(ExactBusSuite):
+class TestHub(ExactBusSuite, EchoSuite):
     """All participants on one hub; they share this process but not the broker's."""
 
+    basis = EchoBasis.BUS
+
     @pytest.fixture
-    def open_bus(self, runtime: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OpenBus]:
+    def clock(self) -> Clock:
+        return MonotonicClock()
+
+    @pytest.fixture(params=[False, True], ids=["one_by_one", "batches"])
+    def batches(self, request: pytest.FixtureRequest) -> bool:
+        return bool(request.param)
+
+    @pytest.fixture
+    def open_bus(self, runtime: Path, monkeypatch: pytest.MonkeyPatch, batches: bool) -> Iterator[OpenBus]:
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
         opened: list[can.BusABC] = []
 
@@ -59,6 +92,7 @@ class TestHub(ExactBusSuite):
                 interface="hub",
                 channel="contract",
                 bitrate=self.bitrate_bit_s,
+                batches=batches,
                 ignore_config=True,
                 **options,
             )

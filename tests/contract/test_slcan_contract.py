@@ -9,8 +9,10 @@ import pytest
 
 from drivers.slcan import SlcanBus
 from drivers.slcan_protocol import Status
+from drivers.timebase import Instant
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, OpenBus, content, data_message
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
+from tests.ports import fetched
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
 from virtual_bus.serial_line.line_faults import LineFaults
@@ -53,12 +55,14 @@ class TestSlcan(SlcanSuite):
     def test_lean_path_carries_the_same_frames(self, open_bus: OpenBus) -> None:
         sender, receiver = open_bus(), open_bus()
         frame = Frame(0x12345, b"\x07\x08", True)
-        sender.send_frame(frame)  # type: ignore[attr-defined]
+        sender.frame_port.transmit(frame)  # type: ignore[attr-defined]
         message = receiver.recv(PATIENCE_S)
         assert content(message) == frame
         assert message is not None
-        receiver.send_frame(Frame(0x123, b"", False, True, 4))  # type: ignore[attr-defined]
-        received, at = sender.recv_frame(round((message.timestamp + PATIENCE_S) * 1e9))  # type: ignore[attr-defined]
+        receiver.frame_port.transmit(Frame(0x123, b"", False, True, 4))  # type: ignore[attr-defined]
+        got = fetched(sender, Instant(round((message.timestamp + PATIENCE_S) * 1e9)))
+        assert got is not None
+        received, at = got
         assert received == Frame(0x123, b"", False, True, 4)
         assert at >= message.timestamp * 1e9
 

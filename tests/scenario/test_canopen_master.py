@@ -16,6 +16,7 @@ import can
 import canopen
 import pytest
 
+from drivers.message import frame_of
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
@@ -26,7 +27,6 @@ from tests.unit.virtual_bus.device_bench import (
     TARGET,
     RecordingApplication,
 )
-from virtual_bus.can_bus.message import frame_of
 from virtual_bus.canopen_device.application import ErrorRegister, NmtState
 from virtual_bus.canopen_device.device_options import DeviceIdentity
 from virtual_bus.canopen_device.eds_export import export_eds

@@ -15,6 +15,7 @@ import pytest
 from drivers.adapters import parse_bus_spec
 from drivers.drive_setup import read_identity
 from drivers.errors import BusDown, PeerFault
+from drivers.frame_port import FramePort, WireFrame
 from drivers.link import BusLink, StampSource
 from drivers.network import CanopenNetwork
 from drivers.nmt import NmtCommand, NmtState
@@ -46,6 +47,27 @@ WRITING = [step.name for step in all_steps() if step.writes]
 FIRST_READING = ["bus", "identity", "dump", "units"]
 
 
+class CutPort(FramePort):
+    """The port of a bus that goes away."""
+
+    def __init__(self, bus: "CutBus") -> None:
+        super().__init__()
+        self._bus = bus
+        self._inner: FramePort = bus.inner.frame_port
+        self.echoes = self._inner.echoes
+
+    def receive(self, until: Instant) -> WireFrame | None:
+        self._bus.check()
+        frame = self._inner.receive(until)
+        self.came_at, self.came_own = self._inner.came_at, self._inner.came_own
+        return frame
+
+    def transmit(self, frame: WireFrame) -> None:
+        self._bus.check()
+        self._bus.sent += 1
+        self._inner.transmit(frame)
+
+
 class CutBus(can.BusABC):
     """A bus that goes away after so many more frames were sent, until it is mended."""
 
@@ -54,29 +76,20 @@ class CutBus(can.BusABC):
         self.channel_info = "cut bus"
         self.sent = 0
         self.cut_at: int | None = None
+        self.frame_port = CutPort(self)
         self._is_shutdown = True
         self._filters = None
 
-    def recv_frame(self, until: Instant) -> Any:
-        """As the inner bus."""
-        self._check()
-        return self.inner.recv_frame(until)
-
-    def send_frame(self, frame: Any) -> None:
-        """As the inner bus."""
-        self._check()
-        self.sent += 1
-        self.inner.send_frame(frame)
-
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Not used: the lean path is there."""
+        """Not used: the frame port is there."""
         raise NotImplementedError
 
     def shutdown(self) -> None:
         """Of the inner bus."""
         self.inner.shutdown()
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raises can.CanOperationError if it is gone."""
         if self.cut_at is not None and self.sent >= self.cut_at:
             raise can.CanOperationError("the cable is out")
 

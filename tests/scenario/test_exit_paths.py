@@ -127,7 +127,7 @@ def kill_broker(name: str) -> None:
         if not entry.name.isdecimal():
             continue
         words = (entry / "cmdline").read_bytes().split(b"\0")
-        if b"virtual_bus.can_bus.hub_broker" in b" ".join(words) and name.encode() in words:
+        if b"virtual_bus.can_bus.hub_process" in b" ".join(words) and name.encode() in words:
             os.kill(int(entry.name), signal.SIGKILL)
             return
     raise AssertionError(f"hub {name} has no broker")

@@ -1,20 +1,25 @@
 """The bench's SocketCAN bus on the kernel's interface: frames both ways, stamps, floods and lacks."""
 
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import can
 import pytest
 
 from drivers.adapters import open_bus, parse_bus_spec, socketcan_links
 from drivers.errors import BusDown
-from drivers.lean_bus import LeanBus, WireFrame
+from drivers.frame_port import EchoBasis, WireFrame
 from drivers.link import BusLink
 from drivers.socketcan import StampedSocketcanBus
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from tests.ports import fetched
 
 PATIENCE_NS = 10 * NS_PER_S
 FLOOD = 3000
+SLACK_NS = 100 * NS_PER_MS
+"""Between a system call and the kernel's stamp: it may put off what the call has begun. A tenth of a step."""
 
 
 @pytest.fixture
@@ -46,8 +51,8 @@ def test_frames_arrive_as_sent(
     sender, receiver = pair
     clock = MonotonicClock()
     before = clock.now()
-    sender.send_frame(frame)
-    received = receiver.recv_frame(soon(clock))
+    sender.frame_port.transmit(frame)
+    received = fetched(receiver, soon(clock))
     assert received is not None
     assert received[0] == frame
     assert before - NS_PER_MS <= received[1] <= clock.now()
@@ -56,26 +61,26 @@ def test_frames_arrive_as_sent(
 def test_the_wait_ends_at_its_deadline(pair: tuple[StampedSocketcanBus, StampedSocketcanBus]) -> None:
     clock = MonotonicClock()
     until = Instant(clock.now() + 5 * NS_PER_MS)
-    assert pair[1].recv_frame(until) is None
+    assert fetched(pair[1], until) is None
     assert clock.now() >= until
 
 
 def test_a_flood_is_kept(pair: tuple[StampedSocketcanBus, StampedSocketcanBus]) -> None:
     sender, receiver = pair
     for number in range(FLOOD):
-        sender.send_frame(WireFrame(0x100 + number % 8, number.to_bytes(4, "little")))
+        sender.frame_port.transmit(WireFrame(0x100 + number % 8, number.to_bytes(4, "little")))
     clock = MonotonicClock()
     seen = 0
-    while (received := receiver.recv_frame(clock.now())) is not None:
+    while (received := fetched(receiver, clock.now())) is not None:
         assert int.from_bytes(received[0].data, "little") == seen
         seen += 1
-    assert (seen, receiver.lost_frames) == (FLOOD, 0)
+    assert (seen, receiver.frame_port.lost_frames) == (FLOOD, 0)
 
 
 def test_the_link_takes_the_lean_path(channel: str) -> None:
     opened = open_bus(parse_bus_spec(f"socketcan:{channel}"), 1_000_000)
     try:
-        assert isinstance(opened.bus, LeanBus)
+        assert opened.bus.frame_port.echoes is EchoBasis.KERNEL  # type: ignore[attr-defined]
         clock = MonotonicClock()
         link = BusLink(opened.bus, clock, opened.stamps, opened.name)
         with can.Bus(interface="socketcan", channel=channel) as other:
@@ -100,3 +105,40 @@ def test_the_interface_is_listed_as_usable(channel: str) -> None:
 def test_a_missing_interface_names_the_command() -> None:
     with pytest.raises(BusDown, match=r"cannot open socketcan:vcan77.*ip link add dev vcan77 type vcan"):
         open_bus(parse_bus_spec("socketcan:vcan77"), 1_000_000)
+
+
+def in_uml() -> bool:
+    """Whether this kernel is User Mode Linux, whose clock is its own and may be set."""
+    return "User Mode Linux" in Path("/proc/cpuinfo").read_text(encoding="ascii")
+
+
+@pytest.mark.skipif(
+    not in_uml(), reason="sets the wall clock: only inside User Mode Linux, which has its own"
+)
+@pytest.mark.parametrize("step_s", [-3600, -1, 1, 3600])
+def test_a_step_of_the_wall_clock_moves_no_stamp(channel: str, step_s: int) -> None:
+    """Frames before and after the step, all read after it; the echoes of the sender too."""
+    clock = MonotonicClock()
+    handed = []
+    with (
+        StampedSocketcanBus(channel, receive_own_messages=True) as sender,
+        StampedSocketcanBus(channel) as receiver,
+    ):
+        for _ in range(3):
+            for bus in (sender, receiver):
+                assert bus.frame_port.receive(clock.now()) is None
+            for number in range(40):
+                if number == 20:
+                    subprocess.run(
+                        ["date", "--set", f"{step_s:+d} seconds"], check=True, stdout=subprocess.DEVNULL
+                    )
+                before = clock.now()
+                sender.frame_port.transmit(WireFrame(0x100 + number))
+                handed.append((before, clock.now()))
+            for bus in (sender, receiver):
+                for number, (before, after) in enumerate(handed):
+                    received = fetched(bus, soon(clock))
+                    assert received is not None
+                    assert received[0].can_id == 0x100 + number
+                    assert before - SLACK_NS <= received[1] <= after + SLACK_NS
+            handed.clear()

@@ -4,13 +4,12 @@ from typing import Final
 
 import can
 
+from drivers.frame_port import ERROR_FLAG
 from virtual_bus.can_bus.controller import Controller
 from virtual_bus.can_bus.disturbance import BusError, ErrorKind
 from virtual_bus.can_bus.error_state import PASSIVE_FROM, ErrorState
 from virtual_bus.frame import Frame
 
-ERROR_FLAG: Final = 0x2000_0000
-"""CAN_ERR_FLAG, on top of the 29 bits of an identifier."""
 WARNING_FROM: Final = 96
 """Counters from here on are a warning (ISO 11898-1, error warning limit)."""
 

@@ -3,8 +3,9 @@
 What comes in and what goes out can be given to a judge, who passes, loses or holds each frame. What
 is held waits on the segment's own timeline, so a fault costs one event and no polling:
 
-    segment -- end of frame --> judge -- at once, or at its release --> inbox -- recv_frame --> owner
-    owner -- send_frame --> judge -- at once, or at its release --> transmit queue --> segment
+    segment -- end of frame --> judge -- at once, or at its release --> inbox -- receive --> owner
+    owner -- transmit --> judge -- at once, or at its release --> transmit queue --> segment
+    segment -- end of an own frame --> inbox
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Final
 
 from can.typechecking import CanFilters
 
-from drivers.frame_port import FramePort
+from drivers.frame_port import EchoBasis, FramePort
 from drivers.timebase import Instant
 from virtual_bus.can_bus.disturbance import BusError
 from virtual_bus.can_bus.error_message import error_frame_of
@@ -30,9 +31,6 @@ RECEIVE_QUEUE_MAX: Final = 65_536
 """Frames that an inbox holds for its reader; later ones are lost and counted."""
 HELD_MAX: Final = 4096
 """Frames held in one direction; one more is lost and counted."""
-
-Entry = tuple[Frame, Instant]
-"""A received frame and the instant at which it came."""
 
 
 class _HeldIn(Action):
@@ -77,8 +75,6 @@ class HostPort(FramePort):
         super().__init__()
         self.timeline = segment.timeline
         self.received = Inbox(RECEIVE_QUEUE_MAX)
-        self.last_is_own = False
-        """Whether the frame that was last fetched is one of its own that came back."""
         self.overruns = 0
         """Frames lost because nobody fetched them."""
         self.filters: CanFilters | None = None
@@ -104,22 +100,17 @@ class HostPort(FramePort):
         into_drive = out is Direction.DRIVE_TO_HOST
         self._in = int(Direction.HOST_TO_DRIVE if into_drive else Direction.DRIVE_TO_HOST)
 
-    def recv_frame(self, until: Instant) -> Entry | None:
-        """The next frame and the instant at which it came; None if there is none up to ``until``.
+    def receive(self, until: Instant) -> Frame | None:
+        """The next frame; None if there is none up to ``until``.
 
         Time passes no further than to that frame, or to ``until``.
         """
-        frame = self.receive(until)
-        return None if frame is None else (frame, self.came_at)
-
-    def receive(self, until: Instant) -> Frame | None:
-        """As :meth:`recv_frame`; the instant is then in ``came_at``."""
         received = self.received
         if not received and not self.timeline.run_until_filled(until, received):
             return None
         arrival = received.take()
-        self.last_is_own = arrival.own
         self.came_at = arrival.at
+        self.came_own = arrival.own
         return arrival.frame
 
     def transmit(self, frame: Frame) -> None:
@@ -158,7 +149,8 @@ class HostPort(FramePort):
         self._held_out = 0
 
     def hear_itself(self) -> None:
-        """Let its own frames come back from now on; they meet no fault."""
+        """Let its own frames come back from now on, at their end of frame; they meet no fault."""
+        self.echoes = EchoBasis.BUS
         self.port.on_sent = self._on_sent
 
     def hear_errors(self, segment: Segment) -> None:
@@ -183,14 +175,18 @@ class HostPort(FramePort):
         if not self.received.put(arrival):
             self.overruns += 1
 
-    def close(self) -> None:
-        """Send at once what is held and has room, as a last command may be among it; leave the segment."""
+    def send_held(self) -> None:
+        """Send at once what is held and has room."""
         off = self.port.error_state is ErrorState.BUS_OFF
         room = 0 if off else TRANSMIT_QUEUE_MAX - self.port.pending
         waiting = sorted([held for held in self._outgoing if held.waits], key=lambda held: held.due)
         for held in waiting[:room]:
             self.port.send(held.frame)
         self.flush()
+
+    def close(self) -> None:
+        """Send what is held, as a last command may be among it, and leave the segment."""
+        self.send_held()
         self._closed = True
         if self._deaf_to_errors is not None:
             self._deaf_to_errors()

@@ -1,8 +1,10 @@
-"""The process behind ``hub:NAME``: one segment in real time, with a port for each client.
+"""What a hub does: one segment in real time, with a port for each client.
 
 It runs the same segment as a simulation, on a timeline that follows CLOCK_MONOTONIC: an
 event due is run as soon as the clock has passed it, and stamps are the computed instants,
 so a late wake-up delays a delivery but never bends the bus's own timing.
+
+What goes to a client is sent at the end of each turn, several frames in one packet if it takes batches.
 
 No client can hurt another. Nothing blocks: a client that does not fetch its frames fills
 its socket, then a bounded outbox, and is then dropped; one that sends faster than the bus
@@ -19,12 +21,17 @@ import select
 import socket
 import sys
 from collections import deque
+from itertools import islice
+from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant, MonotonicClock
+from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
 from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.hub_control import decode_request, encode_status, obey
 from virtual_bus.can_bus.hub_place import HubPlace, try_lock
 from virtual_bus.can_bus.hub_protocol import (
+    BATCH_FRAMES_MAX,
+    ECHO_HELD_NS,
+    FRAME_BYTES,
     PACKET_BYTES_MAX,
     Hello,
     MalformedRecord,
@@ -34,31 +41,37 @@ from virtual_bus.can_bus.hub_protocol import (
     encode_refusal,
     encode_welcome,
 )
-from virtual_bus.can_bus.punctuality import ask_for_punctuality
+from virtual_bus.can_bus.listener import Listener
 from virtual_bus.frame import Frame
 from virtual_bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
 from virtual_bus.timeline import Event, Timeline
 
-CLIENTS_MAX = 64
-OUTBOX_MAX = 8_192
+CLIENTS_MAX: Final = 64
+OUTBOX_MAX: Final = 8_192
 """Frames kept for a client beyond what its socket holds: about a second of a full bus at 1 Mbit/s."""
-LINGER_NS = 2 * NS_PER_S
-_HELLO_PATIENCE_NS = 5 * NS_PER_S
-_RETRY_LEAVING_NS = 100 * NS_PER_MS
-_WAIT_MAX_NS = 60 * NS_PER_S
-_PACKETS_PER_TURN = 64
+LINGER_NS: Final = 2 * NS_PER_S
+_HELLO_PATIENCE_NS: Final = 5 * NS_PER_S
+_RETRY_LEAVING_NS: Final = 100 * NS_PER_MS
+_WAIT_MAX_NS: Final = 60 * NS_PER_S
+_PACKETS_PER_TURN: Final = 64
+_NEVER: Final = Instant(1 << 62)
 
 
-class _Client:
+class Client(Listener):
     """One connection: a socket, and a port once it has said hello."""
-
-    __slots__ = ("deaf", "hello_deadline", "number", "outbox", "port", "socket")
 
     def __init__(self, connection: socket.socket, number: int) -> None:
         self.socket = connection
+        self.descriptor = connection.fileno()
         self.number = number
         self.port: Port | None = None
+        self.batches = False
+        self.wire: _Wire | None = None
         self.outbox: deque[bytes] = deque()
+        self.due = _NEVER
+        """When to send from the outbox; never while the socket is full."""
+        self.full = False
+        """Its socket takes nothing for now."""
         self.deaf = False
         """Its end is closed or it was too slow: it gets nothing more, and what it sent is still read."""
         self.hello_deadline: Event | None = None
@@ -66,40 +79,65 @@ class _Client:
     def __str__(self) -> str:
         return f"client {self.number}"
 
-    def fileno(self) -> int:
-        """For select."""
-        return self.socket.fileno()
-
     @property
     def readable(self) -> bool:
         """Whether there is room for what it sends."""
         return self.port is None or self.port.pending < TRANSMIT_QUEUE_MAX
 
-    def push(self, packet: bytes) -> None:
-        """Send, or keep for later; the outbox's bound is the broker's business."""
+    def on_frame(self, frame: Frame, now: Instant) -> None:  # noqa: ARG002
+        if self.wire is not None:
+            self.push(self.wire.packet, now)
+
+    def echo(self, frame: Frame, at: Instant) -> None:
+        """A frame of its own ended at ``at``."""
+        self.push(encode_frame(frame, at, own=True), Instant(at + ECHO_HELD_NS) if self.batches else at)
+
+    def push(self, packet: bytes, due: Instant) -> None:
+        """Send by ``due``; the outbox's bound is the broker's business."""
         if self.deaf:
             return
-        if self.outbox:
-            self.outbox.append(packet)
-            return
-        try:
-            self.socket.send(packet)
-        except BlockingIOError:
-            self.outbox.append(packet)
-        except OSError:
-            self.deaf = True
+        self.outbox.append(packet)
+        if due < self.due and not self.full:
+            self.due = due
 
     def flush(self) -> None:
         """Send from the outbox what its socket takes."""
+        outbox = self.outbox
+        self.due = _NEVER
+        self.full = False
         try:
-            while self.outbox:
-                self.socket.send(self.outbox[0])
-                self.outbox.popleft()
+            while outbox:
+                count = self._next_batch()
+                self.socket.send(outbox[0] if count == 1 else b"".join(islice(outbox, count)))
+                for _ in range(count):
+                    outbox.popleft()
         except BlockingIOError:
-            pass
+            self.full = True
         except OSError:
             self.deaf = True
-            self.outbox.clear()
+            outbox.clear()
+
+    def _next_batch(self) -> int:
+        """How many records at the head of the outbox go into one packet."""
+        if not self.batches:
+            return 1
+        count = 0
+        for packet in islice(self.outbox, BATCH_FRAMES_MAX):
+            if len(packet) != FRAME_BYTES:
+                break
+            count += 1
+        return max(count, 1)
+
+
+class _Wire:
+    """The frame that ends now, encoded once for all clients."""
+
+    def __init__(self) -> None:
+        self.packet = b""
+
+    def on_frame(self, frame: Frame, at: Instant) -> None:
+        """For a monitor of the segment, which it serves before its ports."""
+        self.packet = encode_frame(frame, at)
 
 
 class Broker:
@@ -116,14 +154,14 @@ class Broker:
         self._timeline = Timeline()
         self._timeline.run_until(clock.now())
         self._segment = Segment(self._timeline, bitrate)
-        self._clients: list[_Client] = []
+        self._clients: list[Client] = []
         self._accepted = 0
-        self._packet = b""
+        self._wire = _Wire()
         self._leaving: Event | None = None
         self._done = False
         self.dropped = 0
         """Clients dropped because they did not take their frames or sent what is no frame."""
-        self._segment.add_monitor(self._encode)
+        self._segment.add_monitor(self._wire.on_frame)
 
     def run(self) -> None:
         """Serve; returns with the socket gone and the lock free."""
@@ -131,25 +169,41 @@ class Broker:
         while not self._done:
             readable, writable = self._wait()
             self._timeline.run_until(self._clock.now())
-            for client in writable:
-                client.flush()
-            for source in readable:
-                if isinstance(source, _Client):
-                    self._read(source)
-                else:
-                    self._accept()
+            listening = self._listener.fileno() in readable
+            clients = self._clients.copy()
+            for client in clients:
+                if client.descriptor in writable:
+                    client.flush()
+            self._send_due()
+            for client in clients:
+                if client.descriptor in readable:
+                    self._read(client)
+            if listening:
+                self._accept()
+            self._send_due()
             self._dismiss()
 
-    def _wait(self) -> tuple[list["_Client | socket.socket"], list[_Client]]:
+    def _wait(self) -> tuple[list[int], list[int]]:
         """Until the next event or a socket is ready. select's time-out is good to 1 us, epoll's to 1 ms."""
         due = self._timeline.next_at()
-        wait_ns = _WAIT_MAX_NS if due is None else max(0, min(due - self._clock.now(), _WAIT_MAX_NS))
-        sources: list[_Client | socket.socket] = [client for client in self._clients if client.readable]
-        sources.append(self._listener)
-        readable, writable, _ = select.select(
-            sources, [client for client in self._clients if client.outbox], [], wait_ns / NS_PER_S
-        )
+        wake_at: int = _NEVER if due is None else due
+        sources = [self._listener.fileno()]
+        full = []
+        for client in self._clients:
+            wake_at = min(wake_at, client.due)
+            if client.readable:
+                sources.append(client.descriptor)
+            if client.full:
+                full.append(client.descriptor)
+        wait_ns = max(0, min(wake_at - self._clock.now(), _WAIT_MAX_NS))
+        readable, writable, _ = select.select(sources, full, [], wait_ns / NS_PER_S)
         return readable, writable
+
+    def _send_due(self) -> None:
+        now = self._timeline.now
+        for client in self._clients:
+            if client.due <= now:
+                client.flush()
 
     def _accept(self) -> None:
         try:
@@ -158,7 +212,7 @@ class Broker:
             return
         connection.setblocking(False)
         self._accepted += 1
-        client = _Client(connection, self._accepted)
+        client = Client(connection, self._accepted)
         self._clients.append(client)
         if self._leaving is not None:
             self._leaving.cancel()
@@ -166,7 +220,7 @@ class Broker:
         due = Instant(self._timeline.now + _HELLO_PATIENCE_NS)
         client.hello_deadline = self._timeline.call_at(due, lambda _now: self._drop(client, "said no hello"))
 
-    def _read(self, client: _Client) -> None:
+    def _read(self, client: Client) -> None:
         """Take what the client sent, as far as its transmit queue and fairness allow."""
         if client not in self._clients:
             return  # parted from since select saw it
@@ -193,7 +247,7 @@ class Broker:
             if client not in self._clients:
                 return
 
-    def _take(self, client: _Client, packet: bytes) -> None:
+    def _take(self, client: Client, packet: bytes) -> None:
         if client.port is not None:
             self._serve(client, client.port, packet)
             return
@@ -215,12 +269,12 @@ class Broker:
             return
         self._welcome(client, hello)
 
-    def _serve(self, client: _Client, port: Port, packet: bytes) -> None:
+    def _serve(self, client: Client, port: Port, packet: bytes) -> None:
         """A frame to send, which a controller that is bus-off forgets, or a request to the controller."""
         request = decode_request(packet)
         if request is not None:
             obey(port, request)
-            client.push(self._status(port, asked=True))
+            client.push(self._status(port, asked=True), self._timeline.now)
             return
         frame = decode_frame(packet).frame
         if port.error_state is not ErrorState.BUS_OFF:
@@ -231,28 +285,23 @@ class Broker:
         load = segment.load_percent(Instant(now - NS_PER_S), now)
         return encode_status(port, load, segment.frames, asked=asked)
 
-    def _welcome(self, client: _Client, hello: Hello) -> None:
+    def _welcome(self, client: Client, hello: Hello) -> None:
         if client.hello_deadline is not None:
             client.hello_deadline.cancel()
-        client.port = port = self._segment.attach(str(client), lambda _frame, _at: self._deliver(client))
-        port.on_error_state = lambda _state, _at: client.push(self._status(port, asked=False))
+        client.batches = hello.batches
+        client.wire = self._wire
+        client.port = port = self._segment.attach(str(client), client)
+        port.on_error_state = lambda _state, at: client.push(self._status(port, asked=False), at)
         if hello.receive_own:
-            port.on_sent = lambda frame, at: client.push(encode_frame(frame, at, own=True))
-        client.push(encode_welcome(self._segment.bitrate_bit_s))
+            port.on_sent = client.echo
+        client.push(encode_welcome(self._segment.bitrate_bit_s), self._timeline.now)
 
-    def _encode(self, frame: Frame, at: Instant) -> None:
-        self._packet = encode_frame(
-            frame, at
-        )  # once for all ports, which the segment serves after its monitors
-
-    def _deliver(self, client: _Client) -> None:
-        client.push(self._packet)
-
-    def _refuse(self, client: _Client, reason: str) -> None:
-        client.push(encode_refusal(reason))
+    def _refuse(self, client: Client, reason: str) -> None:
+        client.push(encode_refusal(reason), self._timeline.now)
+        client.flush()
         self._part(client)
 
-    def _drop(self, client: _Client, why: str) -> None:
+    def _drop(self, client: Client, why: str) -> None:
         self.dropped += 1
         print(f"{client} {why}; dropped ({self.dropped} so far)", file=sys.stderr, flush=True)
         self._part(client)
@@ -262,7 +311,7 @@ class Broker:
         for client in [client for client in self._clients if len(client.outbox) > OUTBOX_MAX]:
             self._drop(client, f"did not take its frames: {OUTBOX_MAX} are waiting")
 
-    def _part(self, client: _Client) -> None:
+    def _part(self, client: Client) -> None:
         """Close the connection; what is in its transmit queue still goes out."""
         if client not in self._clients:
             return
@@ -306,25 +355,3 @@ def listen(place: HubPlace) -> socket.socket:
     listener.listen(CLIENTS_MAX)
     listener.setblocking(False)
     return listener
-
-
-def main() -> None:
-    """``python -m virtual_bus.can_bus.hub_broker NAME BITRATE``: returns once the hub can be joined."""
-    name, bitrate = sys.argv[1:]
-    place = HubPlace(name)
-    alive = try_lock(place.alive)
-    if alive is None:
-        return  # there is one already: its caller was only too slow to be welcomed
-    listener = listen(place)
-    if os.fork():
-        os._exit(0)  # the caller waits for this process: the hub is up, and is nobody's child
-    os.setsid()
-    os.chdir("/")
-    os.ftruncate(alive, 0)
-    os.write(alive, f"{os.getpid()}\n".encode())
-    ask_for_punctuality()
-    Broker(place, listener, alive, MonotonicClock(), int(bitrate)).run()
-
-
-if __name__ == "__main__":
-    main()

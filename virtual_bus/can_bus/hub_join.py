@@ -77,7 +77,7 @@ def _answered(place: HubPlace, connection: socket.socket, packet: bytes) -> tupl
 
 def _start(place: HubPlace, bitrate_bit_s: int) -> None:
     """Start the broker; it runs when this returns. Call it under the hub's lock."""
-    command = [sys.executable, "-m", "virtual_bus.can_bus.hub_broker", place.name, str(bitrate_bit_s)]
+    command = [sys.executable, "-m", "virtual_bus.can_bus.hub_process", place.name, str(bitrate_bit_s)]
     with place.log.open("wb") as log:
         try:
             status = subprocess.run(

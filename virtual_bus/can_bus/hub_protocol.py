@@ -1,28 +1,39 @@
-"""What a hub's broker and its clients say to each other: one packet, one record.
+"""What a hub's broker and its clients say to each other, in packets.
 
-The client opens with a hello; the broker answers with a welcome, or with a refusal in words
-and closes. From then on each packet is one frame, either way, or a request to the client's controller
-and what is told of it (virtual_bus.can_bus.hub_control).
+The client opens with a hello; the broker answers with a welcome, or with a refusal in words and closes.
+From then on a packet of the client is one frame, or a request to its controller; a packet of the broker is
+one frame, or as many as fit (a batch) if the client has asked for that, or tells of the client's controller
+(virtual_bus.can_bus.hub_control).
 """
 
 import struct
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.frame import Frame
 
-VERSION = 2
-PACKET_BYTES_MAX = 512
+VERSION = 3
+PACKET_BYTES_MAX: Final = 512
+"""Some 20 frames: a packet of the size that the kernel allocates for it in one piece."""
 
 _HELLO = struct.Struct("<4sHHI")
 _HELLO_MAGIC = b"SBhi"
 _WELCOME_MAGIC = b"SBok"
 _REFUSAL_MAGIC = b"SBno"
-_FRAME = struct.Struct("<qIBB8s")
-FRAME_BYTES = _FRAME.size
+_FRAME: Final = struct.Struct("<qIBB8s")
+FRAME_BYTES: Final = 22
+"""No other record is as long, or a multiple of it."""
+BATCH_FRAMES_MAX: Final = PACKET_BYTES_MAX // FRAME_BYTES
 
-_EXTENDED, _REMOTE, _OWN = 1, 2, 4
-_RECEIVE_OWN = 1
+_EXTENDED: Final = 1
+_REMOTE: Final = 2
+_OWN: Final = 4
+_RECEIVE_OWN, _BATCHES = 1, 2
+
+ECHO_HELD_NS: Final = 500 * NS_PER_US
+"""For how long the broker keeps an own frame that a client wants back, for a frame of another node to go with
+it: the echo of a SYNC wakes nobody that waits for the TPDOs, and is there with the first of them. Short of a
+cycle at 1 kHz."""
 
 
 class MalformedRecord(ValueError):
@@ -36,6 +47,8 @@ class Hello(NamedTuple):
     """The bit rate it counts on; 0: whatever the hub runs at."""
     receive_own: bool
     """Whether it wants its own frames back at their end of frame."""
+    batches: bool = True
+    """Whether it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
 
 
 class Received(NamedTuple):
@@ -50,7 +63,8 @@ class Received(NamedTuple):
 
 def encode_hello(hello: Hello) -> bytes:
     """The client's first packet."""
-    return _HELLO.pack(_HELLO_MAGIC, VERSION, _RECEIVE_OWN * hello.receive_own, hello.bitrate_bit_s)
+    flags = _RECEIVE_OWN * hello.receive_own | _BATCHES * hello.batches
+    return _HELLO.pack(_HELLO_MAGIC, VERSION, flags, hello.bitrate_bit_s)
 
 
 def decode_hello(packet: bytes) -> Hello:
@@ -64,7 +78,7 @@ def decode_hello(packet: bytes) -> Hello:
         raise MalformedRecord(
             f"the hub speaks version {VERSION} of its protocol and the client version {version}"
         )
-    return Hello(bitrate, bool(flags & _RECEIVE_OWN))
+    return Hello(bitrate, bool(flags & _RECEIVE_OWN), bool(flags & _BATCHES))
 
 
 def encode_welcome(bitrate_bit_s: int) -> bytes:
@@ -99,6 +113,19 @@ def decode_frame(packet: bytes) -> Received:
     if len(packet) != FRAME_BYTES:
         raise MalformedRecord(f"{len(packet)} bytes are no frame")
     at, can_id, flags, dlc, data = _FRAME.unpack(packet)
+    return _received(at, can_id, flags, dlc, data)
+
+
+def decode_batch(packet: bytes) -> list[Received]:
+    """The frames of a packet, one at least. Raises MalformedRecord if it is anything else."""
+    if not packet or len(packet) % FRAME_BYTES:
+        raise MalformedRecord(f"{len(packet)} bytes are no frames")
+    return [
+        _received(at, can_id, flags, dlc, data) for at, can_id, flags, dlc, data in _FRAME.iter_unpack(packet)
+    ]
+
+
+def _received(at: int, can_id: int, flags: int, dlc: int, data: bytes) -> Received:
     extended, remote = bool(flags & _EXTENDED), bool(flags & _REMOTE)
     if dlc > 8 or can_id >> (29 if extended else 11):
         raise MalformedRecord(f"identifier 0x{can_id:X}, DLC {dlc}")

@@ -8,9 +8,9 @@ import can
 
 from drivers.adapters import BusSpec, open_bus
 from drivers.errors import BusDown
+from drivers.message import frame_of, message_of
 from drivers.slcan_protocol import Status
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
-from virtual_bus.can_bus.message import frame_of, message_of
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
 from virtual_bus.serial_line.device_line import DeviceLine
@@ -148,7 +148,7 @@ def open_far_side(spec: BusSpec, bitrate_bit_s: int | None) -> tuple[can.BusABC,
     """
     if spec.interface != "hub":
         wanted = bitrate_bit_s or 1_000_000
-        return open_bus(spec, wanted).bus, wanted
+        return open_bus(spec, wanted, for_link=False).bus, wanted
     try:
         bus = HubBus(spec.channel, bitrate=bitrate_bit_s, receive_own_messages=True)
     except can.CanError as error:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import can
 
-from virtual_bus.can_bus.message import frame_of
+from drivers.message import frame_of
 from virtual_bus.canopen_device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import can
 
-from drivers.lean_bus import WireFrame
+from drivers.frame_port import FramePort, WireFrame
 from drivers.link import BusLink, StampSource
 from drivers.network import CanopenNetwork
 from drivers.profile402 import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
@@ -65,8 +65,26 @@ INITIAL = {
 }
 
 
+class FakePort(FramePort):
+    """Frames over the event heap of a :class:`FakeBus`."""
+
+    def __init__(self, bus: "FakeBus") -> None:
+        super().__init__()
+        self._bus = bus
+
+    def receive(self, until: Instant) -> WireFrame | None:
+        arrival = self._bus.next_arrival(until)
+        if arrival is None:
+            return None
+        frame, self.came_at = arrival
+        return frame
+
+    def transmit(self, frame: WireFrame) -> None:
+        self._bus.note_sent(frame)
+
+
 class FakeBus(can.BusABC):
-    """The lean path over an event heap; its own clock is the bench's clock."""
+    """A bus that is an event heap; its own clock is the bench's clock."""
 
     def __init__(self) -> None:
         super().__init__(channel="fake")
@@ -75,6 +93,7 @@ class FakeBus(can.BusABC):
         self.sent: list[tuple[Instant, WireFrame]] = []
         self.listeners: list[Callable[[WireFrame], None]] = []
         self.broken = False
+        self.frame_port = FakePort(self)
         self._inbox: list[tuple[WireFrame, Instant]] = []
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
@@ -93,13 +112,13 @@ class FakeBus(can.BusABC):
         frame = WireFrame(can_id, data, **flags)
         self.call_after(after_ns, lambda: self._inbox.append((frame, self.time)))
 
-    def recv_frame(self, until: Instant) -> tuple[WireFrame, Instant] | None:
+    def next_arrival(self, until: Instant) -> tuple[WireFrame, Instant] | None:
         if self.broken:
             raise can.CanOperationError("the adapter is gone")
         self._run_until(until, lambda: bool(self._inbox))
         return self._inbox.pop(0) if self._inbox else None
 
-    def send_frame(self, frame: WireFrame) -> None:
+    def note_sent(self, frame: WireFrame) -> None:
         if self.broken:
             raise can.CanOperationError("the adapter is gone")
         self.sent.append((self.time, frame))

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.bus_scan import BusScan, NodeFound
 from drivers.errors import NoAnswer, PeerFault
+from drivers.frame_port import FramePort
 from drivers.link import BusLink, StampSource
 from drivers.lss import LssAddress, LssMaster
 from drivers.network import CanopenNetwork
@@ -21,6 +22,23 @@ from virtual_bus.timeline import SimulatedClock, Timeline
 UNCONFIGURED = 255
 
 
+class DeafPort(FramePort):
+    """Each ``every``-th frame is not heard."""
+
+    def __init__(self, inner: FramePort, every: int) -> None:
+        super().__init__()
+        self.transmit = inner.transmit  # type: ignore[method-assign]
+        self._inner, self._every, self._count = inner, every, 0
+
+    def receive(self, until: Instant) -> Frame | None:
+        while (frame := self._inner.receive(until)) is not None:
+            self._count += 1
+            if self._count % self._every:
+                self.came_at = self._inner.came_at
+                break
+        return frame
+
+
 class Bench:
     """A segment with simulated drives and a master that may be hard of hearing."""
 
@@ -31,7 +49,7 @@ class Bench:
         self.segment.add_monitor(lambda frame, _at: self.frames.append(frame))
         bus = SimulatedBus(segment=self.segment)
         if drop_every:
-            self._make_deaf(bus, drop_every)
+            bus.frame_port = DeafPort(bus.frame_port, drop_every)  # type: ignore[assignment]
         clock = SimulatedClock(self.timeline)
         self.network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
         self.servos = [self.add(node) for node in nodes]
@@ -44,21 +62,6 @@ class Bench:
             identity.value = identity.default = serial_number
         attach_to_segment(servo, self.segment, self.timeline)
         return servo
-
-    @staticmethod
-    def _make_deaf(bus: SimulatedBus, every: int) -> None:
-        """Each ``every``-th frame is not heard by the master."""
-        inner, count = bus.recv_frame, 0
-
-        def recv_frame(until: Instant):  # type: ignore[no-untyped-def]
-            nonlocal count
-            while (entry := inner(until)) is not None:
-                count += 1
-                if count % every:
-                    return entry
-            return None
-
-        bus.recv_frame = recv_frame
 
     def scan(self, listen_s: float = 1.0) -> BusScan:
         scan = BusScan(self.network)

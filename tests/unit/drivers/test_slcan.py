@@ -11,11 +11,12 @@ import pytest
 
 from drivers.adapters import open_bus, parse_bus_spec
 from drivers.errors import BusDown
-from drivers.lean_bus import WireFrame
+from drivers.frame_port import WireFrame
 from drivers.link import BusLink, StampSource
 from drivers.slcan import REFUSALS_MAX, SlcanBus
 from drivers.slcan_protocol import Status
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from tests.ports import fetched
 
 CLOCK = MonotonicClock()
 
@@ -104,7 +105,7 @@ def test_listening_only_opens_so_and_sends_nothing(scripted: Make) -> None:
         assert b"L" in adapter.lines
         assert b"O" not in adapter.lines
         with pytest.raises(can.CanOperationError, match="only listens"):
-            bus.send_frame(WireFrame(0x80))
+            bus.frame_port.transmit(WireFrame(0x80))
 
 
 def test_a_port_where_nobody_answers_is_named(scripted: Make, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,9 +127,9 @@ def test_an_adapter_that_acknowledges_nothing_is_used_all_the_same(scripted: Mak
     adapter = scripted(lambda line: b"V1013\r" if line == b"V" else b"")
     with SlcanBus(adapter.path) as bus:
         assert not bus.acknowledges
-        bus.send_frame(WireFrame(0x123, b"\x01"))
+        bus.frame_port.transmit(WireFrame(0x123, b"\x01"))
         adapter.say(b"t3211FF\r")
-        received = bus.recv_frame(until(2.0))
+        received = fetched(bus, until(2.0))
         assert received is not None
         assert received[0] == WireFrame(0x321, b"\xff")
     assert b"t123101" in adapter.lines
@@ -139,7 +140,7 @@ def test_spoilt_lines_are_counted_and_the_frames_between_them_come(scripted: Mak
     with SlcanBus(adapter.path) as bus:
         adapter.say(b"t10\rt1001\xff\xff\rt10021133\rqqq\re1a\rsb256256\rt20")
         adapter.say(b"001234\r")
-        frames = [bus.recv_frame(until(2.0)) for _ in range(2)]
+        frames = [fetched(bus, until(2.0)) for _ in range(2)]
         assert [frame[0] for frame in frames if frame] == [WireFrame(0x100, b"\x11\x33"), WireFrame(0x200)]
         assert bus.malformed_lines == 3
         assert bus.error_reports == 2
@@ -152,11 +153,11 @@ def test_no_noise_from_the_port_raises_or_hides_what_follows(scripted: Make) -> 
     with SlcanBus(adapter.path) as bus:
         for _ in range(50):
             adapter.say(source.randbytes(200))
-            while bus.recv_frame(until(0.001)) is not None:
+            while fetched(bus, until(0.001)) is not None:
                 pass
         adapter.say(b"\rt70117F\r")
         frames = []
-        while (received := bus.recv_frame(until(0.5))) is not None:
+        while (received := fetched(bus, until(0.5))) is not None:
             frames.append(received[0])
         assert frames[-1] == WireFrame(0x701, b"\x7f")
         assert bus.malformed_lines > 10
@@ -172,9 +173,9 @@ def test_one_refused_frame_is_counted_and_its_reason_asked_for(scripted: Make) -
 
     adapter = scripted(answer)
     with SlcanBus(adapter.path, receive_own_messages=True) as bus:
-        bus.send_frame(WireFrame(0x123, b"\x01"))
-        bus.send_frame(WireFrame(0x124))
-        received = bus.recv_frame(until(2.0))
+        bus.frame_port.transmit(WireFrame(0x123, b"\x01"))
+        bus.frame_port.transmit(WireFrame(0x124))
+        received = fetched(bus, until(2.0))
         assert received is not None
         assert received[0] == WireFrame(0x124), "the refused frame came back, or another was taken for it"
         assert bus.status() == Status.TRANSMIT_FIFO_FULL | Status.ERROR_PASSIVE
@@ -208,10 +209,10 @@ def test_lost_answers_do_not_shift_the_later_ones(scripted: Make) -> None:
 
     adapter = scripted(answer)
     with SlcanBus(adapter.path, receive_own_messages=True) as bus:
-        bus.send_frame(WireFrame(0x101))
+        bus.frame_port.transmit(WireFrame(0x101))
         assert bus.status() == Status(0)
-        bus.send_frame(WireFrame(0x102))
-        received = bus.recv_frame(until(2.0))
+        bus.frame_port.transmit(WireFrame(0x102))
+        received = fetched(bus, until(2.0))
         assert received is not None
         assert received[0].can_id == 0x102
 
@@ -224,7 +225,7 @@ def test_an_adapter_that_takes_nothing_more_is_a_full_queue_and_never_a_wait(scr
 
     def flood() -> None:
         for _ in range(4000):
-            bus.send_frame(WireFrame(0x123, bytes(8)))
+            bus.frame_port.transmit(WireFrame(0x123, bytes(8)))
 
     with pytest.raises(can.CanOperationError, match="transmit queue is full"):
         flood()

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.lean_bus import WireFrame
+from drivers.frame_port import WireFrame
 from drivers.slcan_protocol import (
     LINE_LENGTH_MAX,
     Line,

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_S, Duration, Instant
+from tests.ports import fetched
 from virtual_bus.can_bus.host_port import HELD_MAX
 from virtual_bus.fault_injection.fault_plan import (
     Direction,
@@ -21,7 +22,6 @@ from virtual_bus.fault_injection.fault_plan import (
 from virtual_bus.fault_injection.fault_plan import UniformDelay as Delay
 from virtual_bus.fault_injection.faulty_bus import (
     FaultyBus,
-    LeanFaultyBus,
     Side,
     SimulatedFaultyBus,
 )
@@ -45,22 +45,26 @@ def delay(least: int, most: int | None = None, reorder: bool = False, *ways: Dir
     return Delay(min_ns=Duration(least), max_ns=most_ns, reorder=reorder, selection=selection)
 
 
+class InFront(FaultyBus):
+    """As over a bus that is not simulated."""
+
+
 class Rig:
     """A host behind faults and a bare peer on one simulated segment.
 
     ``outside``: the faults sit in front of the bus, as on any other, and not at its port.
     """
 
-    def __init__(self, *faults: Fault, side: Side = "host", outside: bool = False) -> None:
+    def __init__(self, *faults: Fault, side: Side = "host", outside: bool = False, own: bool = False) -> None:
         self.timeline = Timeline()
         segment = Segment(self.timeline)
         self.clock = SimulatedClock(self.timeline)
-        inner = SimulatedBus(segment=segment)
+        inner = SimulatedBus(segment=segment, receive_own_messages=own)
         injector = FaultInjector(FaultPlan(faults), 3)
-        make = LeanFaultyBus if outside else FaultyBus
-        self.bus = make(inner, injector, self.clock, side, Duration(0))
-        assert isinstance(self.bus, LeanFaultyBus if outside else SimulatedFaultyBus)
-        self.lean: LeanFaultyBus | SimulatedFaultyBus = self.bus
+        make = InFront if outside else FaultyBus
+        self.bus = make(inner, injector, self.clock, side)
+        assert isinstance(self.bus, InFront if outside else SimulatedFaultyBus)
+        self.port = self.bus.frame_port
         self.seen: list[tuple[Frame, Instant]] = []
         self.peer = segment.attach("peer", lambda frame, at: self.seen.append((frame, at)))
         self.bus.start(Instant(0))
@@ -72,7 +76,7 @@ class Rig:
         self.timeline.call_at(Instant(at), lambda _now: self.peer.send(frame))
 
     def wait_until(self, when: Instant) -> None:
-        while self.lean.recv_frame(when) is not None:
+        while fetched(self.bus, when) is not None:
             pass
 
 
@@ -95,8 +99,8 @@ def rigs(request: pytest.FixtureRequest) -> Iterator[Rigs]:
 only_at_the_port = pytest.mark.parametrize("rigs", [False], indirect=True)
 
 
-def rig_with(rigs: Rigs, *faults: Fault, side: Side = "host") -> Rig:
-    rigs.made.append(Rig(*faults, side=side, outside=rigs.outside))
+def rig_with(rigs: Rigs, *faults: Fault, side: Side = "host", own: bool = False) -> Rig:
+    rigs.made.append(Rig(*faults, side=side, outside=rigs.outside, own=own))
     return rigs.made[-1]
 
 
@@ -105,7 +109,7 @@ def test_a_received_frame_is_held_for_its_delay_and_stamped_with_its_release(rig
     arrivals = []
     for rig in (bare, held):
         rig.peer_sends(MS, Frame(TPDO, b"\1"))
-        got = rig.lean.recv_frame(Instant(5 * MS))
+        got = fetched(rig.bus, Instant(5 * MS))
         assert got is not None
         assert got == (Frame(TPDO, b"\1"), rig.timeline.now)
         arrivals.append(got[1])
@@ -125,7 +129,7 @@ def test_python_can_sees_the_same_instants(rigs: Rigs) -> None:
 def test_recv_without_a_frame_ends_at_its_deadline(rigs: Rigs) -> None:
     rig = rig_with(rigs, delay(10 * MS))
     rig.peer_sends(0, Frame(TPDO))
-    assert rig.lean.recv_frame(Instant(2 * MS)) is None
+    assert fetched(rig.bus, Instant(2 * MS)) is None
     assert rig.timeline.now == 2 * MS
     assert rig.bus.recv(0.001) is None
     assert rig.timeline.now == 3 * MS
@@ -134,20 +138,20 @@ def test_recv_without_a_frame_ends_at_its_deadline(rigs: Rigs) -> None:
 def test_a_frame_due_at_the_deadline_itself_is_delivered(rigs: Rigs) -> None:
     probe = rig_with(rigs)
     probe.peer_sends(0, Frame(TPDO))
-    got = probe.lean.recv_frame(Instant(MS))
+    got = fetched(probe.bus, Instant(MS))
     assert got is not None
     rig = rig_with(rigs, delay(400_000))
     rig.peer_sends(0, Frame(TPDO))
     due = Instant(got[1] + 400_000)
-    assert rig.lean.recv_frame(Instant(due - 1)) is None
-    assert rig.lean.recv_frame(due) == (Frame(TPDO), due)
+    assert fetched(rig.bus, Instant(due - 1)) is None
+    assert fetched(rig.bus, due) == (Frame(TPDO), due)
 
 
 def test_a_delay_counts_from_the_stamp_however_late_the_owner_looks(rigs: Rigs) -> None:
     rig = rig_with(rigs, delay(300_000))
     rig.peer_sends(0, Frame(TPDO))
     rig.clock.sleep_until(Instant(5 * MS))
-    got = rig.lean.recv_frame(Instant(5 * MS))
+    got = fetched(rig.bus, Instant(5 * MS))
     assert got is not None
     assert 300_000 < got[1] < 300_000 + 2 * FRAME_NS
 
@@ -156,10 +160,10 @@ def test_frames_come_in_the_order_of_release_even_if_nobody_looked(rigs: Rigs) -
     """An undelayed frame that ended before a held one's release must not be handed over after it."""
     rig = rig_with(rigs, delay(2 * MS))
     rig.peer_sends(0, Frame(TPDO))
-    assert rig.lean.recv_frame(Instant(MS)) is None
+    assert fetched(rig.bus, Instant(MS)) is None
     rig.peer_sends(MS, Frame(0x701))
     rig.clock.sleep_until(Instant(10 * MS))
-    order = [got[0].can_id for _ in range(2) if (got := rig.lean.recv_frame(rig.timeline.now)) is not None]
+    order = [got[0].can_id for _ in range(2) if (got := fetched(rig.bus, rig.timeline.now)) is not None]
     assert order == [0x701, TPDO]
 
 
@@ -180,7 +184,7 @@ def test_nothing_is_lost_invented_or_out_of_order(
     for turn, wait in enumerate(itertools.cycle(waits)):
         if turn % asleep == 0:
             rig.clock.sleep_until(Instant(rig.timeline.now + wait))
-        while (one := rig.lean.recv_frame(Instant(rig.timeline.now + wait))) is not None:
+        while (one := fetched(rig.bus, Instant(rig.timeline.now + wait))) is not None:
             got.append(one)
             assert one[1] <= rig.timeline.now
         if rig.timeline.now > 40 * MS:
@@ -196,8 +200,8 @@ def test_losses_are_lost_either_way_and_nothing_else(rigs: Rigs) -> None:
     for can_id in (TPDO, 0x701, TPDO):
         rig.peer_sends(0, Frame(can_id))
     for can_id in (RPDO, 0x601, RPDO):
-        rig.lean.send_frame(Frame(can_id))
-    got = [one[0].can_id for _ in range(3) if (one := rig.lean.recv_frame(Instant(5 * MS))) is not None]
+        rig.port.transmit(Frame(can_id))
+    got = [one[0].can_id for _ in range(3) if (one := fetched(rig.bus, Instant(5 * MS))) is not None]
     assert got == [0x701]
     assert [frame.can_id for frame, _ in rig.seen] == [0x601]
     counts = rig.bus.counts()
@@ -209,9 +213,9 @@ def test_losses_are_lost_either_way_and_nothing_else(rigs: Rigs) -> None:
 def test_the_side_tells_the_direction(rigs: Rigs, side: Side, lost: bool) -> None:
     only_out = IndependentLoss(probability=1.0, selection=Selection(directions=(OUT,)))
     rig = rig_with(rigs, only_out, side=side)
-    rig.lean.send_frame(Frame(RPDO))
+    rig.port.transmit(Frame(RPDO))
     rig.peer_sends(0, Frame(TPDO))
-    got = rig.lean.recv_frame(Instant(MS))
+    got = fetched(rig.bus, Instant(MS))
     assert (rig.seen == []) is lost
     assert (got is None) is not lost
 
@@ -223,7 +227,7 @@ def test_a_held_send_goes_out_at_its_time_wherever_the_owner_is(rigs: Rigs) -> N
         rig = rig_with(rigs, delay(300_000))
         rig.bus.send(can.Message(arbitration_id=RPDO, is_extended_id=False, data=b"\5"))
         if wait == "recv":
-            assert rig.lean.recv_frame(Instant(MS)) is None
+            assert fetched(rig.bus, Instant(MS)) is None
         else:
             rig.clock.sleep_until(Instant(MS))
         assert rig.timeline.now == MS
@@ -233,6 +237,7 @@ def test_a_held_send_goes_out_at_its_time_wherever_the_owner_is(rigs: Rigs) -> N
     assert 300_000 < times[0] < 300_000 + 2 * FRAME_NS
 
 
+@only_at_the_port
 def test_recv_without_deadline_waits_for_the_held_frame_and_ends_when_nothing_can_come(
     rigs: Rigs,
 ) -> None:
@@ -262,13 +267,13 @@ def test_remote_and_extended_frames_come_through_unchanged(rigs: Rigs) -> None:
 def test_more_held_frames_than_there_is_room_for_are_lost_and_counted(rigs: Rigs) -> None:
     rig = rig_with(rigs, delay(NS_PER_S))
     for _ in range(HELD_MAX + 3):
-        rig.lean.send_frame(Frame(RPDO))
+        rig.port.transmit(Frame(RPDO))
     assert rig.bus.counts()["host_to_drive"]["overflow"] == 3
 
 
 def test_shutdown_sends_what_is_held_and_closes_the_inner_bus() -> None:
     rig = Rig(delay(NS_PER_S))
-    rig.lean.send_frame(Frame(RPDO))
+    rig.port.transmit(Frame(RPDO))
     rig.close()
     rig.close()
     rig.clock.sleep_until(Instant(2 * NS_PER_S))
@@ -297,7 +302,7 @@ def test_filters_come_before_the_faults(rigs: Rigs) -> None:
     rig.bus.set_filters([{"can_id": 0x701, "can_mask": 0x7FF}])
     rig.peer_sends(0, Frame(TPDO))
     rig.peer_sends(0, Frame(0x701))
-    got = rig.lean.recv_frame(Instant(MS))
+    got = fetched(rig.bus, Instant(MS))
     assert got is not None
     assert got[0].can_id == 0x701
     assert rig.bus.counts()["drive_to_host"]["frames"] == 1

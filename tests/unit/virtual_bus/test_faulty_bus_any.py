@@ -6,6 +6,7 @@ from uuid import uuid4
 import can
 import pytest
 
+from drivers.message_port import StampSource
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from virtual_bus.fault_injection.fault_plan import (
     Direction,
@@ -60,7 +61,6 @@ def message_of(can_id: int, data: bytes = b"") -> can.Message:
 def test_any_python_can_bus_holds_what_it_receives(virtual: tuple[can.BusABC, can.BusABC]) -> None:
     inner, peer = virtual
     bus = over_virtual(inner, delay(3 * MS))
-    assert not hasattr(bus, "recv_frame")
     peer.send(message_of(TPDO, b"\7"))
     sent = MonotonicClock().now()
     assert bus.recv(0) is None
@@ -72,12 +72,11 @@ def test_any_python_can_bus_holds_what_it_receives(virtual: tuple[can.BusABC, ca
 
 
 class ScriptedBus(can.BusABC):
-    """A bus that stamps on an axis of its own, with the clock that its waiting moves."""
+    """A bus that stamps, with the clock that its waiting moves."""
 
-    def __init__(self, arrivals: list[int], stamp_offset: int) -> None:
+    def __init__(self, arrivals: list[int]) -> None:
         self._now = Instant(0)
         self._arrivals = arrivals
-        self._stamp_offset = stamp_offset
         super().__init__(channel="scripted")
 
     def now(self) -> Instant:
@@ -94,7 +93,7 @@ class ScriptedBus(can.BusABC):
         came = self._arrivals.pop(0)
         self._now = max(self._now, Instant(came))
         message = message_of(TPDO)
-        message.timestamp = (came + self._stamp_offset) / NS_PER_S
+        message.timestamp = came / NS_PER_S
         return message
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -102,24 +101,24 @@ class ScriptedBus(can.BusABC):
 
 
 @pytest.mark.parametrize(
-    ("offset", "stamps_ms", "handed_over_ms"),
-    [(Duration(100 * NS_PER_S), [3, 5], [4, 5]), (None, [3, 6], [6, 6])],
+    ("stamps", "stamps_ms", "handed_over_ms"),
+    [(StampSource.MONOTONIC, [3, 5], [4, 5]), (StampSource.RECEIPT, [6, 6], [6, 6])],
     ids=["stamps on a known axis", "stamps on an unknown axis"],
 )
 def test_a_delay_counts_from_the_stamp_if_its_axis_is_known_and_else_from_receipt(
-    offset: Duration | None, stamps_ms: list[int], handed_over_ms: list[int]
+    stamps: StampSource, stamps_ms: list[int], handed_over_ms: list[int]
 ) -> None:
     """Frames at 1 ms and 5 ms, a delay of 2 ms until 4.5 ms, the owner away until 4 ms."""
-    inner = ScriptedBus([1 * MS, 5 * MS], 100 * NS_PER_S)
+    inner = ScriptedBus([1 * MS, 5 * MS])
     window = Selection(until_ns=Duration(4_500_000))
     held = Delay(min_ns=Duration(2 * MS), max_ns=Duration(2 * MS), selection=window)
-    bus = FaultyBus(inner, FaultInjector(FaultPlan((held,)), 3), inner, "host", offset)
+    bus = FaultyBus(inner, FaultInjector(FaultPlan((held,)), 3), inner, "host", stamps)
     bus.start(Instant(0))
     inner.sleep_until(Instant(4 * MS))
     for stamp_ms, now_ms in zip(stamps_ms, handed_over_ms, strict=True):
         message = bus.recv(0.01)
         assert message is not None
-        assert message.timestamp == pytest.approx(100 + stamp_ms / 1000, abs=1e-7)
+        assert message.timestamp == pytest.approx(stamp_ms / 1000, abs=1e-7)
         assert inner.now() == pytest.approx(now_ms * MS, abs=10)
     bus.shutdown()
 

@@ -17,7 +17,9 @@ from pathlib import Path
 import can
 import pytest
 
+from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from tests.ports import fetched
 from virtual_bus.can_bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
 from virtual_bus.can_bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
@@ -106,7 +108,7 @@ def test_processes_that_join_at_once_share_one_broker(buses: list[HubBus]) -> No
         assert process.stdout is not None
         assert process.stdout.readline() == "joined\n"
     bus = join(buses)
-    bus.send_frame(Frame(0x155))
+    bus.frame_port.transmit(Frame(0x155))
     answers = [end(process) for process in processes]
     assert len(set(answers)) == 1  # one broker (SO_PEERCRED), and all heard the frame
     assert answers[0].startswith("341 ")
@@ -116,13 +118,40 @@ def test_frame_goes_from_process_to_process_with_its_monotonic_end(buses: list[H
     echo = participant("message = bus.recv(10); message.arbitration_id += 1; bus.send(message)")
     bus = join(buses)
     before = CLOCK.now()
-    bus.send_frame(Frame(0x100, b"\x00" * 8))
-    received = bus.recv_frame(instant_after(before, PATIENCE_S))
+    bus.frame_port.transmit(Frame(0x100, b"\x00" * 8))
+    received = fetched(bus, instant_after(before, PATIENCE_S))
     assert received is not None
     frame, at = received
     assert frame == Frame(0x101, b"\x00" * 8)
     assert before + 2 * 111_000 < at < CLOCK.now()
     end(echo)
+
+
+@pytest.mark.parametrize("batches", [False, True])
+def test_an_own_frame_comes_back_with_the_end_that_others_saw(buses: list[HubBus], batches: bool) -> None:
+    one, other = join(buses, receive_own_messages=True, batches=batches), join(buses, batches=batches)
+    for can_id in range(0x100, 0x120):
+        one.frame_port.transmit(Frame(can_id))
+    patience = instant_after(CLOCK.now(), PATIENCE_S)
+    echoes = [fetched(one, patience) for _ in range(0x20)]
+    assert echoes == [fetched(other, patience) for _ in range(0x20)]
+    assert one.frame_port.came_own
+    assert not other.frame_port.came_own
+    assert (one.frame_port.echoes, other.frame_port.echoes) == (EchoBasis.BUS, EchoBasis.NONE)
+
+
+def test_frames_of_one_packet_wait_for_the_reader_without_its_socket(buses: list[HubBus]) -> None:
+    """Stopped, the broker has many frames to send when it goes on."""
+    one, other = join(buses), join(buses, batches=True)
+    broker = broker_process(HubPlace("bench"))
+    os.kill(broker, signal.SIGSTOP)
+    for number in range(20):
+        one.frame_port.transmit(Frame(0x100 + number))
+    os.kill(broker, signal.SIGCONT)
+    patience = instant_after(CLOCK.now(), PATIENCE_S)
+    got = [fetched(other, patience) for _ in range(20)]
+    assert [each and each[0].can_id for each in got] == [0x100 + number for number in range(20)]
+    assert fetched(other, Instant(0)) is None
 
 
 def test_second_bit_rate_is_refused_in_words(buses: list[HubBus]) -> None:
@@ -141,10 +170,10 @@ def test_killed_broker_is_reported_and_replaced(place: HubPlace, buses: list[Hub
     with pytest.raises(can.CanOperationError, match="hub is gone"):
         bus.recv(PATIENCE_S)
     with pytest.raises(can.CanOperationError, match="hub is gone"):
-        bus.send_frame(Frame(0x100))
+        bus.frame_port.transmit(Frame(0x100))
     one, other = join(buses), join(buses)
     assert broker_process(place) != first
-    one.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x100))
     assert other.recv(PATIENCE_S) is not None
 
 
@@ -161,7 +190,7 @@ def test_killed_client_harms_nobody_and_its_frames_still_go_out(buses: list[HubB
     one, other = join(buses), join(buses)
     flood = "for n in range(600): bus.send(can.Message(arbitration_id=n, data=bytes(8)), timeout=10)"
     victim = participant(f"{flood}\nprint('sent', flush=True)\nsys.stdin.read()")
-    one.send_frame(Frame(0x000))
+    one.frame_port.transmit(Frame(0x000))
     assert victim.stdout is not None
     assert victim.stdout.readline() == "sent\n"
     victim.kill()
@@ -170,26 +199,28 @@ def test_killed_client_harms_nobody_and_its_frames_still_go_out(buses: list[HubB
         message = one.recv(PATIENCE_S)
         assert message is not None
         assert message.arbitration_id == number
-    other.send_frame(Frame(0x123))
+    other.frame_port.transmit(Frame(0x123))
     last = one.recv(PATIENCE_S)
     assert last is not None
     assert last.arbitration_id == 0x123
 
 
+@pytest.mark.parametrize("batches", [False, True])
 def test_client_that_takes_no_frames_is_dropped_and_the_others_go_on(
-    place: HubPlace, buses: list[HubBus]
+    place: HubPlace, buses: list[HubBus], batches: bool
 ) -> None:
     """Some 9000 frames of 50 us: half a second of a full bus."""
-    sender, listener, sleeper = join(buses), join(buses), join(buses)
+    sender, listener = join(buses), join(buses, batches=batches)
+    sleeper = join(buses, batches=batches)
     frame = Frame(0x2AA)
     sent = heard = 0
     while sent < 12_000:
         try:
-            sender.send_frame(frame)
+            sender.frame_port.transmit(frame)
             sent += 1
         except can.CanOperationError:
             heard += listener.recv(PATIENCE_S) is not None
-        while listener.recv_frame(Instant(0)) is not None:
+        while fetched(listener, Instant(0)) is not None:
             heard += 1
     while heard < sent:
         assert listener.recv(PATIENCE_S) is not None
@@ -207,7 +238,7 @@ def test_client_that_sends_garbage_is_dropped(place: HubPlace, buses: list[HubBu
     rogue._socket.send(b"\xff" * 22)
     with pytest.raises(can.CanOperationError, match="hub is gone"):
         rogue.recv(PATIENCE_S)
-    one.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x100))
     assert other.recv(PATIENCE_S) is not None
     assert "malformed" in place.log.read_text()
 
@@ -217,7 +248,7 @@ def test_client_that_only_knocks_holds_up_nobody(place: HubPlace, buses: list[Hu
     silent = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     silent.connect(str(place.socket))
     other = join(buses)
-    one.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x100))
     assert other.recv(PATIENCE_S) is not None
     silent.close()
 
@@ -264,7 +295,7 @@ def test_broker_that_leaves_while_a_client_knocks_is_replaced(
         leaving.close()
         one = joined.result(PATIENCE_S)
     other = join(buses)
-    one.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x100))
     assert other.recv(PATIENCE_S) is not None
 
 
@@ -291,7 +322,7 @@ def test_hubs_of_different_names_are_different_buses(buses: list[HubBus]) -> Non
     stranger = HubBus("other")
     buses.append(stranger)
     assert known_hubs() == ["bench", "other"]
-    one.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x100))
     assert stranger.recv(0.02) is None
 
 
@@ -332,7 +363,7 @@ def test_notifier_thread_of_python_can_works(buses: list[HubBus]) -> None:
     one, other = join(buses), join(buses)
     reader = can.BufferedReader()
     notifier = can.Notifier(other, [reader], timeout=0.05)
-    one.send_frame(Frame(0x181, b"\x01"))
+    one.frame_port.transmit(Frame(0x181, b"\x01"))
     message = reader.get_message(PATIENCE_S)
     notifier.stop()
     assert message is not None

@@ -39,15 +39,15 @@ def test_a_client_takes_itself_off_the_bus_and_comes_back(buses: list[HubBus]) -
     assert one.go_bus_off().error_state is ErrorState.BUS_OFF
     assert one.state is can.BusState.ERROR
     with pytest.raises(can.CanOperationError, match="bus-off"):
-        one.send_frame(Frame(0x123))
-    other.send_frame(Frame(0x100))
+        one.frame_port.transmit(Frame(0x123))
+    other.frame_port.transmit(Frame(0x100))
     assert one.recv(0.05) is None
     one.recover()
     deadline = instant_after(CLOCK.now(), PATIENCE_S)
     while one.status().error_state is ErrorState.BUS_OFF:
         assert CLOCK.now() < deadline
     assert one.state.name == "ACTIVE"
-    one.send_frame(Frame(0x124))
+    one.frame_port.transmit(Frame(0x124))
     message = other.recv(PATIENCE_S)
     assert message is not None
     assert message.arbitration_id == 0x124
@@ -56,8 +56,8 @@ def test_a_client_takes_itself_off_the_bus_and_comes_back(buses: list[HubBus]) -
 def test_an_unplugged_client_hears_nothing_and_sends_once_it_is_back(buses: list[HubBus]) -> None:
     one, other, third = join(buses), join(buses), join(buses)
     assert not one.unplug().plugged
-    one.send_frame(Frame(0x123))
-    other.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x123))
+    other.frame_port.transmit(Frame(0x100))
     heard = third.recv(PATIENCE_S)
     assert heard is not None
     assert heard.arbitration_id == 0x100
@@ -71,8 +71,8 @@ def test_an_unplugged_client_hears_nothing_and_sends_once_it_is_back(buses: list
 def test_a_listener_keeps_what_it_has_to_say(buses: list[HubBus]) -> None:
     one, other = join(buses), join(buses)
     assert one.set_listen_only(True).listen_only
-    one.send_frame(Frame(0x123))
-    other.send_frame(Frame(0x100))
+    one.frame_port.transmit(Frame(0x123))
+    other.frame_port.transmit(Frame(0x100))
     heard = one.recv(PATIENCE_S)
     assert heard is not None
     assert heard.arbitration_id == 0x100
@@ -84,7 +84,7 @@ def test_a_listener_keeps_what_it_has_to_say(buses: list[HubBus]) -> None:
 def test_frames_that_come_before_an_answer_are_kept(buses: list[HubBus]) -> None:
     one, other = join(buses), join(buses)
     for number in range(20):
-        other.send_frame(Frame(0x100 + number))
+        other.frame_port.transmit(Frame(0x100 + number))
     deadline = instant_after(CLOCK.now(), PATIENCE_S)
     while one.status().frames < 20:
         assert CLOCK.now() < deadline

@@ -8,13 +8,16 @@ from hypothesis import strategies as st
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
+from virtual_bus.can_bus.hub_control import Request, encode_request, encode_status
 from virtual_bus.can_bus.hub_protocol import (
+    BATCH_FRAMES_MAX,
     FRAME_BYTES,
     PACKET_BYTES_MAX,
     Hello,
     MalformedRecord,
     Received,
     decode_answer,
+    decode_batch,
     decode_frame,
     decode_hello,
     encode_frame,
@@ -22,6 +25,8 @@ from virtual_bus.can_bus.hub_protocol import (
     encode_refusal,
     encode_welcome,
 )
+from virtual_bus.segment import Segment
+from virtual_bus.timeline import Timeline
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 
@@ -48,9 +53,38 @@ def test_any_bytes_are_a_valid_frame_or_malformed(packet: bytes) -> None:
     assert frame.remote_length <= 8
 
 
+@EXAMPLES
+@given(st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, (1 << 63) - 1), st.booleans()), min_size=1))
+def test_a_batch_is_its_frames_in_order(records: list[tuple[int, int, bool]]) -> None:
+    sent = [Received(random_frame(random.Random(seed)), Instant(at), own) for seed, at, own in records]
+    assert decode_batch(b"".join(encode_frame(*each) for each in sent)) == sent
+
+
+@EXAMPLES
+@given(st.binary(max_size=5 * FRAME_BYTES))
+def test_any_bytes_are_a_batch_of_valid_frames_or_malformed(packet: bytes) -> None:
+    parts = [packet[start : start + FRAME_BYTES] for start in range(0, len(packet), FRAME_BYTES)]
+    try:
+        frames = decode_batch(packet)
+    except MalformedRecord:
+        with pytest.raises(MalformedRecord):
+            [decode_frame(part) for part in parts or [b""]]
+    else:
+        assert frames == [decode_frame(part) for part in parts]
+
+
+def test_a_full_batch_is_a_packet_and_no_request_or_answer_is_as_long_as_frames() -> None:
+    assert PACKET_BYTES_MAX - FRAME_BYTES < BATCH_FRAMES_MAX * FRAME_BYTES <= PACKET_BYTES_MAX
+    port = Segment(Timeline()).attach("port", lambda _frame, _at: None)
+    for packet in (encode_status(port, 0.0, 0, asked=True), encode_request(Request.STATUS)):
+        assert len(packet) % FRAME_BYTES
+
+
+@pytest.mark.parametrize("batches", [False, True])
 @pytest.mark.parametrize("receive_own", [False, True])
-def test_hello_round_trip(receive_own: bool) -> None:
-    assert decode_hello(encode_hello(Hello(500_000, receive_own))) == Hello(500_000, receive_own)
+def test_hello_round_trip(receive_own: bool, batches: bool) -> None:
+    hello = Hello(500_000, receive_own, batches)
+    assert decode_hello(encode_hello(hello)) == hello
 
 
 def test_other_version_is_named() -> None:

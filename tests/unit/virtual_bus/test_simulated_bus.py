@@ -6,6 +6,7 @@ import can
 import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import wire_bits
 from virtual_bus.can_bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.can_bus.host_port import RECEIVE_QUEUE_MAX
@@ -101,7 +102,7 @@ def test_frames_that_nobody_fetches_are_bounded_and_counted(bus: SimulatedBus, p
     bus.timeline.run_until(Instant((RECEIVE_QUEUE_MAX + 10) * (SYNC_NS + 3_000) - 1))
     assert bus.overruns == 10
     received = 0
-    while bus.recv_frame(bus.timeline.now) is not None:
+    while fetched(bus, bus.timeline.now) is not None:
         received += 1
     assert received == RECEIVE_QUEUE_MAX
 
@@ -110,10 +111,10 @@ def test_lean_path_honours_filters(bus: SimulatedBus, peer: Port) -> None:
     bus.set_filters([{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}])
     peer.send(SYNC)
     peer.send(Frame(0x181, b"\x01"))
-    received = bus.recv_frame(Instant(NS_PER_MS))
+    received = fetched(bus, Instant(NS_PER_MS))
     assert received is not None
     assert received[0] == Frame(0x181, b"\x01")
-    assert bus.recv_frame(Instant(NS_PER_MS)) is None
+    assert fetched(bus, Instant(NS_PER_MS)) is None
 
 
 class TestPeriodic:

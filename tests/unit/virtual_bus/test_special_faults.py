@@ -7,9 +7,9 @@ import can
 import pytest
 from scipy import stats
 
+from drivers.message import message_of
 from drivers.timebase import Duration, Instant
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, TPDO1, fates, started, uniform
-from virtual_bus.can_bus.message import message_of
 from virtual_bus.fault_injection.fault_plan import (
     BurstLoss,
     Corruption,
@@ -186,9 +186,7 @@ class TwoEnds:
         segment = Segment(timeline)
         clock = SimulatedClock(timeline)
         self.peer = SimulatedBus("peer", segment=segment)
-        self.host = FaultyBus(
-            SimulatedBus("host", segment=segment), started(*faults), clock, "host", Duration(0)
-        )
+        self.host = FaultyBus(SimulatedBus("host", segment=segment), started(*faults), clock, "host")
         self.host.start(clock.now())
 
 

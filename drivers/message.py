@@ -1,13 +1,12 @@
-"""python-can's message and the simulated world's frame, each made from the other."""
+"""python-can's message and the frame, each made from the other."""
 
 import can
 
+from drivers.frame_port import ERROR_FLAG, WireFrame
 from drivers.timebase import Instant
-from virtual_bus.can_bus.error_message import ERROR_FLAG
-from virtual_bus.frame import Frame
 
 
-def frame_of(message: can.Message) -> Frame:
+def frame_of(message: can.Message) -> WireFrame:
     """The frame that ``message`` asks for.
 
     Raises can.CanOperationError for what classical CAN cannot carry: FD and error frames,
@@ -22,13 +21,15 @@ def frame_of(message: can.Message) -> Frame:
     if not 0 <= dlc <= 8:
         raise can.CanOperationError(f"{dlc} data bytes; a classical CAN frame carries at most 8")
     if message.is_remote_frame:
-        return Frame(can_id, b"", extended, True, dlc)
+        return WireFrame(can_id, b"", extended, True, dlc)
     if len(message.data) != dlc:
         raise can.CanOperationError(f"DLC {dlc} and {len(message.data)} data bytes contradict each other")
-    return Frame(can_id, bytes(message.data), extended)
+    return WireFrame(can_id, bytes(message.data), extended)
 
 
-def message_of(frame: Frame, at: Instant, *, is_rx: bool = True, channel: str | None = None) -> can.Message:
+def message_of(
+    frame: WireFrame, at: Instant, *, is_rx: bool = True, channel: str | None = None
+) -> can.Message:
     """The message of a frame that ended on the bus at ``at``; its timestamp is that instant in seconds."""
     can_id, data, extended, remote, remote_length = frame
     if can_id >= ERROR_FLAG:

@@ -1,0 +1,198 @@
+"""What the kernel and the adapter say of when a frame was there, on the bench's axis. No I/O.
+
+The kernel stamps with the wall clock, which can be set; the adapter with a counter of its own. Both are
+mapped to the monotonic clock here:
+
+    ancillary data --> software stamp --> WallStamps ------------------------------> instant
+                   \\-> hardware stamp ---------------> AdapterClock(instant) ------> instant, closer
+"""
+
+import socket
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+from struct import Struct
+from typing import Final, NamedTuple
+
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+
+SO_TIMESTAMPNS: Final = 35
+SO_TIMESTAMPING: Final = 37
+SO_RXQ_OVFL: Final = 40
+"""Options of the kernel's, and types of the ancillary data that they bring (asm-generic/socket.h)."""
+HARDWARE_STAMPS: Final = 1 << 2 | 1 << 6
+"""SOF_TIMESTAMPING_RX_HARDWARE | SOF_TIMESTAMPING_RAW_HARDWARE (linux/net_tstamp.h). A CAN driver's transmit
+stamp is the receive stamp of the frame's echo, so that SOF_TIMESTAMPING_TX_HARDWARE, which reports by the
+error queue, tells no more."""
+
+_TIMESPEC: Final = Struct("@qq")
+_STAMPING: Final = Struct("@qqqqqq")
+"""struct scm_timestamping: software, (unused), raw hardware."""
+_OVERFLOW: Final = Struct("=I")
+ANCILLARY_BYTES: Final = sum(map(socket.CMSG_SPACE, (_TIMESPEC.size, _STAMPING.size, _OVERFLOW.size)))
+Ancillary = Sequence[tuple[int, int, bytes]]
+
+REORDERED_MAX_NS: Final = NS_PER_MS
+"""How much earlier than the frame in front of it a frame may have been stamped: the kernel stamps in the
+adapter's interrupt, and one processor's queue may be served later than another's."""
+_BLOCK_NS: Final = 100 * NS_PER_MS
+"""A hundred frames of a 1 kHz cycle, of which the one that was quickest to its software stamp counts; a
+quartz that is 100 ppm off drifts 10 us meanwhile."""
+_BLOCKS: Final = 32
+"""3.2 s: long for a rate from instants that are good to some us, short for a quartz that warms up."""
+_RESTARTED_NS: Final = 100 * NS_PER_MS
+"""Longer than any adapter takes to hand over a frame: a counter that disagrees by more has been set anew."""
+
+
+class FrameStamps(NamedTuple):
+    """The ancillary data of one frame."""
+
+    software_ns: int | None
+    """On the wall clock."""
+    hardware_ns: int | None
+    """On the adapter's own clock."""
+    lost_frames: int | None
+    """Dropped so far because the receive buffer was full."""
+
+
+def parse_ancillary(ancillary: Ancillary) -> FrameStamps:
+    """None for what is not there, or is zero as the kernel leaves it."""
+    software = hardware = lost = None
+    for _, kind, value in ancillary:
+        if kind == SO_TIMESTAMPNS and len(value) >= _TIMESPEC.size:
+            seconds, ns = _TIMESPEC.unpack_from(value)
+            software = seconds * NS_PER_S + ns
+        elif kind == SO_TIMESTAMPING and len(value) >= _STAMPING.size:
+            *_, seconds, ns = _STAMPING.unpack_from(value)
+            hardware = seconds * NS_PER_S + ns or None
+        elif kind == SO_RXQ_OVFL and len(value) >= _OVERFLOW.size:
+            (lost,) = _OVERFLOW.unpack_from(value)
+    return FrameStamps(software, hardware, lost)
+
+
+class _Offset:
+    """Wall clock minus monotonic clock between two settings: constant, as the kernel slews both alike."""
+
+    def __init__(self, before: int, wall: int, after: int) -> None:
+        self.lowest, self.highest = wall - after, wall - before
+        """ns: what all comparisons leave possible."""
+        self.since_at_latest = after
+        self.until_at_earliest = before
+
+    def agrees(self, before: int, wall: int, after: int) -> bool:
+        """Narrow it down by one more comparison; False if that contradicts, so that the clock was set."""
+        lowest, highest = max(self.lowest, wall - after), min(self.highest, wall - before)
+        if lowest > highest:
+            return False
+        self.lowest, self.highest, self.until_at_earliest = lowest, highest, before
+        return True
+
+    @property
+    def value(self) -> int:
+        """The middle of what is possible, ns."""
+        return (self.lowest + self.highest) // 2
+
+
+class WallStamps:
+    """Maps the wall-clock stamps of a queue of frames to the monotonic clock, also while that clock is set.
+
+    A frame that was stamped before a step belongs to the offset before it, although it is read after it.
+    Each offset was in force from some instant after the last comparison that found the one before it, until
+    some instant before the first that found the next. A frame gets the oldest offset that puts it there,
+    not before the frame in front of it or the instant at which the queue was empty, and not after now; once a
+    frame has a later offset, so have all behind it.
+
+    What cannot be decided is a step smaller than the time since the last comparison: a stamp may then be
+    wrong by the step.
+    """
+
+    def __init__(self) -> None:
+        self._offsets: list[_Offset] = []
+        self._floor = 0
+        """No frame to come was stamped before."""
+
+    def compare(self, before: int, wall: int, after: int) -> None:
+        """The wall clock was read between two readings of the monotonic clock, ns."""
+        if not self._offsets or not self._offsets[-1].agrees(before, wall, after):
+            self._offsets.append(_Offset(before, wall, after))
+
+    def emptied(self, at: int) -> None:
+        """The queue was found empty at ``at``."""
+        while len(self._offsets) > 1 and self._offsets[1].since_at_latest <= at:
+            del self._offsets[0]
+        self._floor = max(self._floor, at - REORDERED_MAX_NS)
+
+    def instant(self, stamp_ns: int, now: int) -> Instant:
+        """When the next frame of the queue was stamped. Call :meth:`compare` at ``now`` first."""
+        offsets = self._offsets
+        for number, offset in enumerate(offsets):
+            at = stamp_ns - offset.value
+            since = offsets[number - 1].until_at_earliest if number else 0
+            until = offsets[number + 1].since_at_latest if number + 1 < len(offsets) else now
+            if max(self._floor, since) <= at <= until:
+                del offsets[:number]
+                break
+        else:
+            at = min(max(stamp_ns - offsets[-1].value, self._floor), now)
+        self._floor = max(self._floor, at - REORDERED_MAX_NS)
+        return Instant(at)
+
+
+class AdapterClock:
+    """The adapter's counter on the monotonic clock: offset and rate from pairs of stamps of the same frames.
+
+    The software stamp comes later than the hardware's by the way from the adapter to the kernel, now more,
+    now less. So the line under all points (hardware, software - hardware) is sought that is closest to them:
+    the edge of their lower hull below their middle. What is constant in that way stays in the stamps.
+
+    Tested on made-up stamps only: it was never run on an adapter.
+    """
+
+    def __init__(self) -> None:
+        self._blocks: deque[tuple[int, int]] = deque(maxlen=_BLOCKS)
+        """Of each block of time the point that lies lowest."""
+        self._block_ends = 0
+        self._last = 0
+
+    def instant(self, hardware_ns: int, software_at: Instant) -> Instant:
+        """When the adapter stamped a frame that the kernel stamped at ``software_at``; never after that."""
+        late = software_at - hardware_ns
+        if self._blocks and (
+            hardware_ns < self._last - REORDERED_MAX_NS
+            or abs(late - self._lateness_min(hardware_ns)) > _RESTARTED_NS
+        ):
+            self._blocks.clear()
+        if not self._blocks or hardware_ns > self._last:
+            self._note(hardware_ns, late)
+            self._last = hardware_ns
+        return Instant(min(hardware_ns + self._lateness_min(hardware_ns), software_at))
+
+    def _note(self, hardware_ns: int, late: int) -> None:
+        if not self._blocks or hardware_ns >= self._block_ends:
+            self._blocks.append((hardware_ns, late))
+            self._block_ends = hardware_ns + _BLOCK_NS
+        elif late < self._blocks[-1][1]:
+            self._blocks[-1] = (hardware_ns, late)
+
+    def _lateness_min(self, hardware_ns: int) -> int:
+        """The line at ``hardware_ns``."""
+        hull = _lower_hull(self._blocks)
+        middle = sum(x for x, _ in self._blocks) // len(self._blocks)
+        for (x0, y0), (x1, y1) in pairwise(hull):
+            if x1 >= middle:
+                return y0 + (y1 - y0) * (hardware_ns - x0) // (x1 - x0)
+        return hull[0][1]
+
+
+def _lower_hull(points: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The points of the lower convex hull (Andrew's monotone chain). x: ascending."""
+    hull: list[tuple[int, int]] = []
+    for x, y in points:
+        while len(hull) >= 2 and _turns_down(hull[-2], hull[-1], (x, y)):
+            hull.pop()
+        hull.append((x, y))
+    return hull
+
+
+def _turns_down(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

@@ -1,0 +1,160 @@
+"""What every bus with echoes has to do: an own frame comes back when, and only when, it was on the bus.
+
+The truth is a third participant that only listens.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import can
+import pytest
+
+from drivers.frame_port import EchoBasis, FramePort
+from drivers.link import BusLink
+from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
+from virtual_bus.fault_injection.fault_plan import (
+    Direction,
+    Duplication,
+    Fault,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Selection,
+    UniformDelay,
+)
+from virtual_bus.fault_injection.faulty_bus import FaultyBus
+from virtual_bus.faults import FaultInjector
+from virtual_bus.frame import Frame
+
+OpenBus = Callable[..., can.BusABC]
+
+PATIENCE_NS = 2_000 * NS_PER_MS
+"""For a frame that must come."""
+SILENCE_NS = 20 * NS_PER_MS
+"""For one that must not."""
+SYNC, TPDO, RPDO = 0x080, 0x181, 0x201
+OUT = Selection(directions=(Direction.HOST_TO_DRIVE,))
+IN = Selection(directions=(Direction.DRIVE_TO_HOST,), frames=(FrameClass.ALL,))
+HELD = Duration(3 * NS_PER_MS)
+
+
+class Seen(NamedTuple):
+    """A frame, as one participant saw it."""
+
+    can_id: int
+    at: Instant
+    own: bool
+
+
+class EchoSuite:
+    """The contract of ``FramePort.echoes``; a subclass names its bus by the fixtures ``open_bus`` and
+    ``clock``."""
+
+    basis: EchoBasis
+    stamps_differ_max_ns = 0
+    """Between two participants, for one frame."""
+
+    @pytest.fixture
+    def make_faulty(self) -> type[FaultyBus]:
+        return FaultyBus
+
+    @pytest.fixture
+    def watch(self, open_bus: OpenBus) -> FramePort:
+        witness: FramePort = open_bus().frame_port  # type: ignore[attr-defined]
+        return witness
+
+    def take(self, port: FramePort, count: int, clock: Clock) -> list[Seen]:
+        seen = []
+        for _ in range(count):
+            frame = port.receive(Instant(clock.now() + PATIENCE_NS))
+            assert frame is not None, f"only {seen} of {count} frames came"
+            seen.append(Seen(frame.can_id, port.came_at, port.came_own))
+        return seen
+
+    def assert_same(self, seen: list[Seen], truth: list[Seen]) -> None:
+        assert [each.can_id for each in seen] == [each.can_id for each in truth]
+        for ours, theirs in zip(seen, truth, strict=True):
+            assert abs(ours.at - theirs.at) <= self.stamps_differ_max_ns
+
+    def faulty(
+        self, open_bus: OpenBus, clock: Clock, make: type[FaultyBus], *faults: Fault
+    ) -> tuple[FaultyBus, FramePort]:
+        bus = make(open_bus(receive_own_messages=True), FaultInjector(FaultPlan(faults), 3), clock)
+        bus.start(clock.now())
+        return bus, bus.frame_port
+
+    def test_the_basis_is_told_and_there_is_none_unless_asked_for(
+        self, open_bus: OpenBus, clock: Clock
+    ) -> None:
+        asking, other = open_bus(receive_own_messages=True), open_bus()
+        assert BusLink(asking, clock).echoes is self.basis
+        assert BusLink(other, clock).echoes is EchoBasis.NONE
+
+    def test_an_echo_comes_before_what_answers_it_and_with_the_instant_that_others_saw(
+        self, open_bus: OpenBus, clock: Clock, watch: FramePort
+    ) -> None:
+        host: FramePort = open_bus(receive_own_messages=True).frame_port  # type: ignore[attr-defined]
+        drive: FramePort = open_bus().frame_port  # type: ignore[attr-defined]
+        for _ in range(20):
+            host.transmit(Frame(SYNC))
+            self.take(drive, 1, clock)
+            drive.transmit(Frame(TPDO))
+            seen = self.take(host, 2, clock)
+            assert [(each.can_id, each.own) for each in seen] == [(SYNC, True), (TPDO, False)]
+            self.assert_same(seen, self.take(watch, 2, clock))
+
+    def test_a_lost_frame_has_no_echo(
+        self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
+    ) -> None:
+        loss = IndependentLoss(probability=1.0, selection=OUT)
+        bus, host = self.faulty(open_bus, clock, make_faulty, loss)
+        host.transmit(Frame(RPDO))
+        host.transmit(Frame(SYNC))
+        seen = self.take(host, 1, clock)
+        assert (seen[0].can_id, seen[0].own) == (SYNC, True)
+        self.assert_same(seen, self.take(watch, 1, clock))
+        assert host.receive(Instant(clock.now() + SILENCE_NS)) is None
+        bus.shutdown()
+
+    def test_a_held_frame_has_its_echo_when_it_was_sent(
+        self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
+    ) -> None:
+        held = UniformDelay(min_ns=HELD, max_ns=HELD, selection=OUT)
+        bus, host = self.faulty(open_bus, clock, make_faulty, held)
+        handed_at = clock.now()
+        host.transmit(Frame(RPDO))
+        seen = self.take(host, 1, clock)
+        assert seen[0].own
+        assert seen[0].at >= handed_at + HELD
+        self.assert_same(seen, self.take(watch, 1, clock))
+        bus.shutdown()
+
+    def test_each_copy_has_an_echo(
+        self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
+    ) -> None:
+        twice = Duplication(probability=1.0, selection=OUT)
+        bus, host = self.faulty(open_bus, clock, make_faulty, twice)
+        host.transmit(Frame(RPDO))
+        seen = self.take(host, 2, clock)
+        assert [each.own for each in seen] == [True, True]
+        self.assert_same(seen, self.take(watch, 2, clock))
+        assert host.receive(Instant(clock.now() + SILENCE_NS)) is None
+        bus.shutdown()
+
+    def test_an_echo_meets_no_fault(
+        self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
+    ) -> None:
+        """Of all that comes in, nothing else is let through."""
+        loss = IndependentLoss(probability=1.0, selection=IN)
+        bus, host = self.faulty(open_bus, clock, make_faulty, loss)
+        drive: FramePort = open_bus().frame_port  # type: ignore[attr-defined]
+        drive.transmit(Frame(TPDO))
+        for can_id in (SYNC, RPDO):
+            host.transmit(Frame(can_id))
+        seen = self.take(host, 2, clock)
+        assert [(each.can_id, each.own) for each in seen] == [(SYNC, True), (RPDO, True)]
+        truth = self.take(watch, 3, clock)
+        self.assert_same(seen, [each for each in truth if each.can_id != TPDO])
+        assert host.receive(Instant(clock.now() + SILENCE_NS)) is None
+        assert bus.counts()["drive_to_host"]["frames"] == 1
+        bus.shutdown()

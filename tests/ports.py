@@ -1,0 +1,13 @@
+"""The frame port of a bus, as tests use it."""
+
+from typing import Any
+
+from drivers.frame_port import FramePort, WireFrame
+from drivers.timebase import Instant
+
+
+def fetched(bus: Any, until: Instant) -> tuple[WireFrame, Instant] | None:
+    """The next frame of ``bus`` by its port, and its stamp; None once ``until`` has come."""
+    port: FramePort = bus.frame_port
+    frame = port.receive(until)
+    return None if frame is None else (frame, port.came_at)
