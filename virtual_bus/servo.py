@@ -50,11 +50,7 @@ from virtual_bus.servo_drive.operation_mode import OperationMode
 from virtual_bus.servo_drive.operation_modes import MODES
 from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
 from virtual_bus.servo_drive.servo_objects import RPM, ServoObjects
-from virtual_bus.servo_drive.servo_parameters import (
-    HIGH_RESOLUTION_TIME_STAMP,
-    DriveParameters,
-    device_options,
-)
+from virtual_bus.servo_drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.servo_drive.slow_values import LOAD_NM, provide_slow_values
 from virtual_bus.servo_drive.user_units import UserUnits
 
@@ -94,6 +90,7 @@ class ServoApplication(Application):
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
+        self._torque_demand = objects.torque_demand
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
         self.units = UserUnits(dictionary, counts, self._may_change_units)
@@ -183,6 +180,8 @@ class ServoApplication(Application):
         """The cyclic values as of the last inner tick."""
         if self._actual.refresh(self._base_status):
             self._services.notify(self._actual.statusword)
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
         if self._switches_fitted:
             self._show_inputs()
 
@@ -260,6 +259,16 @@ class ServoApplication(Application):
 
     def _on_torque(self, _value: int) -> None:
         self._mode.take_torque()
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
+
+    def _show_torque_demand(self) -> None:
+        """Tell those who wait for 6074h to change; ``value`` is what they were told last."""
+        demand = self._torque_demand
+        in_force = demand.read()
+        if in_force != demand.value:
+            demand.value = in_force
+            self._services.notify(demand)
 
     def _on_velocity(self, _value: int) -> None:
         self._mode.take_velocity()
@@ -383,13 +392,6 @@ class SimulatedServo(CanopenDevice):
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
-        self._stamp_the_samples()
-
-    def _stamp_the_samples(self) -> None:
-        """1013h shows when the actual values were sampled, at most one inner period ago."""
-        clock, firmware = self.clock, self.drive.firmware
-        stamp = self.dictionary.variable(HIGH_RESOLUTION_TIME_STAMP)
-        stamp.provider = lambda: clock.stamp_us(firmware.tick_at)
 
     @property
     def drive_state(self) -> State:

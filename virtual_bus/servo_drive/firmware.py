@@ -31,6 +31,7 @@ _COUNTS_AT_REST: Final = 1.5
 """Encoder counts per inner period that still pass for rest: the last count may flicker."""
 
 _advance_drive: Final = kernel.advance_drive
+_torque_in_force: Final = kernel.torque_in_force
 _TORQUE: Final = int(kernel.D_TORQUE)
 _CONTROL: Final = int(kernel.D_CONTROL)
 _SPEED: Final = int(kernel.D_SPEED)
@@ -207,6 +208,11 @@ class Firmware:
         demand[_ACCELERATION] = acceleration_rad_s2
         demand[_TORQUE_FEED] = feed_nm
         demand[_CONTROL] = _CONTROL_SPEED
+
+    @property
+    def torque_demand_nm(self) -> float:
+        """The torque demand that is in force now, inside its limits."""
+        return float(_torque_in_force(self.state, self._p, self.demand))
 
     def brake_shaft(self, torque_nm: float) -> None:
         """What an outside brake holds against the shaft's motion from the next tick on, N m."""
