@@ -36,6 +36,7 @@ from virtual_bus.servo_drive.axis import REST_S, Axis
 from virtual_bus.servo_drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
 from virtual_bus.servo_drive.failures import Failures
 from virtual_bus.servo_drive.firmware import Firmware, InnerControl
+from virtual_bus.servo_drive.lacks import take_away
 from virtual_bus.servo_drive.machine import SimulatedMachine
 from virtual_bus.servo_drive.motion_objects import MotionObjects
 from virtual_bus.servo_drive.motor_kernel import (
@@ -93,7 +94,7 @@ class ServoApplication(Application):
         self._torque_demand = objects.torque_demand
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
-        self.units = UserUnits(dictionary, counts, self._may_change_units)
+        self.units = UserUnits(dictionary, counts, lambda: self._motion is Motion.OFF)
         self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
         self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
@@ -115,6 +116,7 @@ class ServoApplication(Application):
         self.machine.on_change(self._on_inputs)
         provide_slow_values(self.axis)
         self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
+        take_away(dictionary, self.drive.lacks)
 
     def on_reset(self, now: Instant) -> None:
         """Power-on, or reset of the node: the power stage goes off; shaft, encoder and load stay."""
@@ -297,9 +299,6 @@ class ServoApplication(Application):
     def _encoder_count(self) -> float:
         return float(self.firmware.state[S_COUNT])
 
-    def _may_change_units(self) -> bool:
-        return self._motion is Motion.OFF
-
     def _take_guards(self) -> None:
         """A mode that acts on its set-points alone runs by periods while the axis has an end."""
         guarded = self.axis.guarded
@@ -388,7 +387,8 @@ class SimulatedServo(CanopenDevice):
         vendor: Callable[[ObjectDictionary], None] | None = None,
     ) -> None:
         """``seed``: of everything random in the drive, a stream for each use and node. ``store``,
-        ``vendor``: as in :class:`virtual_bus.device.CanopenDevice`."""
+        ``vendor``: as in :class:`virtual_bus.device.CanopenDevice`. Error: ValueError for a lack that
+        cannot be."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)

@@ -284,49 +284,23 @@ def _speed_loop(state: FloatArray, p: FloatArray, demand: FloatArray, limit: flo
 
 
 @compiled
-def _torque_limit(p: FloatArray, demand: FloatArray) -> float:
-    """What 6072h, 6073h and the motor allow, N m."""
-    return float(min(demand[D_TORQUE_MAX], p[P_TORQUE_CONSTANT] * demand[D_CURRENT_MAX]))
-
-
-@compiled
-def _limited_torque(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
-    """The torque set-point inside every limit, N m.
+def torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
+    """The torque to be made, N m, inside every limit; for a torque set-point ``state`` stays as it is.
 
     The speed limit is a proportional controller on the distance to it, so it bounds the torque towards
     the limit and lets every torque away from it pass.
     """
-    limit = _torque_limit(p, demand)
-    up = p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] - state[S_SPEED_MEASURED])
-    down = -p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] + state[S_SPEED_MEASURED])
-    torque = min(max(demand[D_TORQUE], down), up)
-    return float(min(max(torque, -limit), limit))
-
-
-@compiled
-def torque_in_force(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
-    """The torque demand between two ticks, N m: a set-point counts from the instant at which it was written,
-    the speed loop's demand from the tick that computed it."""
-    if demand[D_CONTROL] == CONTROL_OFF:
-        return 0.0
+    limit = min(demand[D_TORQUE_MAX], p[P_TORQUE_CONSTANT] * demand[D_CURRENT_MAX])
     if demand[D_CONTROL] == CONTROL_SPEED:
-        return float(state[S_TORQUE_DEMAND])
-    return float(_limited_torque(state, p, demand))
-
-
-@compiled
-def _torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
-    """The torque to be made, N m, inside every limit; sets S_LIMITED where a limit cut it."""
-    if demand[D_CONTROL] == CONTROL_SPEED:
-        limit = _torque_limit(p, demand)
         if state[S_CONTROL] != CONTROL_SPEED:
             state[S_SPEED_DEMAND] = state[S_SPEED_MEASURED]
             state[S_SPEED_INTEGRAL] = min(max(state[S_TORQUE_DEMAND], -limit), limit)
             state[S_REST_TICKS] = 0.0
         return _speed_loop(state, p, demand, limit)
-    torque = _limited_torque(state, p, demand)
-    state[S_LIMITED] = 0.0 if torque == demand[D_TORQUE] else 1.0
-    return torque
+    up = p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] - state[S_SPEED_MEASURED])
+    down = -p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] + state[S_SPEED_MEASURED])
+    torque = min(max(demand[D_TORQUE], down), up)
+    return float(min(max(torque, -limit), limit))
 
 
 @compiled
@@ -407,7 +381,9 @@ def _firmware(state: FloatArray, p: FloatArray, demand: FloatArray) -> None:
             state[S_BRAKED] = 1.0
     else:
         state[S_BRAKED] = 0.0
-        torque = _torque_demand(state, p, demand)
+        torque = torque_demand(state, p, demand)
+        if demand[D_CONTROL] == CONTROL_TORQUE and torque != demand[D_TORQUE]:
+            state[S_LIMITED] = 1.0
         state[S_TORQUE_DEMAND] = torque
         _current_loops(state, p, torque * p[P_PER_TORQUE_CONSTANT])
         state[S_NEXT_ON] = 1.0
