@@ -26,7 +26,7 @@ from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 
 def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
-    """The drives of a bench, for its own simulated bus."""
+    """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
     drives = []
     for name in config.axes:
         wanted = config.drive[name]
@@ -40,8 +40,14 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
             controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
             resistance_factor=simulation.resistance_factor,
             inductance_factor=simulation.inductance_factor,
+            lacks=simulation.lacks,
         )
-        drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+        try:
+            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+        except ValueError as error:
+            key = f"drive.{name}.simulation.lacks"
+            expected = "objects that the simulated drive has and could do without"
+            raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
     return drives
 
 

@@ -149,7 +149,6 @@ class CanopenDevice:
         """Power on, for the first time or again: boot-up, PRE-OPERATIONAL."""
         self._station.now = now
         self._station.out.clear()
-        self.clock.start(now)
         self._storage.power_on()
         self._lss.power_on()
         self._reset_node(now)
@@ -204,6 +203,7 @@ class CanopenDevice:
 
     def _reset_node(self, now: Instant) -> None:
         self._nmt.enter(NmtState.INITIALISING, now)
+        self.clock.start(now)
         self._station.dictionary.restore(*_APPLICATION, self._lss.pending_node_id)
         self._emergency.reset_node()
         self._application.on_reset(now)

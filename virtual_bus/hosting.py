@@ -8,18 +8,22 @@ from typing import Final
 import can
 
 from drivers.errors import BusDown
-from drivers.message import frame_of, message_of
-from drivers.timebase import NS_PER_S, Clock, Instant
+from drivers.frame_port import FramePort
+from drivers.message_port import ERROR_FLAG, MessagePort, StampSource
+from drivers.timebase import NS_PER_MS, Clock, Instant
 from virtual_bus.can_bus.error_message import told_bus_off
 from virtual_bus.can_bus.error_state import ErrorState
 from virtual_bus.can_bus.listener import Listener
+from virtual_bus.canopen_device.station import NEVER
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
 from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
-POLL_S: Final = 0.05
-"""Longest time in one ``recv``, so that ``stop`` is noticed."""
+POLL_NS: Final = 50 * NS_PER_MS
+"""Longest time in one ``receive``, so that ``stop`` is noticed."""
+CATCH_UP_MAX_NS: Final = 100 * NS_PER_MS
+"""Longer than a process that runs is kept from its processor; a heartbeat may be missed for longer."""
 
 LOOPED_FRAMES_MAX: Final = 4096
 """Frames that devices of one host may send each other at one instant; more is a loop among them."""
@@ -125,7 +129,11 @@ def attach_to_segment(
 
 
 class RealTimeHost:
-    """Devices of one process on one bus: single-threaded, time passes only in ``bus.recv``.
+    """Devices of one process on one bus: single-threaded, time passes only in the port's ``receive``.
+
+    A device's time is that of what befalls it, not of its process: a frame comes at its own stamp and a timer
+    at its due instant, in their order, however late the process woke. So a drive samples at the SYNC; only
+    its answers leave late. Time never runs backwards for a device, nor ahead of the clock.
 
     That the adapter is bus-off is known from the bus's ``state`` or from an error frame (SocketCAN); that it
     is back, from either of them or from any frame that it receives.
@@ -138,6 +146,10 @@ class RealTimeHost:
         self._devices = devices
         self._bus = bus
         self._clock = clock
+        port: FramePort | None = getattr(bus, "frame_port", None)
+        self._port = MessagePort(bus, clock, StampSource.RECEIPT) if port is None else port
+        self._now = Instant(0)
+        """How far the devices have come."""
 
     def serve(self, stop: Callable[[], bool]) -> None:
         """Power the devices on and serve them until ``stop()``. Error: BusDown."""
@@ -153,51 +165,71 @@ class RealTimeHost:
             ) from error
 
     def _start(self) -> None:
-        now = self._clock.now()
+        self._now = now = self._clock.now()
         for device in self._devices:
-            self._distribute(device, device.start(now), now)
+            self._distribute(device, device.start(now))
 
     def _turn(self) -> None:
-        message = self._bus.recv(self._patience_s())
+        port = self._port
+        frame = port.receive(self._patience())
         now = self._clock.now()
-        off = self._is_off(message)
+        at = now if frame is None else min(port.came_at, now)
+        off = self._is_off(frame)
         if off != self._off:
             self._off = off
-            self._tell_state(off, now)
-        if message is not None and not message.is_error_frame and not message.is_fd:
-            frame = frame_of(message)
+            self._advance(at)
+            self._tell_state(off)
+        self._wake(at)
+        if frame is not None and frame[0] < ERROR_FLAG and not port.came_own:
+            self._advance(at)
             for device in self._devices:
-                self._distribute(device, device.receive(frame, now), now)
+                self._distribute(device, device.receive(frame, self._now))
+
+    def _wake(self, until: Instant) -> None:
+        """Let all timers run that are due by ``until``, each at its instant.
+
+        A process that was stopped for longer than CATCH_UP_MAX_NS does not make up for all that it missed.
+        """
+        while True:
+            due, device = self._next_wake()
+            if device is None or due > until:
+                return
+            self._advance(max(due, Instant(until - CATCH_UP_MAX_NS)))
+            self._distribute(device, device.wake(self._now))
+
+    def _next_wake(self) -> tuple[Instant, Device | None]:
+        first: tuple[Instant, Device | None] = (NEVER, None)
         for device in self._devices:
             due = device.wake_at
-            if due is not None and due <= now:
-                self._distribute(device, device.wake(now), now)
+            if due is not None and due < first[0]:
+                first = due, device
+        return first
 
-    def _is_off(self, message: can.Message | None) -> bool:
+    def _advance(self, now: Instant) -> None:
+        self._now = max(self._now, now)
+
+    def _is_off(self, frame: Frame | None) -> bool:
         knew, self._off_by_state = self._off_by_state, self._bus.state is can.BusState.ERROR
         if self._off_by_state or knew:
             return self._off_by_state
-        if message is None:
+        if frame is None:
             return self._off
-        told = told_bus_off(message.arbitration_id) if message.is_error_frame else False
+        told = told_bus_off(frame[0]) if frame[0] >= ERROR_FLAG else False
         return self._off if told is None else told
 
-    def _tell_state(self, off: bool, now: Instant) -> None:
+    def _tell_state(self, off: bool) -> None:
         """Tell the devices that want to know that their controller is bus-off, or back."""
         for device in self._devices:
             tell = getattr(device, "bus_off" if off else "bus_recovered", None)
             if tell is not None:
-                self._distribute(device, tell(now) or (), now)
+                self._distribute(device, tell(self._now) or ())
 
-    def _patience_s(self) -> float:
-        dues = [device.wake_at for device in self._devices]
-        due = min((due for due in dues if due is not None), default=None)
-        if due is None:
-            return POLL_S
-        return min(max((due - self._clock.now()) / NS_PER_S, 0.0), POLL_S)
+    def _patience(self) -> Instant:
+        """Until when to wait for a frame."""
+        return min(self._next_wake()[0], Instant(self._clock.now() + POLL_NS))
 
-    def _distribute(self, sender: Device, frames: Sequence[Frame], now: Instant) -> None:
-        """Send, and let the other devices of this host hear it: a bus returns no own frames."""
+    def _distribute(self, sender: Device, frames: Sequence[Frame]) -> None:
+        """Send, and let the other devices of this host hear it: a bus returns own frames only as echoes."""
         queue = deque((sender, frame) for frame in frames)
         handled = 0
         while queue:
@@ -208,14 +240,14 @@ class RealTimeHost:
                 continue
             for device in self._devices:
                 if device is not source:
-                    queue.extend((device, answer) for answer in device.receive(frame, now))
+                    queue.extend((device, answer) for answer in device.receive(frame, self._now))
 
     def _send(self, frame: Frame) -> None:
         if self._off:
             self.frames_lost += 1
             return
         try:
-            self._bus.send(message_of(frame, Instant(0)))
+            self._port.transmit(frame)
         except can.CanOperationError as error:
             # A full transmit queue loses the frame, as in a drive; anything else is a dead bus.
             if error.error_code != errno.ENOBUFS:

@@ -36,6 +36,7 @@ from virtual_bus.servo_drive.axis import REST_S, Axis
 from virtual_bus.servo_drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
 from virtual_bus.servo_drive.failures import Failures
 from virtual_bus.servo_drive.firmware import Firmware, InnerControl
+from virtual_bus.servo_drive.lacks import take_away
 from virtual_bus.servo_drive.machine import SimulatedMachine
 from virtual_bus.servo_drive.motion_objects import MotionObjects
 from virtual_bus.servo_drive.motor_kernel import (
@@ -50,11 +51,7 @@ from virtual_bus.servo_drive.operation_mode import OperationMode
 from virtual_bus.servo_drive.operation_modes import MODES
 from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
 from virtual_bus.servo_drive.servo_objects import RPM, ServoObjects
-from virtual_bus.servo_drive.servo_parameters import (
-    HIGH_RESOLUTION_TIME_STAMP,
-    DriveParameters,
-    device_options,
-)
+from virtual_bus.servo_drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.servo_drive.slow_values import LOAD_NM, provide_slow_values
 from virtual_bus.servo_drive.user_units import UserUnits
 
@@ -94,9 +91,10 @@ class ServoApplication(Application):
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
+        self._torque_demand = objects.torque_demand
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
-        self.units = UserUnits(dictionary, counts, self._may_change_units)
+        self.units = UserUnits(dictionary, counts, lambda: self._motion is Motion.OFF)
         self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
         self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
@@ -118,6 +116,7 @@ class ServoApplication(Application):
         self.machine.on_change(self._on_inputs)
         provide_slow_values(self.axis)
         self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
+        take_away(dictionary, self.drive.lacks)
 
     def on_reset(self, now: Instant) -> None:
         """Power-on, or reset of the node: the power stage goes off; shaft, encoder and load stay."""
@@ -183,6 +182,8 @@ class ServoApplication(Application):
         """The cyclic values as of the last inner tick."""
         if self._actual.refresh(self._base_status):
             self._services.notify(self._actual.statusword)
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
         if self._switches_fitted:
             self._show_inputs()
 
@@ -260,6 +261,16 @@ class ServoApplication(Application):
 
     def _on_torque(self, _value: int) -> None:
         self._mode.take_torque()
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
+
+    def _show_torque_demand(self) -> None:
+        """Tell those who wait for 6074h to change; ``value`` is what they were told last."""
+        demand = self._torque_demand
+        in_force = demand.read()
+        if in_force != demand.value:
+            demand.value = in_force
+            self._services.notify(demand)
 
     def _on_velocity(self, _value: int) -> None:
         self._mode.take_velocity()
@@ -287,9 +298,6 @@ class ServoApplication(Application):
 
     def _encoder_count(self) -> float:
         return float(self.firmware.state[S_COUNT])
-
-    def _may_change_units(self) -> bool:
-        return self._motion is Motion.OFF
 
     def _take_guards(self) -> None:
         """A mode that acts on its set-points alone runs by periods while the axis has an end."""
@@ -379,17 +387,11 @@ class SimulatedServo(CanopenDevice):
         vendor: Callable[[ObjectDictionary], None] | None = None,
     ) -> None:
         """``seed``: of everything random in the drive, a stream for each use and node. ``store``,
-        ``vendor``: as in :class:`virtual_bus.device.CanopenDevice`."""
+        ``vendor``: as in :class:`virtual_bus.device.CanopenDevice`. Error: ValueError for a lack that
+        cannot be."""
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
-        self._stamp_the_samples()
-
-    def _stamp_the_samples(self) -> None:
-        """1013h shows when the actual values were sampled, at most one inner period ago."""
-        clock, firmware = self.clock, self.drive.firmware
-        stamp = self.dictionary.variable(HIGH_RESOLUTION_TIME_STAMP)
-        stamp.provider = lambda: clock.stamp_us(firmware.tick_at)
 
     @property
     def drive_state(self) -> State:

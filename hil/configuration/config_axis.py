@@ -1,14 +1,25 @@
 """``[drive.NAME]`` of a bench file: a drive, its limits, and the controller that closes its loop."""
 
+import re
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.drive_file import DriveFile
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
 from hil.configuration.speed_controller_file import Certificate, MadeFor
+from virtual_bus.servo_drive.lacks import PATTERN
+
+
+def _lack(text: str) -> str:
+    if re.match(PATTERN, text) is None:
+        raise ValueError('an object ("6074"), a sub-index ("1400:5") or "tpdo events"')
+    return text
+
+
+Lack = Annotated[str, AfterValidator(_lack)]
 
 
 class Simulation(Section):
@@ -25,6 +36,8 @@ class Simulation(Section):
     """The same for both inductances."""
     current_bandwidth_hz: float | None = Field(default=None, gt=0)
     """Of the PI current loops; a twentieth of the inner rate if absent."""
+    lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
+    """What the drive does without: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
 
 
 class Limits(Section):

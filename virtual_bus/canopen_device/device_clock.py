@@ -10,15 +10,18 @@ _WRAP: Final = 1 << 32
 class DeviceClock:
     """local = offset + elapsed * (1 + drift), elapsed counted from power-on; integers only."""
 
-    __slots__ = ("_drift_ppb", "_offset_ns", "_started_at")
+    __slots__ = ("_drift_ppb", "_first_ns", "_offset_ns", "_started_at")
 
     def __init__(self, offset_ns: int = 0, drift_ppb: int = 0) -> None:
+        """``offset_ns``: what it shows at power-on and after each reset."""
+        self._first_ns = offset_ns
         self._offset_ns = offset_ns
         self._drift_ppb = drift_ppb
         self._started_at = Instant(0)
 
     def start(self, now: Instant) -> None:
-        """Power-on."""
+        """Power-on or reset of the node: the counter begins anew; its oscillator runs as it did."""
+        self._offset_ns = self._first_ns
         self._started_at = now
 
     def local_ns(self, now: Instant) -> int:

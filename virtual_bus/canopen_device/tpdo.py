@@ -58,6 +58,8 @@ class TransmitPdo(PdoParameters):
         self._free_at = Instant(0)
         self._remote: int | None = None
         self.variables: frozenset[Variable] = frozenset()
+        self._watches = False
+        """Whether it is sent because one of them changes."""
         self._inhibit_timer = station.timers.create(self._on_inhibit_over)
         self._event_timer = station.timers.create(self._on_event_timer)
         for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
@@ -74,9 +76,12 @@ class TransmitPdo(PdoParameters):
         """Take over COB-ID, type, mapping and timers."""
         fields = self.fields()
         self._sample = compile_packer(fields)
+        self._watch(-1)
         self.variables = frozenset(field.variable for field in fields if field.variable is not None)
         self._can_id = self.can_id
         self._type = self.parameter(2)
+        self._watches = self.exists and (self.event_driven or self._type == SYNCHRONOUS_ACYCLIC)
+        self._watch(1)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US
         self._event_ns = self.parameter(5) * NS_PER_MS
         self._listen_for_remote(self.exists and not self.parameter(1) & cob_id.NO_RTR)
@@ -84,6 +89,11 @@ class TransmitPdo(PdoParameters):
         self._stop()
         if self.exists and fields and self.station.state is NmtState.OPERATIONAL:
             self._begin(announce)
+
+    def _watch(self, more: int) -> None:
+        if self._watches:
+            for variable in self.variables:
+                variable.watchers += more
 
     def enter_operational(self) -> None:
         """Cycles start; an event-driven PDO tells its values once."""

@@ -31,11 +31,14 @@ _COUNTS_AT_REST: Final = 1.5
 """Encoder counts per inner period that still pass for rest: the last count may flicker."""
 
 _advance_drive: Final = kernel.advance_drive
+_torque_demand: Final = kernel.torque_demand
 _TORQUE: Final = int(kernel.D_TORQUE)
 _CONTROL: Final = int(kernel.D_CONTROL)
 _SPEED: Final = int(kernel.D_SPEED)
 _ACCELERATION: Final = int(kernel.D_ACCELERATION)
 _TORQUE_FEED: Final = int(kernel.D_TORQUE_FEED)
+_CONTROL_OFF: Final = float(kernel.CONTROL_OFF)
+_CONTROL_TORQUE: Final = float(kernel.CONTROL_TORQUE)
 _CONTROL_SPEED: Final = float(kernel.CONTROL_SPEED)
 _MOTION_RATE_HZ: Final = 1000
 """Profiles and the position loop run this often, or at the inner rate if that is slower."""
@@ -207,6 +210,15 @@ class Firmware:
         demand[_ACCELERATION] = acceleration_rad_s2
         demand[_TORQUE_FEED] = feed_nm
         demand[_CONTROL] = _CONTROL_SPEED
+
+    @property
+    def torque_demand_nm(self) -> float:
+        """The demand in force now, inside its limits: a set-point counts from the instant at which it was
+        written, the speed loop's demand from the tick that computed it."""
+        control = self._demand[_CONTROL]
+        if control == _CONTROL_TORQUE:
+            return float(_torque_demand(self.state, self._p, self.demand))
+        return 0.0 if control == _CONTROL_OFF else float(self.state[kernel.S_TORQUE_DEMAND])
 
     def brake_shaft(self, torque_nm: float) -> None:
         """What an outside brake holds against the shaft's motion from the next tick on, N m."""

@@ -284,8 +284,8 @@ def _speed_loop(state: FloatArray, p: FloatArray, demand: FloatArray, limit: flo
 
 
 @compiled
-def _torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
-    """The torque to be made, N m, inside every limit; sets S_LIMITED where a limit cut it.
+def torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> float:
+    """The torque to be made, N m, inside every limit; for a torque set-point ``state`` stays as it is.
 
     The speed limit is a proportional controller on the distance to it, so it bounds the torque towards
     the limit and lets every torque away from it pass.
@@ -300,9 +300,7 @@ def _torque_demand(state: FloatArray, p: FloatArray, demand: FloatArray) -> floa
     up = p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] - state[S_SPEED_MEASURED])
     down = -p[P_SPEED_LIMIT_GAIN] * (demand[D_SPEED_MAX] + state[S_SPEED_MEASURED])
     torque = min(max(demand[D_TORQUE], down), up)
-    torque = float(min(max(torque, -limit), limit))
-    state[S_LIMITED] = 0.0 if torque == demand[D_TORQUE] else 1.0
-    return torque
+    return float(min(max(torque, -limit), limit))
 
 
 @compiled
@@ -383,7 +381,9 @@ def _firmware(state: FloatArray, p: FloatArray, demand: FloatArray) -> None:
             state[S_BRAKED] = 1.0
     else:
         state[S_BRAKED] = 0.0
-        torque = _torque_demand(state, p, demand)
+        torque = torque_demand(state, p, demand)
+        if demand[D_CONTROL] == CONTROL_TORQUE and torque != demand[D_TORQUE]:
+            state[S_LIMITED] = 1.0
         state[S_TORQUE_DEMAND] = torque
         _current_loops(state, p, torque * p[P_PER_TORQUE_CONSTANT])
         state[S_NEXT_ON] = 1.0

@@ -43,6 +43,8 @@ class DriveParameters(FirmwareParameters):
     """Reading of 1013h at power-on; None: drawn from the seed, anywhere in its range."""
     clock_drift_ppm: float = 0.0
     """How much faster than the bench the drive's clock runs."""
+    lacks: tuple[str, ...] = ()
+    """What it does without, see :mod:`virtual_bus.servo_drive.lacks`."""
 
     def quick_stop_rad_s2(self, motor: PmsmParameters) -> float:
         """The quick stop's default deceleration for ``motor``."""

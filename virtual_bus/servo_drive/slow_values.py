@@ -10,7 +10,6 @@ from virtual_bus.servo_drive.motor_kernel import (
     S_COUNT,
     S_Q_MEASURED,
     S_SPEED_DEMAND,
-    S_TORQUE_DEMAND,
 )
 from virtual_bus.servo_drive.user_units import wrapped
 
@@ -19,11 +18,12 @@ LOAD_NM: Final = 1e-3
 
 
 def provide_slow_values(axis: Axis) -> None:
-    """Demand values, current, following error and load, as of the last inner tick."""
+    """Demand values, current, following error and load, as of the last inner tick, but for the torque demand:
+    that is what is in force now."""
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware
     state, demand = cast("memoryview[float]", firmware.state.data), firmware.demand
     objects.position_internal.provider = lambda: wrapped(int(state[S_COUNT] - units.origin))
-    objects.torque_demand.provider = lambda: clipped(state[S_TORQUE_DEMAND] / axis.torque_unit_nm, 16)
+    objects.torque_demand.provider = lambda: clipped(firmware.torque_demand_nm / axis.torque_unit_nm, 16)
     objects.current.provider = lambda: clipped(state[S_Q_MEASURED] / objects.current_unit_a, 16)
     objects.load_torque.provider = objects.load_actual.provider = lambda: round(
         float(demand[D_LOAD]) / LOAD_NM

@@ -1,6 +1,6 @@
 """The simulated drive on a desk in one of its modes of motion; all by frames, in turns of the shaft."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from struct import pack
 
 from drivers.objects402 import Object
@@ -113,16 +113,29 @@ class MotionBench(ServoBench):
         """Error codes of the EMCYs so far."""
         return [int.from_bytes(frame.data[:2], "little") for frame in self.sent if frame.can_id == 0x81]
 
-    def map_rpdo(self, number: int, *words: int) -> None:
-        """Map RPDO ``number`` by the standard's procedure; it acts on arrival."""
-        parameter, mapping = 0x1400 + number - 1, 0x1600 + number - 1
+    def map_rpdo(self, number: int, *words: int, kind: int = 255) -> None:
+        """Map RPDO ``number`` by the standard's procedure; it acts on arrival unless ``kind`` says else."""
         cob_id = 0x100 * (number + 1) + 1
+        self._map(0x1400 + number - 1, 0x1600 + number - 1, cob_id, kind, words)
+
+    def map_tpdo(
+        self, number: int, *words: int, kind: int = 255, inhibit_ms: float = 0.0, event_ms: int = 0
+    ) -> None:
+        """Map TPDO ``number`` likewise."""
+        parameter = 0x1800 + number - 1
+        cob_id = 0x4000_0000 | 0x80 + 0x100 * number + 1
+        self.set(parameter, "I", 0x8000_0000 | cob_id, 1)
+        self.set(parameter, "H", round(inhibit_ms * 10), 3)
+        self.set(parameter, "H", event_ms, 5)
+        self._map(parameter, 0x1A00 + number - 1, cob_id, kind, words)
+
+    def _map(self, parameter: int, mapping: int, cob_id: int, kind: int, words: Sequence[int]) -> None:
         self.set(parameter, "I", 0x8000_0000 | cob_id, 1)
         self.set(mapping, "B", 0, 0)
         for place, word in enumerate(words, start=1):
             self.set(mapping, "I", word, place)
         self.set(mapping, "B", len(words), 0)
-        self.set(parameter, "B", 255, 2)
+        self.set(parameter, "B", kind, 2)
         self.set(parameter, "I", cob_id, 1)
 
     def send(self, number: int, layout: str, *values: int) -> None:

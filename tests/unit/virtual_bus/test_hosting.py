@@ -1,20 +1,26 @@
 """Devices on a segment in simulated time, and on a python-can bus."""
 
 import errno
+import struct
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import ClassVar
 
 import can
 import pytest
 
 from drivers.errors import BusDown
+from drivers.frame_port import FramePort
 from drivers.timebase import Instant
+from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
 from virtual_bus.canopen_device.application import CommunicationLoss, NmtState
 from virtual_bus.canopen_device.device_options import DeviceOptions
 from virtual_bus.device import CanopenDevice
-from virtual_bus.frame import Frame
+from virtual_bus.frame import Device, Frame
 from virtual_bus.hosting import attach_to_segment, serve
 from virtual_bus.segment import Segment
+from virtual_bus.servo import SimulatedServo
 from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
@@ -131,7 +137,27 @@ def test_dead_bus_ends_with_a_clear_error() -> None:
         serve([device()], bus, clock, lambda: False)
 
 
-class FullBus(SimulatedBus):
+class PlainBus(can.BusABC):
+    """A bus that python-can alone knows, with no port of its own; ``simulated`` is behind it."""
+
+    def __init__(self, channel: str = "drive") -> None:
+        self.simulated = SimulatedBus(channel=channel)
+        self.timeline = self.simulated.timeline
+        self.segment = self.simulated.segment
+        super().__init__(channel)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return self.simulated.recv(timeout)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.simulated.send(msg, timeout)
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.simulated.shutdown()
+
+
+class FullBus(PlainBus):
     """An adapter whose transmit buffer is full."""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
@@ -169,18 +195,10 @@ def test_served_device_hears_that_its_adapter_went_bus_off_and_came_back() -> No
     bus.shutdown()
 
 
-class TellingBus(SimulatedBus):
+class TellingBus(PlainBus):
     """As SocketCAN: bus-off is told by error frames alone, and sending meanwhile is refused."""
 
     told: ClassVar[list[tuple[int, int]]] = []
-
-    @property
-    def state(self) -> can.BusState:
-        return can.BusState.ACTIVE
-
-    @state.setter
-    def state(self, new_state: can.BusState) -> None:
-        raise NotImplementedError
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         message = super().recv(timeout)
@@ -205,3 +223,151 @@ def test_error_frames_tell_of_bus_off_where_the_bus_does_not(back: str) -> None:
     assert b"\x40\x81" in [data for _, data in heard]
     assert heard[-1] == (80, b"\x7f")
     bus.shutdown()
+
+
+class ManualClock:
+    """A clock that its bus moves on."""
+
+    def __init__(self) -> None:
+        self.at = 0
+
+    def now(self) -> Instant:
+        return Instant(self.at)
+
+    def sleep_until(self, when: Instant) -> None:
+        self.at = max(self.at, when)
+
+
+class LatePort(FramePort):
+    """An adapter: frames with the stamps that they came with, read by a process that wakes late."""
+
+    def __init__(self, clock: ManualClock, late_ns: int) -> None:
+        super().__init__()
+        self.coming: list[tuple[int, Frame, bool]] = []
+        """Stamp, frame, whether it is an echo; in order."""
+        self.sent: list[tuple[int, Frame]] = []
+        self._clock = clock
+        self._late_ns = late_ns
+
+    def receive(self, until: Instant) -> Frame | None:
+        clock, coming = self._clock, self.coming
+        if not coming or coming[0][0] > max(until, clock.at):
+            if clock.at < until:
+                clock.at = until + self._late_ns
+            if not coming or coming[0][0] > clock.at:
+                return None
+        stamp, frame, self.came_own = coming.pop(0)
+        self.came_at = Instant(stamp)
+        clock.at = max(clock.at, stamp + self._late_ns)
+        return frame
+
+    def transmit(self, frame: Frame) -> None:
+        self.sent.append((self._clock.at, frame))
+
+
+class LateBus(can.BusABC):
+    """What goes around a :class:`LatePort`."""
+
+    def __init__(self, late_ns: int) -> None:
+        self.clock = ManualClock()
+        self.frame_port = LatePort(self.clock, late_ns)
+        super().__init__("late")
+
+    def serve(self, devices: Sequence[Device], until_ms: float) -> list[tuple[int, Frame]]:
+        """What the devices sent by then, and when."""
+        serve(devices, self, self.clock, lambda: self.clock.at >= until_ms * MS)
+        self.shutdown()
+        return self.frame_port.sent
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+
+class Diary:
+    """A device that notes what it is told, and wants to be woken every ``period_ns``."""
+
+    def __init__(self, period_ns: int = 1 << 60) -> None:
+        self.calls: list[tuple[str, int]] = []
+        self._period_ns = period_ns
+
+    def start(self, now: Instant) -> Sequence[Frame]:
+        self.wake_at: Instant | None = Instant(now + self._period_ns)
+        return ()
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        self.calls.append((f"{frame.can_id:X}", now))
+        return ()
+
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        self.calls.append(("wake", now))
+        self.wake_at = Instant(now + self._period_ns)
+        return ()
+
+
+@pytest.mark.parametrize("late_ns", [0, 400_000, 3_700_000])
+def test_a_drive_samples_at_the_sync_however_late_its_process_wakes(late_ns: int) -> None:
+    """Beside a drive whose process is never late: the same stamps and the same motion, later."""
+
+    def run(late: int) -> tuple[list[bytes], list[int]]:
+        bus = LateBus(late)
+        commands = [0x06, 0x07, *[0x0F] * 50]
+        for n, controlword in enumerate(commands, start=2):
+            bus.frame_port.coming += [
+                (n * MS, Frame(0x80), False),
+                (n * MS + 300_000, Frame(0x201, struct.pack("<Hh", controlword, 800)), False),
+            ]
+        bus.frame_port.coming.insert(0, (MS, Frame(0, bytes([START, 0])), False))
+        sent = bus.serve([SimulatedServo(1, LING)], 60)
+        told = [(at, frame.data) for at, frame in sent if frame.can_id in (0x181, 0x281)]
+        return [data for _, data in told], [at for at, _ in told]
+
+    (on_time, _), (late, left_at) = run(0), run(late_ns)
+    assert late == on_time
+    stamps = [struct.unpack_from("<I", data, 4)[0] for data in late[1::2]]
+    assert {after - before for before, after in pairwise(stamps)} == {1000}
+    assert struct.unpack_from("<i", late[-2], 2)[0] > 100_000, "the shaft turns, in 0.001 rev/min"
+    assert all(at >= (n // 2 + 2) * MS + late_ns for n, at in enumerate(left_at))
+
+
+def test_frames_and_timers_come_in_the_order_of_their_instants() -> None:
+    bus = LateBus(5 * MS)
+    bus.frame_port.coming = [(at, Frame(0x100), False) for at in (400_000, 1_600_000, 3_000_000)]
+    diary = Diary(MS)
+    bus.serve([diary], 10)
+    assert diary.calls[:7] == [
+        ("100", 400_000),
+        ("wake", 1_000_000),
+        ("100", 1_600_000),
+        ("wake", 2_000_000),
+        ("wake", 3_000_000),
+        ("100", 3_000_000),
+        ("wake", 4_000_000),
+    ]
+
+
+def test_time_runs_neither_backwards_nor_ahead_of_the_clock() -> None:
+    bus = LateBus(0)
+    stamps = (2_000_000, 1_500_000, 1_000_000, 2_500_000)
+    bus.frame_port.coming = [(at, Frame(0x100), False) for at in stamps]
+    diary = Diary()
+    bus.serve([diary], 3)
+    assert [at for _, at in diary.calls] == [2_000_000, 2_000_000, 2_000_000, 2_500_000]
+    ahead = LateBus(-200_000)
+    ahead.frame_port.coming = [(2_000_000, Frame(0x100), False)]
+    diary = Diary()
+    ahead.serve([diary], 3)
+    assert diary.calls == [("100", 1_800_000)]
+
+
+def test_a_process_that_stood_still_does_not_make_up_for_all_of_it() -> None:
+    bus = LateBus(2_000 * MS)
+    sent = bus.serve([device(heartbeat_ms=50)], 2_000)
+    assert [frame.can_id for _, frame in sent] == [0x705] * 4, "boot-up, and 1.95 to 2.05 s"
+
+
+def test_an_echo_is_no_frame_for_a_device() -> None:
+    bus = LateBus(0)
+    bus.frame_port.coming = [(MS, Frame(0x100), True), (2 * MS, Frame(0x101), False)]
+    diary = Diary()
+    bus.serve([diary], 3)
+    assert [name for name, _ in diary.calls] == ["101"]

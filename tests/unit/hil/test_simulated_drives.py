@@ -1,0 +1,39 @@
+"""The drives that a bench makes for its own bus, as its file says."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import BadInput
+from hil.configuration.bench_file import bench_from
+from hil.configuration.config import BenchConfig
+from hil.simulated_drives import simulated_drives
+from tests.unit.hil.test_config import EXAMPLES, edited
+
+
+def bench_lacking(lacks: list[Any]) -> BenchConfig:
+    raw = edited("drive", "axis1", "simulation", "lacks", value=lacks)
+    return bench_from(raw, "bench.toml", Path(EXAMPLES))
+
+
+def test_a_drive_does_without_what_its_table_says() -> None:
+    (drive,) = simulated_drives(bench_lacking(["1013", "1400:5"]), seed=1)
+    assert drive.dictionary.get(0x1013) is None
+    assert drive.dictionary.get(0x1400, 5) is None
+    assert drive.dictionary.get(0x6074) is not None
+
+
+@pytest.mark.parametrize("lack", ["606", "0x1013", "1400.5", "pdo events"])
+def test_what_is_no_object_is_refused_with_the_file(lack: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        bench_lacking([lack])
+    assert caught.value.key == "drive.axis1.simulation.lacks[0]"
+    assert caught.value.value == lack
+
+
+def test_an_object_that_the_drive_has_not_is_refused_before_anything_is_opened() -> None:
+    with pytest.raises(BadInput) as caught:
+        simulated_drives(bench_lacking(["5FFF"]), seed=1)
+    assert (caught.value.source, caught.value.key) == ("bench.toml", "drive.axis1.simulation.lacks")
+    assert caught.value.value == "5FFF"

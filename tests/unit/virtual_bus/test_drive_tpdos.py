@@ -1,0 +1,180 @@
+"""What the drive tells by itself or with a SYNC: the torque demand 6074h, and the statusword on change."""
+
+from collections.abc import Sequence
+from struct import unpack
+
+import pytest
+
+from drivers.objects402 import Object
+from drivers.profile402 import Mode, State, Status, state_of
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
+from virtual_bus.frame import Frame
+from virtual_bus.servo_drive.motor_kernel import S_TORQUE_DEMAND
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
+
+DEMAND, STAMP, STATUS = 0x6074_0010, 0x1013_0020, 0x6041_0010
+TPDO3, TPDO4 = 0x381, 0x481
+
+
+class TellingBench(MotionBench):
+    """CST enabled, RPDO1 with controlword and torque; notes what the drive sends, and when."""
+
+    def __init__(self, kind: int = 255) -> None:
+        self.told: list[tuple[Instant, int, bytes]] = []
+        super().__init__(Mode.CYCLIC_SYNCHRONOUS_TORQUE, DriveParameters(clock_offset_us=0))
+        self.map_rpdo(1, 0x6040_0010, 0x6071_0010, kind=kind)
+
+    def torque(self, raw: int, controlword: int = ENABLED) -> None:
+        """RPDO1."""
+        self.send(1, "Hh", controlword, raw)
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        return self._noted(super().receive(frame))
+
+    def wait_ms(self, milliseconds: float) -> None:
+        end = Instant(self.now + round(milliseconds * NS_PER_MS))
+        while (due := self.servo.wake_at) is not None and due <= end:
+            self.now = max(self.now, due)
+            self._noted(self.servo.wake(self.now))
+        self.now = end
+        self._noted(self.servo.wake(end))
+
+    def _noted(self, frames: Sequence[Frame]) -> list[Frame]:
+        self.told += [(self.now, frame.can_id, frame.data) for frame in frames]
+        return list(frames)
+
+    def demands(self, cob_id: int = TPDO3) -> list[tuple[int, int]]:
+        """Torque demand and stamp, us, of each such TPDO."""
+        return [unpack("<hI", data) for _, can_id, data in self.told if can_id == cob_id]
+
+    @property
+    def now_us(self) -> int:
+        """On a clock that was 0 at power-on."""
+        return self.now // NS_PER_US
+
+
+def test_a_sync_tells_the_set_point_that_came_before_it_with_no_tick_between() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, DEMAND, STAMP, kind=1)
+    for raw in (100, -250):
+        bench.wait_ms(1.01)
+        ticks = bench.servo.drive.firmware.ticks
+        bench.torque(raw)
+        bench.sync()
+        assert bench.servo.drive.firmware.ticks == ticks
+        assert bench.demands()[-1] == (raw, bench.now_us)
+
+
+def test_the_demand_is_target_and_offset_inside_the_limits() -> None:
+    bench = TellingBench()
+    bench.set(Object.TORQUE_OFFSET, "h", 30)
+    bench.set(Object.MAX_TORQUE, "H", 400)
+    for raw, demand in ((200, 230), (390, 400), (-600, -400)):
+        bench.torque(raw)
+        assert bench.read(Object.TORQUE_DEMAND, "h") == demand
+
+
+def test_in_front_of_the_speed_limit_the_demand_is_what_the_last_tick_made() -> None:
+    bench = TellingBench()
+    bench.set(Object.MAX_MOTOR_SPEED, "I", 300)
+    bench.torque(800)
+    for _ in range(20):
+        bench.wait_ms(3)
+        demand = bench.read(Object.TORQUE_DEMAND, "h")
+        made = bench.servo.drive.firmware.state[S_TORQUE_DEMAND] / bench.servo.drive.objects.torque_unit_nm
+        assert demand == round(made)
+    assert bench.statusword & Status.INTERNAL_LIMIT_ACTIVE
+    assert demand < 300, "friction alone is left"
+
+
+def test_the_demand_of_a_drive_that_is_off_or_stopping() -> None:
+    bench = TellingBench()
+    bench.torque(500)
+    bench.wait_ms(30)
+    bench.torque(500, controlword=0x02)
+    assert bench.read(Object.TORQUE_DEMAND, "h") == 500, "the ramp begins with the next tick"
+    bench.wait_ms(1)
+    assert bench.read(Object.TORQUE_DEMAND, "h") < 0, "quick stop brakes"
+    bench.torque(500, controlword=0x00)
+    assert bench.read(Object.TORQUE_DEMAND, "h") == 0
+
+
+def test_a_command_that_changes_the_demand_is_told_at_its_arrival() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, DEMAND, STAMP)
+    bench.told.clear()
+    expected = []
+    for raw, tells in ((100, True), (100, False), (120, True), (0, True)):
+        bench.wait_ms(1.01)
+        bench.torque(raw)
+        expected += [(raw, bench.now_us)] * tells
+    assert bench.demands() == expected
+
+
+def test_a_synchronous_command_is_told_at_the_sync_that_lets_it_act() -> None:
+    bench = TellingBench(kind=1)
+    bench.map_tpdo(3, DEMAND, STAMP)
+    bench.map_tpdo(4, DEMAND, STAMP, kind=1)
+    bench.torque(150)
+    bench.sync()
+    bench.told.clear()
+    bench.wait_ms(1)
+    bench.torque(-40)
+    assert bench.told == []
+    bench.wait_ms(0.3)
+    bench.sync()
+    acted_us = bench.now_us
+    assert bench.demands(TPDO3) == [(-40, acted_us)]
+    assert bench.demands(TPDO4) == [(150, acted_us)], "what was in force until this SYNC"
+    bench.wait_ms(1)
+    bench.sync()
+    assert bench.demands(TPDO4)[-1] == (-40, bench.now_us)
+
+
+def test_commands_faster_than_the_inhibit_time_are_told_once_with_the_latest() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, DEMAND, STAMP, inhibit_ms=2)
+    bench.wait_ms(5)
+    bench.told.clear()
+    first_us = bench.now_us
+    for raw in (10, 20, 30):
+        bench.torque(raw)
+        bench.wait_ms(0.5)
+    bench.wait_ms(5)
+    assert bench.demands() == [(10, first_us), (30, first_us + 2_000)]
+
+
+def test_nothing_is_told_once_the_tpdo_is_off_or_mapped_anew() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, DEMAND, STAMP)
+    assert bench.servo.drive.objects.torque_demand.watchers == 1
+    bench.map_tpdo(3, STATUS)
+    assert bench.servo.drive.objects.torque_demand.watchers == 0
+    bench.map_tpdo(3, DEMAND, kind=254)
+    assert bench.servo.drive.objects.torque_demand.watchers == 1
+    bench.set(0x1802, "I", 0xC000_0381, 1)
+    assert bench.servo.drive.objects.torque_demand.watchers == 0
+
+
+@pytest.mark.parametrize("kind", [254, 255])
+def test_the_statusword_is_told_on_change_held_by_the_inhibit_time_and_repeated_by_the_timer(
+    kind: int,
+) -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, STATUS, kind=kind, inhibit_ms=5, event_ms=40)
+    bench.wait_ms(100)
+    (last, _, _) = bench.told[-1]
+    bench.told.clear()
+    changed_ms = (bench.now - last) / NS_PER_MS
+    bench.torque(0, controlword=0x00)
+    bench.wait_ms(1)
+    bench.torque(0, controlword=0x06)
+    bench.wait_ms(95)
+    told = [
+        ((at - last) / NS_PER_MS, state_of(unpack("<H", data)[0]))
+        for at, can_id, data in bench.told
+        if can_id == TPDO3
+    ]
+    assert told[0] == (changed_ms, State.SWITCH_ON_DISABLED)
+    assert told[1:] == [(changed_ms + 5 + 40 * n, State.READY) for n in range(3)]
