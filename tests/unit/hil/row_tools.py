@@ -23,6 +23,7 @@ def plain_rows(
 ) -> Rows:
     """``count`` rows at 1 kHz from instant 0; scalars hold for every row."""
     rows = np.zeros(count, ROW_DTYPE)
+    rows["certain"] = 1
     rows["sequence"] = np.arange(1, count + 1)
     rows["due_at"] = rows["woke_at"] = np.arange(count) * 1_000_000
     columns = {

@@ -7,7 +7,15 @@ import numpy as np
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from hil.samples import (
+    CommandFate,
+    CycleRecord,
+    Dropout,
+    DropoutCause,
+    Sample,
+    Sending,
+    StateEstimate,
+)
 
 PERIOD = NS_PER_MS
 DEADLINE = Duration(2 * NS_PER_MS)
@@ -30,35 +38,43 @@ def synthetic_records(cycles: int, seed: int = 1, origin: int = 0, axis: int = 0
         if random.random() < 0.004:
             delay += 3 * NS_PER_MS
         lost = random.random() < 0.04 or 1.4 <= at_s < 1.42
-        reading = Reading(
-            cycle + 1, position, speed, torque, _ENABLED, due_at % 2**32 // 1_000, Instant(due_at + delay)
-        )
+        came = Instant(due_at + delay)
+        stamp = due_at % 2**32 // 1_000
+        reading = Reading(speed, stamp, came, position, came, torque, came, _ENABLED, came)
         observation: Sample | Dropout
         if lost:
-            observation = Dropout(cycle + 1, due_at, DropoutCause.LOST)
+            observation = Dropout(cycle + 1, due_at, DropoutCause.LOST, True)
         elif delay > DEADLINE:
-            observation = Dropout(cycle + 1, due_at, DropoutCause.LATE)
+            observation = Dropout(cycle + 1, due_at, DropoutCause.LATE, True)
         else:
-            observation = Sample(cycle + 1, reading, due_at, 65 * NS_PER_US)
+            observation = Sample(cycle + 1, reading, due_at, 65 * NS_PER_US, True)
             seen = speed
         error = reference - seen
         wanted = _GAIN * error + integral
         torque_command = max(-_TORQUE_MAX, min(_TORQUE_MAX, wanted))
         if torque_command == wanted:
             integral += _INTEGRAL * error * 1e-3
+        handed_at = Instant(due_at + 700 * NS_PER_US)
+        acts_by = Instant(due_at + PERIOD)
+        sending = Sending(
+            round(torque_command * 1000), handed_at, handed_at, CommandFate.ACTING, handed_at, acts_by
+        )
         yield CycleRecord(
             sequence=cycle + 1,
             axis=axis,
             due_at=due_at,
             woke_at=due_at,
-            sync_sent_at=Instant(due_at + 47 * NS_PER_US),
+            sync_handed_at=due_at,
+            sync_on_bus_at=Instant(due_at + 47 * NS_PER_US),
             observation=observation,
-            delay=Duration(-1 if lost else delay),
+            delay=None if lost else Duration(delay),
             estimate=StateEstimate(position, seen, torque, due_at, cycle + 1),
             reference_rad_s=reference,
             load_torque_nm=load,
             command=Command(cycle + 1, torque_command, due_at, Instant(due_at + PERIOD)),
-            command_sent_at=Instant(due_at + 700 * NS_PER_US),
+            sending=sending,
+            clock_offset_ns=123_456,
+            clock_error_ns=1_200,
         )
         torque = torque_command
         speed += (torque - load - _FRICTION * speed) / _INERTIA * 1e-3

@@ -2,17 +2,16 @@
 
 import random
 
-from drivers.exchange import Reading
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.compensation import AT_REST, Arrival, Stamp
 from hil.samples import Sample
+from tests.unit.hil.loop_fakes import reading_at
 
 
 def sample(sequence: int, speed: float | None = None) -> Sample:
     at = Instant(sequence * NS_PER_MS)
     value = float(sequence) if speed is None else speed
-    reading = Reading(sequence, 0.0, value, 0.0, 0x27, None, at)
-    return Sample(sequence, reading, at, 0)
+    return Sample(sequence, reading_at(at, velocity_rad_s=value), at, 0, True)
 
 
 def at_ms(milliseconds: float) -> Instant:

@@ -8,7 +8,8 @@ import pytest
 from drivers.errors import BadInput, BenchError
 from hil.configuration.network_file import Network, load_network, network_text
 from hil.recording.network_meter import NetworkMeter
-from hil.recording.records import ROW_DTYPE, Rows
+from hil.recording.records import COMMAND_FATES, ROW_DTYPE, Rows
+from hil.samples import CommandFate
 from virtual_bus.fault_injection.fault_plan_toml import read_fault_plan
 
 PERIOD_US, PERIOD_NS = 2_000, 2_000_000
@@ -20,10 +21,12 @@ def rows_of(fates: list[int], axis: int = 0, first: int = 0) -> Rows:
     rows = np.zeros(len(fates), ROW_DTYPE)
     sampled = (first + np.arange(len(fates))) * PERIOD_NS
     rows["axis"], rows["fate"] = axis, fates
-    rows["observation_at"] = sampled
+    rows["sampled_at"] = sampled
     rows["received_at"] = sampled + 500_000
-    rows["command_sent_at"] = sampled + 550_000
-    rows["command_effective_at"] = sampled + 600_000
+    rows["command_handed_at"] = sampled + 550_000
+    rows["command_on_bus_at"] = rows["command_acts_after"] = sampled + 580_000
+    rows["command_acts_by"] = sampled + 600_000
+    rows["command_fate"] = COMMAND_FATES.index(CommandFate.ACTING)
     return rows
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import BenchError, LimitExceeded
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command
 from drivers.timebase import Duration, Instant
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
@@ -15,7 +15,17 @@ from hil.configuration.network_file import Network
 from hil.configuration.speed_controller_file import MadeFor
 from hil.delay_design.controller_text import plant_of
 from hil.network_guard import Allowed, NetworkGuard, allowed, static_faults
-from hil.samples import CycleRecord, Dropout, DropoutCause, Observation, Sample, StateEstimate
+from hil.samples import (
+    CommandFate,
+    CycleRecord,
+    Dropout,
+    DropoutCause,
+    Observation,
+    Sample,
+    Sending,
+    StateEstimate,
+)
+from tests.unit.hil.loop_fakes import reading_at
 
 PERIOD = Duration(2_000_000)
 LIMITS = Allowed(3, Duration(1_000_000), Duration(9_000_000))
@@ -50,15 +60,16 @@ def record(sequence: int, delay_us: int | None) -> CycleRecord:
     """A cycle whose reading acts ``delay_us`` after its sample, or is lost."""
     sampled = sequence * PERIOD
     delay = 0 if delay_us is None else delay_us * 1000
-    observation: Observation = Dropout(sequence, Instant(sampled), DropoutCause.LOST)
+    observation: Observation = Dropout(sequence, Instant(sampled), DropoutCause.LOST, True)
     if delay_us is not None:
-        reading = Reading(sequence, 0.0, 0.0, 0.0, 0x27, None, Instant(sampled + delay - 200_000))
-        observation = Sample(sequence, reading, Instant(sampled), 0)
+        reading = reading_at(Instant(sampled + delay - 200_000))
+        observation = Sample(sequence, reading, Instant(sampled), 0, True)
     effective = Instant(sampled + delay)
     return CycleRecord(
-        sequence, 0, Instant(sampled), Instant(sampled), Instant(sampled), observation, Duration(delay),
-        StateEstimate(0.0, 0.0, 0.0, Instant(0), 0), 0.0, 0.0,
-        Command(sequence, 0.0, effective, Instant(effective + PERIOD)), Instant(effective - 100_000),
+        sequence, 0, Instant(sampled), Instant(sampled), Instant(sampled), Instant(sampled), observation,
+        Duration(delay), StateEstimate(0.0, 0.0, 0.0, Instant(0), 0), 0.0, 0.0,
+        Command(sequence, 0.0, effective, Instant(effective + PERIOD)),
+        Sending(0, Instant(effective - 100_000), effective, CommandFate.NOT_MEASURED, None, None), None, None,
     )  # fmt: skip
 
 

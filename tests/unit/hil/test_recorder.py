@@ -31,7 +31,7 @@ def play(recorder: Recorder, cycles: int = CYCLES) -> Summary:
     recorder.begin(Instant(0))
     for record in synthetic_records(cycles):
         recorder.record(record)
-        recorder.frame("tx", 0x80, b"", False, False, record.sync_sent_at)
+        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
         recorder.frame("rx", 0x181, b"\x37\x16", False, False, record.due_at)
     recorder.state(Instant(3), "phase", "stop")
     return recorder.close(OUTCOME)
@@ -69,7 +69,7 @@ def test_the_records_are_all_there_in_order(run: tuple[Path, Summary]) -> None:
 def test_frames_and_events_are_there(run: tuple[Path, Summary]) -> None:
     lines = (run[0] / "frames.log").read_text().splitlines()
     assert len(lines) == 2 * CYCLES
-    assert lines[:2] == ["(0000000000.000047) simulated 080# T", "(0000000000.000000) simulated 181#3716 R"]
+    assert lines[:2] == ["(0000000000.000000) simulated 080# T", "(0000000000.000000) simulated 181#3716 R"]
     events = [json.loads(line) for line in (run[0] / "events.jsonl").read_text().splitlines()]
     assert events == [
         {"at_ns": -5, "level": "INFO", "text": "set up"},

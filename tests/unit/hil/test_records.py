@@ -6,8 +6,16 @@ from hypothesis import strategies as st
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
-from hil.recording.records import LAYOUT, ROW, ROW_DTYPE, record_of, row_fields
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from hil.recording.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, record_of, row_fields
+from hil.samples import (
+    CommandFate,
+    CycleRecord,
+    Dropout,
+    DropoutCause,
+    Sample,
+    Sending,
+    StateEstimate,
+)
 from tests.unit.hil.synthetic_run import synthetic_records
 
 instants = st.integers(-(2**62), 2**62).map(Instant)
@@ -15,30 +23,46 @@ sequences = st.integers(0, 2**40)
 numbers = st.floats(allow_nan=False)
 readings = st.builds(
     Reading,
-    sequences,
     numbers,
-    numbers,
-    numbers,
-    st.integers(0, 0xFFFF),
     st.none() | st.integers(-(2**62), 2**62),
     instants,
+    numbers,
+    instants,
+    numbers,
+    instants,
+    st.integers(0, 0xFFFF),
+    instants,
 )
-samples = st.builds(Sample, sequences, readings, instants, st.integers(0, 2**40))
-dropouts = st.builds(Dropout, sequences, instants, st.sampled_from(DropoutCause))
+errors = st.integers(0, 2**40)
+samples = st.builds(Sample, st.just(7), readings, instants, errors, st.booleans())
+due = st.shared(instants, key="due")
+dropouts = st.builds(Dropout, st.just(7), due, st.sampled_from(DropoutCause), st.booleans())
 records = st.builds(
     CycleRecord,
-    sequence=sequences,
+    sequence=st.just(7),
     axis=st.integers(0, 0xFFFF),
-    due_at=instants,
-    woke_at=instants,
-    sync_sent_at=instants,
+    due_at=due,
+    woke_at=st.none() | instants,
+    sync_handed_at=st.none() | instants,
+    sync_on_bus_at=st.none() | instants,
     observation=samples | dropouts,
-    delay=st.integers(-1, 2**40).map(Duration),
-    estimate=st.builds(StateEstimate, numbers, numbers, numbers, instants, sequences),
+    delay=st.none() | st.integers(-(2**40), 2**40).map(Duration),
+    estimate=st.none() | st.builds(StateEstimate, numbers, numbers, numbers, instants, sequences),
     reference_rad_s=numbers,
     load_torque_nm=numbers,
-    command=st.builds(Command, sequences, numbers, instants, instants),
-    command_sent_at=instants,
+    command=st.none() | st.builds(Command, st.just(7), numbers, instants, instants),
+    sending=st.none()
+    | st.builds(
+        Sending,
+        st.integers(-(2**31), 2**31),
+        instants,
+        st.none() | instants,
+        st.sampled_from(CommandFate),
+        st.none() | instants,
+        st.none() | instants,
+    ),
+    clock_offset_ns=st.none() | st.integers(-(2**62), 2**62),
+    clock_error_ns=st.none() | errors,
 )
 
 
@@ -60,5 +84,5 @@ def test_a_dropout_has_no_reading() -> None:
     record = next(r for r in synthetic_records(2000) if isinstance(r.observation, Dropout))
     (row,) = np.frombuffer(ROW.pack(*row_fields(record)), ROW_DTYPE)
     assert np.isnan(row["velocity_rad_s"])
-    assert int(row["received_at"]) == -1
+    assert int(row["received_at"]) == NOTHING
     assert int(row["fate"]) == 1

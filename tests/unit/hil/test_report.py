@@ -22,7 +22,7 @@ def summary(*, passed: bool = True, completed: bool = True, faults: tuple[str, .
     )
     return Summary(
         cycles=2000,
-        dropouts=DropoutCounts(lost=90, late=5, stale=1),
+        dropouts=DropoutCounts(lost=90, late=5, stale=1, missed=0),
         delay_us=Percentiles(612.0, 987.5, 1044.25),
         speed_error=SpeedError(6.68, 4.25, 0.7, None),
         bus_load_percent=51.4,

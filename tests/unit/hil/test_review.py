@@ -35,11 +35,11 @@ def test_counts_and_delays_against_the_records(records: list[CycleRecord]) -> No
     found = figures_of(rows_of(records))
     causes = [r.observation.cause.value for r in records if isinstance(r.observation, Dropout)]
     assert found.cycles == found.rows == CYCLES
-    assert found.dropouts == DropoutCounts(causes.count("lost"), causes.count("late"), causes.count("stale"))
+    assert found.dropouts == DropoutCounts(causes.count("lost"), causes.count("late"), causes.count("stale"), 0)
     assert found.dropouts.lost > 0
     assert found.dropouts.late > 0
     assert found.dropouts_percent == pytest.approx(100 * len(causes) / CYCLES)
-    delays = [r.delay / 1_000 for r in records if r.delay >= 0]
+    delays = [r.delay / 1_000 for r in records if r.delay is not None]
     assert found.delay_us.p50 == pytest.approx(np.quantile(delays, 0.5, method="inverted_cdf"), rel=1e-3)
     assert found.delay_us.p99 == pytest.approx(np.quantile(delays, 0.99, method="inverted_cdf"), rel=1e-3)
     assert found.delay_us.max == max(delays)
@@ -95,7 +95,7 @@ def test_rows_of_another_layout_are_refused() -> None:
 
 
 def test_an_instant_moves_the_digest_but_not_the_figures(records: list[CycleRecord]) -> None:
-    moved = [record._replace(command_sent_at=Instant(record.command_sent_at + 1)) for record in records]
+    moved = [record._replace(sync_handed_at=Instant(record.due_at + 1)) for record in records]
     first, second = figures_of(rows_of(records)), figures_of(rows_of(moved))
     assert first.digest != second.digest
     assert replace(first, digest="") == replace(second, digest="")

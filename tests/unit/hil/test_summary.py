@@ -24,10 +24,10 @@ from tests.unit.hil.recording_tools import plan_for
 FIGURES = Figures(
     cycles=200,
     rows=200,
-    dropouts=DropoutCounts(3, 2, 1),
+    dropouts=DropoutCounts(3, 2, 1, 2),
     delay_us=Percentiles(400.0, 900.0, 1_500.0),
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
-    lateness_us=Percentiles(0.0, 0.0, 0.0),
+    lateness_us=Percentiles(0.0, 0.0, 12.0),
     digest="00",
 )
 OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
@@ -35,9 +35,11 @@ VALUES = {
     "speed_error_peak_percent_max": 5.0,
     "after_load_percent_max": 4.0,
     "speed_error_rms_rad_s_max": 1.5,
-    "dropouts_percent_max": 3.0,
+    "dropouts_percent_max": 4.0,
     "delay_p99_us_max": 900.0,
     "bus_load_percent_max": 53.0,
+    "missed_percent_max": 1.0,
+    "lateness_us_max": 12.0,
 }
 
 
@@ -91,7 +93,7 @@ def test_json_has_the_promised_keys() -> None:
         "seed",
         "digest",
     ]
-    assert list(found["dropouts"]) == ["lost", "late", "stale"]
+    assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
     assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
     assert list(found["speed_error"]) == ["peak_rad_s", "peak_percent", "rms_rad_s", "after_load_percent"]
 

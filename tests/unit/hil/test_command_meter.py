@@ -1,0 +1,117 @@
+"""What became of commands, from their echoes and from the torque demand that the drive tells."""
+
+import random
+
+import pytest
+
+from drivers.exchange import SentCommand
+from drivers.timebase import NS_PER_MS, Instant
+from hil.command_meter import CommandMeter
+from hil.samples import CommandFate, Sending
+
+HORIZON = 20
+PERIOD = NS_PER_MS
+HANDED, ON_BUS = 250_000, 340_000
+
+
+def sync_at(number: int) -> Instant:
+    return Instant(number * PERIOD)
+
+
+def command(number: int, raw: int, on_bus: bool = True) -> SentCommand:
+    sent = SentCommand(number, raw, Instant(sync_at(number) + HANDED))
+    if on_bus:
+        sent.on_bus_at = Instant(sync_at(number) + ON_BUS)
+    return sent
+
+
+def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[Sending]:
+    """``acting[n]``: from which SYNC on command n is in force; None: lost. Told at every ``every``-th SYNC."""
+    meter = CommandMeter(HORIZON)
+    settled: list[Sending] = []
+    waiting = list(range(len(raws)))
+    for number in range(len(raws) + HORIZON + 1):
+        in_force = [n for n, since in enumerate(acting) if since is not None and since <= number]
+        if number % every == 0 and in_force:
+            meter.told(raws[max(in_force)], sync_at(number))
+        if number < len(raws):
+            meter.sent(command(number, raws[number]))
+        while waiting:
+            outcome = meter.outcome(waiting[0], number)
+            if outcome is None:
+                break
+            settled.append(outcome)
+            waiting.pop(0)
+    assert not waiting
+    return settled
+
+
+def fates(settled: list[Sending]) -> list[CommandFate]:
+    return [outcome.fate for outcome in settled]
+
+
+def test_a_command_acts_between_its_echo_and_the_next_sync() -> None:
+    settled = play([1, 2, 3, 4], [1, 2, 3, 4])
+    assert fates(settled) == [CommandFate.ACTING] * 4
+    assert settled[2].acts_after == sync_at(2) + ON_BUS
+    assert settled[2].acts_by == sync_at(3)
+
+
+def test_a_lost_command_is_told_and_its_neighbours_are_not_blamed() -> None:
+    settled = play([1, 2, 3, 4, 5, 6], [1, 2, None, 4, 5, 6])
+    assert fates(settled) == [
+        CommandFate.LOST if number == 2 else CommandFate.ACTING for number in range(6)
+    ]
+
+
+def test_a_delay_beyond_the_next_sync_is_seen_as_late_not_as_lost() -> None:
+    settled = play([1, 2, 3, 4, 5, 6], [number + 2 for number in range(6)])
+    assert fates(settled) == [CommandFate.ACTING] * 6
+    assert settled[3].acts_after == sync_at(4), "it was there, and not in force yet"
+    assert settled[3].acts_by == sync_at(5)
+
+
+def test_equal_commands_cannot_be_told_apart() -> None:
+    settled = play([1, 1, 2, 2, 3], [1, 2, 3, 4, 5])
+    assert fates(settled)[1] is CommandFate.NOT_IDENTIFIABLE
+    assert fates(settled)[3] is CommandFate.NOT_IDENTIFIABLE
+    assert fates(settled)[4] is CommandFate.ACTING
+
+
+def test_a_drive_that_tells_nothing_leaves_it_unmeasured() -> None:
+    meter = CommandMeter(HORIZON)
+    meter.sent(command(0, 5))
+    assert meter.outcome(0, 1) is None, "its echo may still come"
+    outcome = meter.outcome(0, 2)
+    assert outcome is not None
+    assert outcome.fate is CommandFate.NOT_MEASURED
+    assert outcome.on_bus_at == ON_BUS
+    assert outcome.acts_by is None
+
+
+def test_told_seldom_only_the_newest_command_before_is_judged() -> None:
+    settled = play(list(range(1, 41)), [number + 1 for number in range(40)], every=4)
+    seen = [number for number, outcome in enumerate(settled) if outcome.fate is CommandFate.ACTING]
+    assert seen == list(range(3, 40, 4))
+    assert CommandFate.LOST not in fates(settled)
+
+
+def test_a_demand_that_no_command_asked_for_is_counted() -> None:
+    meter = CommandMeter(HORIZON)
+    meter.sent(command(0, 5))
+    meter.told(3, sync_at(1))
+    assert meter.unexplained == 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
+def test_the_rate_of_losses_is_the_true_one(share: float) -> None:
+    choices = random.Random(7)
+    raws = [choices.randint(-1000, 1000) for _ in range(4000)]
+    acting = [None if choices.random() < share else number + 1 for number in range(4000)]
+    told = fates(play(raws, acting))
+    lost, acted = told.count(CommandFate.LOST), told.count(CommandFate.ACTING)
+    true = sum(since is None for since in acting) / len(acting)
+    assert lost / (lost + acted) == pytest.approx(true, abs=0.01)
+    wrong = [n for n, fate in enumerate(told) if fate is CommandFate.LOST and acting[n] is not None]
+    assert wrong == []
+    assert lost + acted > 0.97 * 4000
