@@ -121,6 +121,16 @@ def test_a_step_back_moves_no_frame_of_a_queue_that_waits() -> None:
     assert max(abs(mapped - truth) for truth, mapped in pairs) <= READING_NS
 
 
+def test_an_offset_ends_when_the_next_is_seen_even_if_the_queue_is_never_empty() -> None:
+    """Frames 5 ms after a step of 2 ms and 14 ms before they are read."""
+    stamps = WallStamps()
+    for at_ms, step_ms in ((1_000, 0), (1_011, 2)):
+        stamps.compare(at_ms * NS_PER_MS, EPOCH + (at_ms + step_ms) * NS_PER_MS, at_ms * NS_PER_MS)
+    now = Instant(1_030 * NS_PER_MS)
+    stamps.compare(now, EPOCH + 1_032 * NS_PER_MS, now)
+    assert stamps.instant(EPOCH + (1_016 + 2) * NS_PER_MS, now) == 1_016 * NS_PER_MS
+
+
 def test_frames_that_were_stamped_a_little_out_of_order_keep_their_stamps() -> None:
     stamps = WallStamps()
     stamps.compare(NS_PER_S, NS_PER_S + EPOCH, NS_PER_S)
