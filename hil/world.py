@@ -16,7 +16,7 @@ from virtual_bus.can_bus.error_message import error_frame_of
 from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.fault_injection.faulty_bus import FaultyBus, Side
 from virtual_bus.fault_injection.faulty_device import FaultyDevice, SimulatedNode
-from virtual_bus.fault_injection.injection import Faults, Injection, node_kinds
+from virtual_bus.fault_injection.injection import Faults, Injection, refuse_misplaced
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.pacing import PacedTimeline
@@ -67,6 +67,8 @@ class WorldFaults:
         """``parts``: of each segment."""
         self._parts = parts
         self.wrap = parts[0][0].wrap
+        self.host_stall: Callable[[Instant], Duration] = parts[0][0].host_stall
+        """For how long the host, which should act at an instant, sleeps instead."""
 
     def start(self, now: Instant) -> None:
         """Time zero of the plan is ``now``."""
@@ -230,14 +232,8 @@ def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World
 
 
 def _real_world(plan: WorldPlan) -> World:
-    if plan.faults is not None and plan.side == "host" and (kinds := node_kinds(plan.faults)):
-        raise BadInput(
-            "fault plan",
-            kinds[0],
-            f"the bus {plan.spec}",
-            "the bus 'simulated', where the bench makes the drives itself",
-            "give these faults to the drives: hil simulate --faults FILE",
-        )
+    if plan.faults is not None:
+        refuse_misplaced(plan.faults, plan.side, f"the bus {plan.spec}")
     if plan.background:
         raise BadInput(
             "bus.background",
@@ -253,7 +249,9 @@ def _real_world(plan: WorldPlan) -> World:
     clock = MonotonicClock()
     opened = open_bus(plan.spec, plan.bitrate_bit_s, for_link=plan.side == "host")
     wall_offset = wall_clock_offset()
-    injection = Injection(plan.faults, plan.seed, plan.fault_log) if plan.faults is not None else None
+    injection = None
+    if plan.faults is not None:
+        injection = Injection(plan.faults, plan.seed, plan.fault_log, side=plan.side)
     faulty = None
     if injection is not None and injection.fates is not None:
         faulty = FaultyBus(opened.bus, injection.fates, clock, plan.side, opened.stamps)

@@ -95,7 +95,8 @@ class _Way:
 
 
 class FaultInjector(FateSource):
-    """Applies ``plan`` with the random streams of ``seed``; ``link`` tells several buses of a bench apart.
+    """Applies ``plan`` with the random streams of ``seed``; ``link`` tells the buses of a bench and the
+    connections to them apart; ``node``: see :class:`FateSource`.
 
     ``error_frames``: the bus itself can disturb a frame on the wire, so the corruptions with that effect are
     left to it (:mod:`virtual_bus.fault_injection.disturber`); without, such a frame is lost.
@@ -108,8 +109,9 @@ class FaultInjector(FateSource):
         link: str = "bus",
         error_frames: bool = False,
         log: FaultLog | None = None,
+        node: int = 0,
     ) -> None:
-        super().__init__(log)
+        super().__init__(log, node)
         self._instead: Instead = ()
         self._error_frames = error_frames
         self._plan = plan

@@ -35,6 +35,8 @@ INJECTED = {
     "encoder_loss": {"drive_fault"},
     "clocks": {"clock_step", "clock_drift"},
     "slow_drive": {"boot", "late"},
+    "gateway": {"delay", "loss"},
+    "host_stall": {"host_stall"},
 }
 
 
@@ -149,11 +151,19 @@ def test_a_file_to_replay_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert "--replay-faults" in done.stderr
 
 
-def test_faults_of_nodes_are_refused_where_the_nodes_are_not_simulated(
-    servo_bench: BenchRunner, tmp_path: Path
+@pytest.mark.parametrize(
+    ("plan", "remedy"),
+    [
+        ("outage", "hil simulate --faults"),
+        ("gateway", "hil simulate --faults"),
+        ("host_stall", "--bus simulated"),
+    ],
+)
+def test_faults_that_cannot_act_on_a_real_time_bus_are_refused_with_what_to_do(
+    plan: str, remedy: str, servo_bench: BenchRunner, tmp_path: Path
 ) -> None:
-    config = servo_bench.load(BENCH, faults=EXAMPLES / "faults" / "outage.toml")
-    with pytest.raises(BadInput, match="hil simulate --faults"):
+    config = servo_bench.load(BENCH, faults=EXAMPLES / "faults" / f"{plan}.toml")
+    with pytest.raises(BadInput, match=remedy):
         run_bench(
             config,
             bus_spec="virtual:0",

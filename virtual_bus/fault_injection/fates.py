@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.fault_injection.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
+from virtual_bus.fault_injection.fault_log import AT_NODE, EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.frame import Frame
 
@@ -36,9 +36,11 @@ _NO_FRAME: Final = Frame(0)
 class FateSource:
     """Decides about frames. Override all but ``fate`` and ``note``."""
 
-    def __init__(self, log: FaultLog | None = None) -> None:
-        """``log``: takes an entry for every frame that does not just pass."""
+    def __init__(self, log: FaultLog | None = None, node: int = 0) -> None:
+        """``log``: takes an entry for every frame that does not just pass. ``node``: the drive at whose
+        connection the frames are; 0 at the host's."""
         self.log = log
+        self._place = node * AT_NODE
         self.struck_by = ""
         """The kind of fault that struck the last frame that was dropped or held out of order."""
         self.parameter = 0
@@ -89,16 +91,17 @@ class FateSource:
         kind, waited = self.struck_by, self.waited
         self.struck_by = ""
         self.waited = 0
+        link = self._place + way
         if not kind:
             can_id = key & ~EXTENDED_FLAG
-            log.note(_DELAY, at_ns, way, key, n, held - waited, self.keeps_order(way, can_id, key != can_id))
+            log.note(_DELAY, at_ns, link, key, n, held - waited, self.keeps_order(way, can_id, key != can_id))
             return
         code = KIND_CODES[kind]
         if code == _REORDER:
-            log.note(code, at_ns, way, key, n, self.parameter, held - waited - self.parameter)
+            log.note(code, at_ns, link, key, n, self.parameter, held - waited - self.parameter)
             return
         copies = self.replacements(_NO_FRAME) if held == LOST else ()
         if copies:
-            log.note(code, at_ns, way, key, n, self.parameter, copies[0][1] - waited)
+            log.note(code, at_ns, link, key, n, self.parameter, copies[0][1] - waited)
         else:
-            log.note(code, at_ns, way, key, n, NONE if code == _CORRUPTION else 0)
+            log.note(code, at_ns, link, key, n, NONE if code == _CORRUPTION else 0)

@@ -13,6 +13,9 @@ line of JSON, by kind:
     silence, bus_off, drive_fault,          at_ns, node, and what happens
     clock_step, clock_drift
     late, boot                              a slow drive: at_ns since its power-on, node, can_id, n, delay_ns
+    host_stall                              at_ns, n and late_ns: the host's n-th action came so much later
+
+A frame that was struck at a drive's own connection bears side ("drive") and node as well, and n counts there.
 """
 
 import json
@@ -39,7 +42,8 @@ FRAME_KINDS = (
     "error_frame",
 )
 NODE_KINDS = ("silence", "bus_off", "drive_fault", "clock_step", "clock_drift", "late", "boot")
-KINDS = FRAME_KINDS + NODE_KINDS
+HOST_KINDS = ("host_stall",)
+KINDS = FRAME_KINDS + NODE_KINDS + HOST_KINDS
 KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
 _DELAY: Final = KIND_CODES["delay"]
 _LABELS: Final = tuple(direction.label for direction in Direction)
@@ -47,6 +51,7 @@ _DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n
 """What nearly all entries of a run are, without the detour through a dictionary."""
 _COMPACT: Final = (",", ":")
 _OF_ONE_FRAME = frozenset({*FRAME_KINDS, "late"})
+_COUNTED = frozenset({*_OF_ONE_FRAME, "boot", *HOST_KINDS})
 
 _NUMBERS: dict[str, tuple[str, str, str]] = {
     "corruption": ("bit", "delay_ns", ""),
@@ -61,10 +66,13 @@ _NUMBERS: dict[str, tuple[str, str, str]] = {
     "clock_drift": ("drift_ppb", "", ""),
     "late": ("delay_ns", "", ""),
     "boot": ("delay_ns", "", ""),
+    "host_stall": ("late_ns", "", ""),
 }
 """Kind -> names of an entry's numbers a, b, c."""
 NONE: Final = -1
 """A number that an entry does without: its bit, its recovery."""
+AT_NODE: Final = len(Direction)
+"""A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
 EXTENDED_FLAG: Final = 1 << 31
 """In ``can_id``: an extended frame."""
 
@@ -89,12 +97,22 @@ class Entry(NamedTuple):
     code: int
     """Index into KINDS."""
     link: int
-    """Direction of a frame, or a node id."""
+    """Direction of a frame, with the drive's node id (AT_NODE) at its own connection; else a node id."""
 
     @property
     def kind(self) -> str:
         """Its name in KINDS."""
         return KINDS[self.code]
+
+    @property
+    def direction(self) -> Direction:
+        """Of a frame."""
+        return Direction(self.link % AT_NODE)
+
+    @property
+    def at_drive(self) -> int:
+        """Of a frame: the node at whose connection it was struck; 0 at the host's."""
+        return self.link // AT_NODE
 
 
 class FaultLog:
@@ -154,21 +172,11 @@ def entries_of(block: bytes) -> Iterator[Entry]:
 
 def entry_line(entry: Entry) -> str:
     """One line of JSON, without its end."""
-    if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX:
+    if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX and entry.link < AT_NODE:
         at_ns, delay_ns, _, _, can_id, n, _, link = entry
         return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns)
     kind = entry.kind
-    found: dict[str, Any] = {"kind": kind, "at_ns": entry.at_ns}
-    if kind in NODE_KINDS:
-        found["node"] = entry.link
-    else:
-        found["direction"] = Direction(entry.link).label
-    if kind in _OF_ONE_FRAME:
-        found["can_id"] = entry.can_id & ~EXTENDED_FLAG
-        if entry.can_id & EXTENDED_FLAG:
-            found["extended"] = True
-    if kind in _OF_ONE_FRAME or kind == "boot":
-        found["n"] = entry.n
+    found = {"kind": kind, "at_ns": entry.at_ns} | _struck(entry, kind)
     if kind == "corruption" and entry.a == NONE:
         return json.dumps(found, separators=_COMPACT)
     for name, value in zip(_NUMBERS.get(kind, ()), (entry.a, entry.b, entry.c), strict=False):
@@ -180,6 +188,24 @@ def entry_line(entry: Entry) -> str:
         elif name and not (value == NONE and name in ("bit", "recover_after_ns")):
             found[name] = value
     return json.dumps(found, separators=_COMPACT)
+
+
+def _struck(entry: Entry, kind: str) -> dict[str, Any]:
+    """Which node or which frame."""
+    found: dict[str, Any] = {}
+    if kind in NODE_KINDS:
+        found["node"] = entry.link
+    elif kind in FRAME_KINDS:
+        found["direction"] = entry.direction.label
+        if entry.at_drive:
+            found |= {"side": "drive", "node": entry.at_drive}
+    if kind in _OF_ONE_FRAME:
+        found["can_id"] = entry.can_id & ~EXTENDED_FLAG
+        if entry.can_id & EXTENDED_FLAG:
+            found["extended"] = True
+    if kind in _COUNTED:
+        found["n"] = entry.n
+    return found
 
 
 def read_line(text: str, source: str, line: int) -> Entry:
@@ -210,9 +236,9 @@ class _Line:
             extended = self._found.get("extended", False) is True
             can_id = self._whole("can_id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
             can_id |= EXTENDED_FLAG if extended else 0
-        if kind in _OF_ONE_FRAME or kind == "boot":
+        if kind in _COUNTED:
             n = self._whole("n", 0, 2**32 - 1)
-        link = self._whole("node", 1, 127) if kind in NODE_KINDS else self._direction()
+        link = self._link(kind)
         names = _NUMBERS.get(kind, ("", "", ""))
         at_ns = self._whole("at_ns", -(2**62), 2**62)
         a, b, c = (self._number(name) for name in names)
@@ -235,6 +261,17 @@ class _Line:
             return 0
         least = -(2**62) if name in ("step_ns", "drift_ppb") else 0
         return self._whole(name, least, 2**62)
+
+    def _link(self, kind: str) -> int:
+        if kind in NODE_KINDS:
+            return self._whole("node", 1, 127)
+        if kind in HOST_KINDS:
+            return 0
+        if "side" not in self._found:
+            return self._direction()
+        if self._found["side"] != "drive":
+            raise self._bad("side", "drive, or no side")
+        return self._direction() + AT_NODE * self._whole("node", 1, 127)
 
     def _direction(self) -> int:
         labels = {way.label: int(way) for way in Direction}

@@ -5,14 +5,20 @@ A further kind of fault is one more class here, one more row in ``fault_plan_tom
 behaviour in ``faults.py``. What befalls a node rather than its frames: :mod:`.node_fault_plan`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_US, Duration
-from virtual_bus.fault_injection.node_fault_plan import ClockDrift, NodeFault, Occasion, SlowDrive
+from virtual_bus.fault_injection.node_fault_plan import (
+    ClockDrift,
+    HostStall,
+    NodeFault,
+    Occasion,
+    SlowDrive,
+)
 from virtual_bus.fault_injection.plan_checks import (
     DELAY_MAX,
     NODE_MAX,
@@ -30,6 +36,10 @@ EXTENDED_ID_MAX = 0x1FFF_FFFF
 _AT_ONCE = Duration(0)
 COUNT_MAX = 1 << 53
 """Of a bar of a histogram: as far as a float counts."""
+
+
+Side = Literal["host", "drive"]
+"""Whose connection to the bus: that of the host, or of a drive as through a gateway between bus and drive."""
 
 
 class Direction(IntEnum):
@@ -93,6 +103,9 @@ class Selection:
     """Since the plan's time zero."""
     until_ns: Duration | None = None
     """Exclusive; None: to the end."""
+    side: Side | None = None
+    """At whose connection; None: at that of the program that is given the plan. At a drive's, ``nodes`` are
+    the drives, and frames that belong to no node are theirs too."""
 
     def __post_init__(self) -> None:
         require(bool(self.directions), "direction", self.directions, "at least one direction")
@@ -112,8 +125,10 @@ class Selection:
     def _names(self, item: FrameClass | int, can_id: int, extended: bool) -> bool:
         if isinstance(item, int):
             return item == can_id and extended == (item > STANDARD_ID_MAX)
-        if self.nodes and node_of(can_id, extended) not in self.nodes:
-            return False
+        if self.nodes:
+            node = node_of(can_id, extended)
+            if node not in self.nodes and not (node == BROADCAST and self.side == "drive"):
+                return False
         return item is FrameClass.ALL or (not extended and can_id in COB_IDS[item])
 
 
@@ -285,6 +300,9 @@ class Corruption:
 
     def __post_init__(self) -> None:
         require_probability("probability", self.probability)
+        on_the_wire = self.effect is Effect.ERROR_FRAME and self.selection.side == "drive"
+        seen_by_all = '"lost" or "data": an error frame is seen by every node, whatever the side'
+        require(not on_the_wire, "effect", self.effect.value, seen_by_all)
 
 
 Loss = IndependentLoss | BurstLoss | PeriodicLoss | Blackout
@@ -304,17 +322,36 @@ class FaultPlan:
 
     faults: tuple[Fault, ...] = ()
     node_faults: tuple[NodeFault, ...] = ()
+    host_stalls: tuple[HostStall, ...] = ()
+
+    @property
+    def sides(self) -> list[tuple[str, Side]]:
+        """The kinds of the faults of frames that name a side, and that side."""
+        return [(fault.kind, side) for fault in self.faults if (side := fault.selection.side) is not None]
+
+    def at(self, side: Side) -> "FaultPlan":
+        """What befalls frames at the connection of the program that is given the plan: ``side``'s."""
+        return FaultPlan(tuple(fault for fault in self.faults if fault.selection.side in (None, side)))
+
+    def at_drive(self, node: int) -> "FaultPlan":
+        """What befalls frames at the connection of that one drive."""
+        here = [
+            replace(fault, selection=replace(fault.selection, nodes=(node,)))
+            for fault in self.faults
+            if fault.selection.side == "drive" and node in (fault.selection.nodes or (node,))
+        ]
+        return FaultPlan(tuple(here))
 
     @property
     def span(self) -> Duration:
         """When the last window opens or closes, ns after time zero: a run should be longer."""
         edges = [fault.selection.from_ns for fault in self.faults]
         edges += [end for fault in self.faults if (end := fault.selection.until_ns) is not None]
-        edges += [edge for fault in self.node_faults for edge in _edges(fault)]
+        edges += [edge for fault in (*self.node_faults, *self.host_stalls) for edge in _edges(fault)]
         return max(edges, default=_AT_ONCE)
 
 
-def _edges(fault: NodeFault) -> list[Duration]:
+def _edges(fault: NodeFault | HostStall) -> list[Duration]:
     if isinstance(fault, SlowDrive):
         return []
     when = fault if isinstance(fault, ClockDrift) else fault.occasion

@@ -11,7 +11,7 @@
     [[corruption]]      probability, effect = "error_frame", "lost" or "data"
 
 Every table may also hold direction ("host_to_drive", "drive_to_host"; "both" if left out), frames
-(["pdo"] if left out), nodes, from_s and until_s. What they mean:
+(["pdo"] if left out), nodes, from_s, until_s and side ("host", "drive"). What they mean:
 :mod:`virtual_bus.fault_injection.fault_plan`. What befalls nodes:
 :mod:`virtual_bus.fault_injection.node_fault_toml`.
 """
@@ -20,7 +20,7 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.errors import MISSING, BadInput
 from drivers.key_advice import unknown_key
@@ -41,10 +41,17 @@ from virtual_bus.fault_injection.fault_plan import (
     PeriodicLoss,
     Reordering,
     Selection,
+    Side,
     UniformDelay,
 )
-from virtual_bus.fault_injection.node_fault_plan import NodeFault
-from virtual_bus.fault_injection.node_fault_toml import NODE_KINDS, node_fault_mapping
+from virtual_bus.fault_injection.node_fault_plan import HostStall, NodeFault
+from virtual_bus.fault_injection.node_fault_toml import (
+    HOST_STALL_KEYS,
+    NODE_KINDS,
+    host_stall,
+    host_stall_mapping,
+    node_fault_mapping,
+)
 from virtual_bus.fault_injection.plan_checks import require
 from virtual_bus.fault_injection.toml_values import (
     Table,
@@ -62,7 +69,8 @@ from virtual_bus.fault_injection.toml_values import (
     truth,
 )
 
-_COMMON = ("direction", "frames", "nodes", "from_s", "until_s")
+_COMMON = ("direction", "frames", "nodes", "from_s", "until_s", "side")
+_SIDES: dict[str, Side] = {"host": "host", "drive": "drive"}
 _DIRECTIONS = {"both": tuple(Direction), **{way.label: (way,) for way in Direction}}
 _EFFECTS = {effect.value: effect for effect in Effect}
 
@@ -82,20 +90,19 @@ def read_fault_plan(
     mapping: Mapping[str, Any], source: str, prefix: str = ""
 ) -> tuple[FaultPlan, list[BadInput]]:
     """As :func:`load_fault_plan`, but with all errors; the plan then holds the faults that could be read."""
-    faults: list[Fault] = []
-    node_faults: list[NodeFault] = []
-    errors: list[BadInput] = []
+    found = _Found([], [], [], [])
+    known = (*_KINDS, *NODE_KINDS, HostStall.kind)
     for kind, tables in mapping.items():
         path = f"{prefix}.{kind}" if prefix else kind
-        if kind not in _KINDS and kind not in NODE_KINDS:
-            errors.append(unknown_key(source, path, short(tables), [*_KINDS, *NODE_KINDS]))
+        if kind not in known:
+            found.errors.append(unknown_key(source, path, short(tables), known))
         elif not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
             expected = f"an array of tables, each headed [[{path}]]"
-            errors.append(BadInput(source, path, short(tables), expected))
+            found.errors.append(BadInput(source, path, short(tables), expected))
         else:
             for index, table in enumerate(tables):
-                _read_fault(kind, table, source, f"{path}[{index}]", faults, node_faults, errors)
-    return FaultPlan(tuple(faults), tuple(node_faults)), errors
+                _read_fault(kind, table, source, f"{path}[{index}]", found)
+    return FaultPlan(tuple(found.faults), tuple(found.node_faults), tuple(found.host_stalls)), found.errors
 
 
 def fault_plan_mapping(plan: FaultPlan) -> dict[str, list[dict[str, Any]]]:
@@ -106,35 +113,44 @@ def fault_plan_mapping(plan: FaultPlan) -> dict[str, list[dict[str, Any]]]:
         mapping.setdefault(fault.kind, []).append(table)
     for node_fault in plan.node_faults:
         mapping.setdefault(node_fault.kind, []).append(node_fault_mapping(node_fault))
+    for stall in plan.host_stalls:
+        mapping.setdefault(stall.kind, []).append(host_stall_mapping(stall))
     return mapping
 
 
-def _read_fault(
-    kind: str,
-    table: Table,
-    source: str,
-    path: str,
-    faults: list[Fault],
-    node_faults: list[NodeFault],
-    errors: list[BadInput],
-) -> None:
-    keys = (*_KINDS[kind][0], *_COMMON) if kind in _KINDS else (*NODE_KINDS[kind][0], "nodes")
+class _Found(NamedTuple):
+    """What has been read so far."""
+
+    faults: list[Fault]
+    node_faults: list[NodeFault]
+    host_stalls: list[HostStall]
+    errors: list[BadInput]
+
+
+def _read_fault(kind: str, table: Table, source: str, path: str, found: _Found) -> None:
+    keys: tuple[str, ...] = HOST_STALL_KEYS
+    if kind in _KINDS:
+        keys = (*_KINDS[kind][0], *_COMMON)
+    elif kind in NODE_KINDS:
+        keys = (*NODE_KINDS[kind][0], "nodes")
     unknown = [
         unknown_key(source, f"{path}.{key}", short(value), keys)
         for key, value in table.items()
         if key not in keys
     ]
     if unknown:
-        errors.extend(unknown)
+        found.errors.extend(unknown)
         return
     try:
         if kind in _KINDS:
-            faults.append(_KINDS[kind][1](_with_histogram(table, source) if "file" in table else table))
+            found.faults.append(_KINDS[kind][1](_with_histogram(table, source) if "file" in table else table))
+        elif kind in NODE_KINDS:
+            found.node_faults.append(NODE_KINDS[kind][1](table))
         else:
-            node_faults.append(NODE_KINDS[kind][1](table))
+            found.host_stalls.append(host_stall(table))
     except BadInput as error:
         key = f"{path}.{error.key}" if error.key else path
-        errors.append(BadInput(source, key, short(error.value), error.expected, error.remedy))
+        found.errors.append(BadInput(source, key, short(error.value), error.expected, error.remedy))
 
 
 def _with_histogram(table: Table, source: str) -> Table:
@@ -234,6 +250,7 @@ def _selection(table: Table) -> Selection:
         nodes=nodes(table),
         from_ns=nanoseconds(time_s(table, "from_s", 0.0)),
         until_ns=nanoseconds(time_s(table, "until_s")) if "until_s" in table else None,
+        side=one_of(table, "side", _SIDES) if "side" in table else None,
     )
 
 
@@ -264,6 +281,8 @@ def _selection_mapping(selection: Selection) -> dict[str, Any]:
         table["nodes"] = list(selection.nodes)
     if selection.until_ns is not None:
         table["until_s"] = selection.until_ns / NS_PER_S
+    if selection.side is not None:
+        table["side"] = selection.side
     return table
 
 

@@ -3,19 +3,25 @@
     host -- receive, wake -->  FaultyDevice  -- receive, wake, bus_off ... -->  device
          <-- frames -- lost while it is silent or boots, held while it is slow --
 
-It works on any bus, for it only lets through or keeps back what passes. A device that nothing ever
-befalls is not wrapped. A restart of the clock's drift at power-on is the device's own affair.
+With fates it is a gateway too: frames in and out of the device are lost or held as those say, which no
+echo at the sender tells. It works on any bus, for it only lets through or keeps back what passes. A device
+that nothing ever befalls is not wrapped. A restart of the clock's drift at power-on is the device's own
+affair.
 """
 
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from heapq import heappop, heappush
 from typing import Protocol
 
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
+from virtual_bus.can_bus.host_port import HELD_MAX
 from virtual_bus.canopen_device.application import Application, ErrorRegister
 from virtual_bus.canopen_device.device_clock import DeviceClock
 from virtual_bus.canopen_device.nmt_state import NmtState
+from virtual_bus.fault_injection.fates import LOST, FateSource
 from virtual_bus.fault_injection.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
+from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.fault_injection.node_fault_plan import DriveFailure
 from virtual_bus.fault_injection.node_faults import NEVER, NodeEvent, NodeSource
 from virtual_bus.frame import Device, Frame
@@ -64,11 +70,32 @@ class Controller(Protocol):
     def recover(self) -> None: ...
 
 
+class _Stage(IntEnum):
+    """Where a frame is held."""
+
+    INSIDE = 0
+    """In a slow drive."""
+    LEAVING = 1
+    """At its connection, on the way out."""
+    COMING = 2
+    """On the way in."""
+
+
 class FaultyDevice:
     """``device`` with what ``source`` has for it; every strike goes into ``log``."""
 
-    def __init__(self, device: SimulatedNode, source: NodeSource, log: FaultLog | None = None) -> None:
+    def __init__(
+        self,
+        device: SimulatedNode,
+        source: NodeSource,
+        log: FaultLog | None = None,
+        fates: FateSource | None = None,
+    ) -> None:
+        """``fates``: what befalls frames at the device's connection to the bus."""
         self.device = device
+        self.overflow = 0
+        """Frames lost because too many were held."""
+        self._fates = fates
         self.controller: Controller | None = None
         """None: bus-off is acted out here, by silence."""
         self._source = source
@@ -80,7 +107,7 @@ class FaultyDevice:
         self._boots = 0
         self._off = False
         self._timers: list[tuple[int, int, str, int]] = []
-        self._held: list[tuple[int, int, Frame]] = []
+        self._held: list[tuple[int, int, _Stage, Frame]] = []
         self._queues: dict[int, int] = {}
         self._frames: dict[int, int] = {}
         self._order = 0
@@ -88,10 +115,14 @@ class FaultyDevice:
     def start_faults(self, now: Instant) -> None:
         """Time zero of the plan is ``now``. Let the device ``wake`` afterwards."""
         self._zero = now
+        if self._fates is not None:
+            self._fates.start(now)
 
     def stop_faults(self) -> None:
         """Nothing new strikes; what has begun ends at its time, and a slow drive stays slow."""
         self._zero = None
+        if self._fates is not None:
+            self._fates.stop()
 
     @property
     def node_id(self) -> int:
@@ -119,7 +150,15 @@ class FaultyDevice:
         return self._booting(self.device.start(now), now)
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        """A frame on the bus, which the device hears unless it is silent, off or booting."""
+        """A frame on the bus; it meets its fate on the way in."""
+        if self._fates is None:
+            return self._hear(frame, now)
+        out: list[Frame] = []
+        self._meet_fate(_Stage.COMING, frame, now, out)
+        return out
+
+    def _hear(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        """The device hears ``frame`` unless it is silent, off or booting."""
         if self._deaf(now):
             return _NOTHING
         frames = self.device.receive(frame, now)
@@ -142,14 +181,44 @@ class FaultyDevice:
             boot_up = self._boot[1]
             self._boot = None
             out += self._pass_on(boot_up, now)
+        while self._held and self._held[0][0] <= now:
+            _, _, stage, frame = heappop(self._held)
+            self._let_go(stage, frame, now, out)
         wish = self.device.wake_at
         if wish is not None and wish <= now:
             out += self._pass_on(self.device.wake(now), now)
-        while self._held and self._held[0][0] <= now:
-            frame = heappop(self._held)[2]
-            if not self._deaf(now):
-                out.append(frame)
         return out
+
+    def _let_go(self, stage: _Stage, frame: Frame, now: Instant, out: list[Frame]) -> None:
+        """What was held in ``stage`` goes on."""
+        if stage is _Stage.COMING:
+            out += self._hear(frame, now)
+        elif self._deaf(now):
+            return
+        elif stage is _Stage.INSIDE and self._fates is not None:
+            self._meet_fate(_Stage.LEAVING, frame, now, out)
+        else:
+            out.append(frame)
+
+    def _meet_fate(self, stage: _Stage, frame: Frame, now: Instant, out: list[Frame]) -> None:
+        """At the connection: ``frame`` goes on at once, later, changed or not at all."""
+        fates = self._fates
+        assert fates is not None
+        way = Direction.HOST_TO_DRIVE if stage is _Stage.COMING else Direction.DRIVE_TO_HOST
+        delay = fates.hold(int(way), frame.can_id, now, frame.extended)
+        goes_on = fates.replacements(frame) if delay == LOST else ((frame, Duration(delay)),)
+        for one, later in goes_on:
+            if later == 0:
+                self._let_go(stage, one, now, out)
+            else:
+                self._hold(now + later, stage, one)
+
+    def _hold(self, release: int, stage: _Stage, frame: Frame) -> None:
+        if len(self._held) >= HELD_MAX:
+            self.overflow += 1
+            return
+        self._order += 1
+        heappush(self._held, (release, self._order, stage, frame))
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
         """The device's own affair."""
@@ -201,11 +270,12 @@ class FaultyDevice:
                 self._log.note(_LATE, now - self._powered_at, self.node_id, key, n, late)
             if late:
                 release = self._queues[queue] = max(release, self._queues.get(queue, 0))
-            if release <= now:
+            if release > now:
+                self._hold(release, _Stage.INSIDE, frame)
+            elif self._fates is None:
                 out.append(frame)
             else:
-                self._order += 1
-                heappush(self._held, (release, self._order, frame))
+                self._meet_fate(_Stage.LEAVING, frame, now, out)
         return out
 
     def _strike(self, event: NodeEvent, now: Instant, out: list[Frame]) -> None:

@@ -1,7 +1,7 @@
 """What may befall a node itself: silence, bus-off, faults of the drive, a clock that errs, slowness.
 
-They act where the drive is simulated. Times count from the plan's time zero, except those of a slow
-drive, which is slow from power-on.
+And what may befall the host: lateness. The ones act where the drive is simulated, the other in simulated
+time. Times count from the plan's time zero, except those of a slow drive, which is slow from power-on.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,8 @@ from virtual_bus.fault_injection.plan_checks import DELAY_MAX, require, require_
 CLOCK_STEP_MAX = Duration(3600 * NS_PER_S)
 CLOCK_DRIFT_PPB_MAX = 10_000_000
 BOOT_MAX = Duration(600 * NS_PER_S)
+EVERY_MIN = Duration(100 * NS_PER_US)
+"""No cycle is shorter; after a pause each strike that was missed is looked at."""
 AT_ONCE = Duration(0)
 
 
@@ -46,31 +48,39 @@ class DriveFailure(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Occasion:
-    """When something strikes: once at ``at_ns``, or again and again by chance within a window.
+    """When something strikes: once at ``at_ns``, or again and again within a window, regularly or by chance.
 
     By chance: no memory, so the gaps are exponential; ``probability_per_s`` is the chance that it strikes
     at least once within a second.
     """
 
     at_ns: Duration | None = None
+    every_ns: Duration | None = None
+    """The first time so long after ``from_ns``."""
     probability_per_s: float = 0.0
     from_ns: Duration = AT_ONCE
     until_ns: Duration | None = None
     """Exclusive; None: to the end."""
 
     def __post_init__(self) -> None:
+        other = "at_s" if self.at_ns is not None else "every_s" if self.every_ns is not None else ""
+        if other:
+            chance = self.probability_per_s
+            require(chance == 0.0, "probability_per_s", chance, f"no {other} beside")
         if self.at_ns is not None:
             require(self.at_ns >= 0, "at_s", self.at_ns / NS_PER_S, "a time >= 0")
-            require(
-                self.probability_per_s == 0.0, "probability_per_s", self.probability_per_s, "no at_s beside"
-            )
+            require(self.every_ns is None, "every_s", (self.every_ns or 0) / NS_PER_S, "no at_s beside")
             plain = self.from_ns == 0 and self.until_ns is None
             require(plain, "from_s", self.from_ns / NS_PER_S, "no window beside at_s")
             return
-        expected = "a probability from 0 to below 1, or at_s instead"
+        require_window(self.from_ns, self.until_ns)
+        if self.every_ns is not None:
+            least = f"a time from {EVERY_MIN / NS_PER_S:g} s"
+            require(self.every_ns >= EVERY_MIN, "every_s", self.every_ns / NS_PER_S, least)
+            return
+        expected = "a probability from 0 to below 1, or at_s or every_s instead"
         value = self.probability_per_s or MISSING
         require(0.0 < self.probability_per_s < 1.0, "probability_per_s", value, expected)
-        require_window(self.from_ns, self.until_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,6 +220,27 @@ class SlowDrive:
         require(
             some, "sdo_delay_us", MISSING, "sdo_delay_us, tpdo_delay_us or boot_s, or a _min and _max of it"
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostStall:
+    """The host's next action is late, by a time drawn evenly from ``min_ns``..``max_ns``, both included.
+
+    It strikes the first action at or after its instant. Of several strikes of one table since the last action
+    the longest counts; those of several tables add up.
+    """
+
+    kind: ClassVar[str] = "host_stall"
+    occasion: Occasion
+    min_ns: Duration
+    max_ns: Duration
+
+    def __post_init__(self) -> None:
+        key = "late_us" if self.min_ns == self.max_ns else "late_min_us"
+        most = DELAY_MAX // NS_PER_US
+        require(0 <= self.min_ns <= DELAY_MAX, key, self.min_ns / NS_PER_US, f"a time from 0 to {most} us")
+        least = f"a time from late_min_us = {self.min_ns / NS_PER_US:g} to {most} us"
+        require(self.min_ns <= self.max_ns <= DELAY_MAX, "late_max_us", self.max_ns / NS_PER_US, least)
 
 
 NodeFault = Silence | BusOff | DriveFault | ClockStep | ClockDrift | SlowDrive

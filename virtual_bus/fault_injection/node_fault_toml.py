@@ -8,8 +8,10 @@
     [[clock_step]]   step_us, or step_min_us and step_max_us         when
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each
+    [[host_stall]]   late_us, or late_min_us and late_max_us         when
 
-``when``: at_s, or probability_per_s with from_s and until_s. Every table may hold nodes.
+``when``: at_s, or every_s or probability_per_s with from_s and until_s. Every table but the host's may hold
+nodes.
 """
 
 from collections.abc import Callable
@@ -23,6 +25,7 @@ from virtual_bus.fault_injection.node_fault_plan import (
     DriveFailure,
     DriveFault,
     EventFault,
+    HostStall,
     NodeFault,
     Occasion,
     Range,
@@ -42,7 +45,7 @@ from virtual_bus.fault_injection.toml_values import (
 )
 
 _WINDOW = ("from_s", "until_s")
-_WHEN = ("at_s", "probability_per_s", *_WINDOW)
+_WHEN = ("at_s", "every_s", "probability_per_s", *_WINDOW)
 _FAILURES = {failure.label: failure for failure in DriveFailure}
 _SLOW = (("sdo", "sdo_delay", "us"), ("tpdo", "tpdo_delay", "us"), ("boot", "boot", "s"))
 
@@ -52,7 +55,10 @@ def _occasion(table: Table) -> Occasion:
     from_ns = nanoseconds(time_s(table, "from_s", 0.0))
     probability = number(table, "probability_per_s", 0.0)
     at_ns = nanoseconds(time_s(table, "at_s")) if "at_s" in table else None
-    return Occasion(at_ns=at_ns, probability_per_s=probability, from_ns=from_ns, until_ns=until)
+    every_ns = nanoseconds(time_s(table, "every_s")) if "every_s" in table else None
+    return Occasion(
+        at_ns=at_ns, every_ns=every_ns, probability_per_s=probability, from_ns=from_ns, until_ns=until
+    )
 
 
 def _silence(table: Table) -> NodeFault:
@@ -100,6 +106,15 @@ def _slow_drive(table: Table) -> NodeFault:
     return SlowDrive(nodes=nodes(table), **parts)
 
 
+def host_stall(table: Table) -> HostStall:
+    """The stall of a table."""
+    least, most = fixed_or_range(table, "late", "us", "time")
+    return HostStall(occasion=_occasion(table), min_ns=least, max_ns=most)
+
+
+HOST_STALL_KEYS = (*range_keys("late", "us"), *_WHEN)
+"""What its table may hold."""
+
 NODE_KINDS: dict[str, tuple[tuple[str, ...], Callable[[Table], NodeFault]]] = {
     "silence": (("duration_s", *_WHEN), _silence),
     "bus_off": (("recover_after_s", *_WHEN), _bus_off),
@@ -122,6 +137,12 @@ def node_fault_mapping(fault: NodeFault) -> dict[str, Any]:
     return {**table, **_occasion_mapping(fault.occasion), **_event_mapping(fault)}
 
 
+def host_stall_mapping(stall: HostStall) -> dict[str, Any]:
+    """``stall`` as its table."""
+    late = {"late_min_us": stall.min_ns / NS_PER_US, "late_max_us": stall.max_ns / NS_PER_US}
+    return {**_occasion_mapping(stall.occasion), **late}
+
+
 def _slow_mapping(fault: SlowDrive) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for part, (_, stem, unit) in zip((fault.sdo, fault.tpdo, fault.boot), _SLOW, strict=True):
@@ -134,7 +155,11 @@ def _slow_mapping(fault: SlowDrive) -> dict[str, Any]:
 def _occasion_mapping(occasion: Occasion) -> dict[str, Any]:
     if occasion.at_ns is not None:
         return {"at_s": occasion.at_ns / NS_PER_S}
-    found = {"probability_per_s": occasion.probability_per_s, "from_s": occasion.from_ns / NS_PER_S}
+    found = {"from_s": occasion.from_ns / NS_PER_S}
+    if occasion.every_ns is not None:
+        found["every_s"] = occasion.every_ns / NS_PER_S
+    else:
+        found["probability_per_s"] = occasion.probability_per_s
     return found if occasion.until_ns is None else {**found, "until_s": occasion.until_ns / NS_PER_S}
 
 

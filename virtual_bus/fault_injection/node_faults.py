@@ -126,21 +126,26 @@ class DrawnNode:
         for fault, streams in self._slow:
             for part, frames, stream in zip((fault.sdo, fault.tpdo), _HELD_CLASSES, streams, strict=False):
                 if can_id in COB_IDS[frames]:
-                    held += _drawn(part, stream)
+                    held += drawn(part, stream)
         return Duration(held)
 
     def boot_time(self) -> Duration:
         """See :class:`NodeSource`."""
-        return Duration(sum(_drawn(fault.boot, streams[2]) for fault, streams in self._slow))
+        return Duration(sum(drawn(fault.boot, streams[2]) for fault, streams in self._slow))
 
 
 def next_strike(occasion: Occasion, since_ns: int, draw: Callable[[], float]) -> int | None:
     """The next instant after ``since_ns`` (ns); None if there is none in the window."""
     if occasion.at_ns is not None:
         return occasion.at_ns
+    if occasion.every_ns is not None:
+        return _within(occasion, since_ns + occasion.every_ns)
     rate_per_s = -math.log1p(-occasion.probability_per_s)
     gap_s = -math.log1p(-draw()) / rate_per_s
-    at_ns = since_ns + max(1, round(gap_s * 1e6) * (NS_PER_S // 1_000_000))
+    return _within(occasion, since_ns + max(1, round(gap_s * 1e6) * (NS_PER_S // 1_000_000)))
+
+
+def _within(occasion: Occasion, at_ns: int) -> int | None:
     return None if occasion.until_ns is not None and at_ns >= occasion.until_ns else at_ns
 
 
@@ -154,10 +159,11 @@ def _event(fault: EventFault, at_ns: int, draw: Callable[[], float]) -> NodeEven
     if isinstance(fault, DriveFault):
         place = _FAILURES.index(fault.failure)
         return NodeEvent(at_ns, fault.kind, place, fault.detected_after_ns, fault.lasts_ns)
-    return NodeEvent(at_ns, fault.kind, _drawn(Range(fault.min_ns, fault.max_ns), draw))
+    return NodeEvent(at_ns, fault.kind, drawn(Range(fault.min_ns, fault.max_ns), draw))
 
 
-def _drawn(part: Range, draw: Callable[[], float]) -> int:
+def drawn(part: Range, draw: Callable[[], float]) -> int:
+    """A time out of ``part``, ns."""
     if part.max_ns == part.min_ns:
         return part.min_ns
     return part.min_ns + int(draw() * (part.max_ns - part.min_ns + 1))

@@ -10,6 +10,7 @@ from virtual_bus.fault_injection.fates import LOST, FateSource
 from virtual_bus.fault_injection.fault_log import (
     EXTENDED_FLAG,
     FRAME_KINDS,
+    HOST_KINDS,
     NODE_KINDS,
     NONE,
     Entry,
@@ -36,9 +37,14 @@ class RecordedFaults:
 
     @property
     def node_kinds(self) -> tuple[str, ...]:
-        """Which kinds befall nodes themselves."""
+        """Which kinds befall nodes themselves, the host among them."""
         found = {entry.kind for entry in self.entries}
-        return tuple(kind for kind in NODE_KINDS if kind in found)
+        return tuple(kind for kind in (*NODE_KINDS, *HOST_KINDS) if kind in found)
+
+    @property
+    def drives_struck(self) -> frozenset[int]:
+        """The drives at whose own connection frames were struck."""
+        return frozenset(entry.at_drive for entry in self.entries if entry.kind in FRAME_KINDS) - {0}
 
 
 def read_recorded(path: Path) -> RecordedFaults:
@@ -59,18 +65,19 @@ class ReplayedFates(FateSource):
     from the recorded one, frames that were held in order keep their order all the same.
     """
 
-    def __init__(self, recorded: RecordedFaults, log: FaultLog | None = None) -> None:
-        super().__init__(log)
+    def __init__(self, recorded: RecordedFaults, log: FaultLog | None = None, node: int = 0) -> None:
+        super().__init__(log, node)
         self._entries: tuple[dict[tuple[int, int], Entry], ...] = ({}, {})
         self._ordered: set[tuple[int, int]] = set()
         self._kinds: list[str] = []
         for entry in recorded.entries:
             kind = entry.kind
-            if kind not in FRAME_KINDS or kind == "error_frame":
+            if kind not in FRAME_KINDS or kind == "error_frame" or entry.at_drive != node:
                 continue
-            self._entries[entry.link][entry.can_id, entry.n] = entry
+            way = int(entry.direction)
+            self._entries[way][entry.can_id, entry.n] = entry
             if kind == "delay" and entry.b:
-                self._ordered.add((entry.link, entry.can_id))
+                self._ordered.add((way, entry.can_id))
             if kind != "delay" and kind not in self._kinds:
                 self._kinds.append(kind)
         self._zero: Instant | None = None

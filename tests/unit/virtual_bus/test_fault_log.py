@@ -65,6 +65,16 @@ ENTRIES = [
     ('{"kind":"clock_step","at_ns":5,"node":3,"step_ns":-9}', "clock_step"),
     ('{"kind":"boot","at_ns":5,"node":3,"n":0,"delay_ns":3}', "boot"),
     ('{"kind":"late","at_ns":5,"node":3,"can_id":1409,"n":0,"delay_ns":3}', "late"),
+    (
+        '{"kind":"delay","at_ns":5,"direction":"drive_to_host","side":"drive","node":127,"can_id":385,'
+        '"n":2,"delay_ns":7}',
+        "delay",
+    ),
+    (
+        '{"kind":"loss","at_ns":5,"direction":"host_to_drive","side":"drive","node":1,"can_id":128,"n":2}',
+        "loss",
+    ),
+    ('{"kind":"host_stall","at_ns":5,"n":12,"late_ns":3400000}', "host_stall"),
 ]
 
 
@@ -95,6 +105,17 @@ def test_the_numbers_of_an_entry_stand_where_the_log_says() -> None:
             "a whole number from 0 to 2047",
         ),
         ('{"kind": "silence", "node": 0}', "line 7: node", "a whole number from 1 to 127"),
+        (
+            '{"kind": "loss", "direction": "drive_to_host", "side": "drive", "can_id": 1, "n": 0}',
+            "line 7: node",
+            "a whole number from 1 to 127",
+        ),
+        (
+            '{"kind": "loss", "direction": "drive_to_host", "side": "bus", "can_id": 1, "n": 0}',
+            "line 7: side",
+            "drive, or no side",
+        ),
+        ('{"kind": "host_stall", "n": 1, "at_ns": 0}', "line 7: late_ns", "a whole number from 0"),
         (
             '{"kind": "drive_fault", "node": 1, "at_ns": 0, "fault": "x"}',
             "line 7: fault",
@@ -244,7 +265,8 @@ def test_a_file_is_read_line_by_line(tmp_path: Path) -> None:
     assert [json.loads(entry_line(entry)) for entry in faults.entries] == [
         json.loads(line) for line, _ in ENTRIES
     ]
-    assert faults.node_kinds == ("bus_off", "drive_fault", "clock_step", "late", "boot")
+    assert faults.node_kinds == ("bus_off", "drive_fault", "clock_step", "late", "boot", "host_stall")
+    assert faults.drives_struck == {1, 127}
     assert faults.span == 5
     with pytest.raises(BadInput, match="readable file"):
         read_recorded(tmp_path / "none.jsonl")

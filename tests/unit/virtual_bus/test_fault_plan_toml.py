@@ -87,7 +87,7 @@ def test_an_empty_plan_has_no_faults() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
 def test_examples_load_and_survive_being_written(path: Path) -> None:
     plan = load_fault_plan(tomllib.loads(path.read_text()), str(path))
-    assert plan.faults or plan.node_faults
+    assert plan.faults or plan.node_faults or plan.host_stalls
     assert load_fault_plan(fault_plan_mapping(plan), "written") == plan
 
 
@@ -154,6 +154,8 @@ def test_a_plan_that_cannot_be_used_is_refused_with_reasons(
         ("nodes = [true]", "nodes", "a list of node ids"),
         ("nodes = 1", "nodes", "a list of node ids"),
         ("until_s = inf", "until_s", "a number"),
+        ('side = "bus"', "side", "one of host, drive"),
+        ("side = 1", "side", "one of host, drive"),
     ],
 )
 def test_a_selection_that_cannot_be_used_is_refused(line: str, key: str, expected: str) -> None:
@@ -189,3 +191,13 @@ def test_all_errors_of_a_file_are_found_at_once() -> None:
 )
 def test_the_node_of_a_frame(can_id: int, extended: bool, node: int) -> None:
     assert node_of(can_id, extended) == node
+
+
+@pytest.mark.parametrize("side", ["host", "drive", None])
+def test_the_side_is_kept_as_it_was_named(side: str | None) -> None:
+    line = "" if side is None else f'side = "{side}"'
+    plan = load(f"[[loss]]\nprobability = 0.1\n{line}")
+    assert plan.faults[0].selection.side == side
+    written = fault_plan_mapping(plan)
+    assert written["loss"][0].get("side") == side
+    assert load_fault_plan(written, "written") == plan

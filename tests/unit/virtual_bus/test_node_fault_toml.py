@@ -174,7 +174,12 @@ def test_every_further_kind_is_read_and_survives_being_written() -> None:
         ),
         ("[[silence]]\nat_s = 1", "silence[0].duration_s", MISSING, "a number"),
         ("[[silence]]\nat_s = 1\nduration_s = 0", "silence[0].duration_s", 0, "a time > 0"),
-        ("[[silence]]\nduration_s = 1", "silence[0].probability_per_s", MISSING, "or at_s instead"),
+        (
+            "[[silence]]\nduration_s = 1",
+            "silence[0].probability_per_s",
+            MISSING,
+            "or at_s or every_s instead",
+        ),
         (
             "[[silence]]\nduration_s = 1\nat_s = 1\nfrom_s = 1",
             "silence[0].from_s",

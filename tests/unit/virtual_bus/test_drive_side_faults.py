@@ -1,0 +1,284 @@
+"""Faults of frames at a drive's own connection, behind the echo: seen by a tap on the segment between."""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypedDict
+
+import pytest
+
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from tests.motors import LING
+from virtual_bus.can_bus.host_port import HELD_MAX
+from virtual_bus.fault_injection.fault_log import FaultLog, entry_line, read_line
+from virtual_bus.fault_injection.fault_plan import (
+    Blackout,
+    Corruption,
+    Direction,
+    Duplication,
+    Effect,
+    Fault,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Reordering,
+    Selection,
+    Side,
+    UniformDelay,
+)
+from virtual_bus.fault_injection.faulty_device import FaultyDevice
+from virtual_bus.fault_injection.injection import Faults, Injection, refuse_misplaced
+from virtual_bus.fault_injection.node_fault_plan import Range, SlowDrive
+from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.segment import Segment
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.timeline import Timeline
+
+INTO, OUT = (Direction.HOST_TO_DRIVE,), (Direction.DRIVE_TO_HOST,)
+SYNC, TPDO1, TPDO2 = 0x80, 0x181, 0x281
+INTERMISSION_NS = 3 * NS_PER_US
+"""Behind the SYNC: only a TPDO that is not delayed has to wait for it."""
+
+
+@dataclass
+class Cycle:
+    """One SYNC as the tap saw it, and what came of it at node 1."""
+
+    sync_at: int
+    stamp: int | None = None
+    """1013h in TPDO2, ns."""
+    tpdo_at: int | None = None
+    """End of the first TPDO1."""
+    tpdos: int = 0
+
+
+@dataclass
+class Tapped:
+    """What a run showed."""
+
+    cycles: list[Cycle] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+    echoes: list[int] = field(default_factory=list)
+    """When the host heard its own SYNCs."""
+
+
+def at_drive(*directions: Direction, side: Side = "drive", **selection: object) -> Selection:
+    made = Selection(side=side, **selection)  # type: ignore[arg-type]
+    return replace(made, directions=directions) if directions else made
+
+
+def run(
+    faults: Faults | Sequence[Fault], nodes: int = 1, cycles: int = 200, seed: int = 5, period_us: int = 1000
+) -> Tapped:
+    """SYNCs at 1 kHz to drives 1 .. ``nodes``, all of them with clocks of 1 us and no offset."""
+    plan = faults if isinstance(faults, FaultPlan | RecordedFaults) else FaultPlan(tuple(faults))
+    timeline = Timeline()
+    segment = Segment(timeline)
+    seen, log = Tapped(), FaultLog()
+    injection = Injection(plan, seed, log, error_frames=True)
+    host = SimulatedBus("host", segment=segment, receive_own_messages=True)
+    if injection.fates is not None:
+        host.host_port.put_before(injection.fates, Direction.HOST_TO_DRIVE)
+    host.port.on_sent = lambda frame, at: seen.echoes.append(at) if frame.can_id == SYNC else None
+
+    def tap(frame: Frame, at: Instant) -> None:
+        if frame.can_id == SYNC:
+            seen.cycles.append(Cycle(at))
+        elif frame.can_id == TPDO1 and seen.cycles:
+            seen.cycles[-1].tpdos += 1
+            seen.cycles[-1].tpdo_at = seen.cycles[-1].tpdo_at or at
+        elif frame.can_id == TPDO2 and seen.cycles:
+            seen.cycles[-1].stamp = struct.unpack_from("<I", frame.data, 4)[0] * NS_PER_US
+
+    segment.add_monitor(tap)
+    for node in range(1, nodes + 1):
+        servo = SimulatedServo(node, LING, DriveParameters(clock_offset_us=0))
+        attached = attach_to_segment(injection.wrap(servo), segment, timeline, f"node {node}")
+        injection.on_start(attached.wake_now)
+    host.host_port.transmit(Frame(0, b"\x01\x00"))
+    timeline.run_until(Instant(5 * NS_PER_MS))
+    if injection.fates is not None:
+        injection.fates.start(timeline.now)
+    injection.start(timeline.now)
+    for _ in range(cycles):
+        host.host_port.transmit(Frame(SYNC))
+        timeline.run_until(Instant(timeline.now + period_us * NS_PER_US))
+    seen.log = [entry_line(entry) for entry in log.entries()]
+    host.shutdown()
+    return seen
+
+
+class Times(TypedDict):
+    """Least and most."""
+
+    min_ns: Duration
+    max_ns: Duration
+
+
+def us(*bounds: int) -> Times:
+    return Times(min_ns=Duration(bounds[0] * NS_PER_US), max_ns=Duration(bounds[-1] * NS_PER_US))
+
+
+SYNC_DELAY = UniformDelay(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), **us(200))
+
+
+def test_a_sync_that_is_delayed_on_its_way_into_the_drive_has_its_echo_in_time() -> None:
+    plain, delayed = run([]), run([SYNC_DELAY])
+    assert delayed.echoes == plain.echoes
+    assert [cycle.sync_at for cycle in delayed.cycles] == delayed.echoes
+    for cycle in delayed.cycles:
+        assert cycle.stamp is not None
+        assert 0 <= cycle.sync_at + 200 * NS_PER_US - cycle.stamp < NS_PER_US
+
+
+def test_the_same_delay_at_the_host_moves_the_echo_too() -> None:
+    host_side = replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side="host"))
+    unnamed = replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side=None))
+    plain, delayed = run([]), run([host_side])
+    moved = [after - before for before, after in zip(plain.echoes, delayed.echoes, strict=True)]
+    assert moved == [200 * NS_PER_US] * 200
+    assert run([unnamed]).echoes == delayed.echoes
+
+
+def test_a_tpdo_that_is_delayed_on_its_way_out_was_sampled_in_time() -> None:
+    delay = UniformDelay(selection=at_drive(*OUT), **us(300))
+    plain, delayed = run([]), run([delay])
+    for before, after in zip(plain.cycles, delayed.cycles, strict=True):
+        assert after.stamp == before.stamp
+        assert after.tpdo_at is not None
+        assert before.tpdo_at is not None
+        assert after.tpdo_at - before.tpdo_at == 300 * NS_PER_US - INTERMISSION_NS
+
+
+def test_what_is_lost_behind_the_bus_was_on_it() -> None:
+    lost = Blackout(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), count=3)
+    seen = run([lost])
+    assert [cycle.tpdos for cycle in seen.cycles] == [0, 0, 0, *[1] * 197]
+    assert len(seen.echoes) == 200
+    assert seen.log[0] == (
+        '{"kind":"blackout","at_ns":48000,"direction":"host_to_drive","side":"drive","node":1,"can_id":128,"n":0}'
+    )
+
+
+def test_each_drive_has_a_gateway_of_its_own() -> None:
+    """SYNCs are lost to one drive and heard by the other, by the nodes of the table."""
+    lost = IndependentLoss(selection=at_drive(*INTO, frames=(FrameClass.SYNC,), nodes=(1,)), probability=1.0)
+    assert {cycle.tpdos for cycle in run([lost], nodes=2).cycles} == {0}
+    other = replace(lost, selection=replace(lost.selection, nodes=(2,)))
+    assert {cycle.tpdos for cycle in run([other], nodes=2).cycles} == {1}
+    everywhere = IndependentLoss(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), probability=0.5)
+    log = run([everywhere], nodes=2).log
+    struck = [[line for line in log if f'"node":{node}' in line] for node in (1, 2)]
+    assert all(60 < len(lines) < 140 for lines in struck)
+    assert [line.replace('"node":2', '"node":1') for line in struck[1]] != struck[0]
+
+
+def test_frames_of_other_drives_do_not_come_to_a_drives_gateway() -> None:
+    seen = run([UniformDelay(selection=at_drive(), **us(50))], nodes=2, cycles=3)
+    assert seen.log
+    for entry in (read_line(line, "f", 1) for line in seen.log):
+        assert entry.can_id & 0x7F == entry.at_drive
+
+
+def test_sides_do_not_disturb_each_others_streams() -> None:
+    loss = IndependentLoss(selection=at_drive(*OUT, side="host"), probability=0.2)
+    behind = IndependentLoss(selection=at_drive(*OUT), probability=0.2)
+    both = run([behind, loss]).log
+    alone = [run([fault]).log for fault in (loss, behind)]
+    assert [line for line in both if '"side"' in line] == alone[1]
+    first = [line for line in both if '"side"' not in line]
+    assert first
+    assert first != [line.replace('"side":"drive","node":1,', "") for line in alone[1]]
+    more = run([UniformDelay(selection=at_drive(*OUT), **us(0, 100)), behind]).log
+    assert [line for line in more if '"loss"' in line] == alone[1]
+
+
+def test_damaged_doubled_and_overtaken_frames_behind_the_bus() -> None:
+    sync = at_drive(*INTO, frames=(FrameClass.SYNC,))
+    doubled = run([Duplication(selection=sync, probability=1.0, later_ns=Duration(100 * NS_PER_US))])
+    assert {cycle.tpdos for cycle in doubled.cycles} == {2}
+    late = run([Reordering(selection=at_drive(*OUT, frames=(TPDO1,)), probability=1.0, **us(400))])
+    plain = run([])
+    for before, after in zip(plain.cycles, late.cycles, strict=True):
+        assert (after.tpdo_at or 0) - (before.tpdo_at or 0) == 400 * NS_PER_US - INTERMISSION_NS
+    damaged = run([Corruption(selection=at_drive(*OUT), probability=1.0, effect=Effect.DATA)])
+    assert [cycle.stamp for cycle in damaged.cycles] != [cycle.stamp for cycle in plain.cycles]
+
+
+def test_an_error_frame_has_no_side() -> None:
+    with pytest.raises(BadInput, match="every node"):
+        Corruption(selection=at_drive(), probability=0.1)
+
+
+EVERYTHING: tuple[Fault, ...] = (
+    IndependentLoss(selection=at_drive(), probability=0.05),
+    IndependentLoss(selection=at_drive(side="host"), probability=0.05),
+    UniformDelay(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), **us(0, 300)),
+    UniformDelay(selection=at_drive(*OUT), **us(10, 200)),
+    UniformDelay(selection=at_drive(*OUT, side="host"), **us(10, 200)),
+    Reordering(selection=at_drive(*OUT), probability=0.05, **us(700)),
+    Duplication(selection=at_drive(), probability=0.05, later_ns=Duration(90 * NS_PER_US)),
+    Corruption(selection=at_drive(), probability=0.05, effect=Effect.DATA),
+)
+
+
+def test_a_replay_of_both_sides_gives_the_same_traffic() -> None:
+    plan = FaultPlan(EVERYTHING, (SlowDrive(tpdo=Range(Duration(0), Duration(80_000))),))
+    first = run(plan, nodes=2)
+    recorded = RecordedFaults(tuple(read_line(line, "f", n) for n, line in enumerate(first.log, start=1)))
+    again = run(recorded, nodes=2, seed=77)
+    assert again.cycles == first.cycles
+    assert again.log == first.log
+    sides = [('"side"' in line, line.split('"')[3]) for line in first.log]
+    assert {(True, "delay"), (False, "delay"), (True, "corruption"), (True, "reorder")} <= set(sides)
+
+
+def test_no_more_is_held_than_there_is_room_for() -> None:
+    delay = UniformDelay(selection=at_drive(*OUT, frames=(FrameClass.ALL,)), **us(9_000_000))
+    injection = Injection(FaultPlan((delay,)), 1)
+    gateway = injection.wrap(SimulatedServo(1, LING))
+    assert isinstance(gateway, FaultyDevice)
+    gateway.start(Instant(0))
+    injection.start(Instant(0))
+    gateway.receive(Frame(0, b"\x01\x00"), Instant(1))
+    for n in range(HELD_MAX):
+        assert gateway.receive(Frame(SYNC), Instant(n + 2)) == []
+    assert gateway.overflow == HELD_MAX, "two TPDOs a SYNC"
+    assert len(gateway.wake(Instant(10 * NS_PER_S))) == HELD_MAX
+
+
+def test_a_drive_to_which_nothing_happens_has_no_gateway() -> None:
+    plan = FaultPlan((replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, nodes=(2,))),))
+    servo = SimulatedServo(1, LING)
+    assert Injection(plan, 1).wrap(servo) is servo
+    assert Injection(FaultPlan((SYNC_DELAY,)), 1, side="drive").wrap(servo) is servo, "the bus has it already"
+    assert Injection(FaultPlan((SYNC_DELAY,)), 1).fates is None
+
+
+@pytest.mark.parametrize(
+    ("fault_side", "program", "remedy"),
+    [
+        ("drive", "host", "give these faults to the drives: hil simulate --faults FILE"),
+        ("host", "drive", "give these faults to the bench: hil run"),
+        ("host", "host", None),
+        ("drive", "drive", None),
+        (None, "host", None),
+        (None, "drive", None),
+    ],
+)
+def test_on_a_real_time_bus_each_program_takes_the_faults_of_its_side(
+    fault_side: Side | None, program: Side, remedy: str | None
+) -> None:
+    plan = FaultPlan((replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side=fault_side)),))
+    if remedy is None:
+        refuse_misplaced(plan, program, "the bus hub:x")
+        assert Injection(plan, 1, side=program).fates is not None
+        return
+    with pytest.raises(BadInput) as caught:
+        refuse_misplaced(plan, program, "the bus hub:x")
+    assert (caught.value.key, caught.value.remedy) == ("delay.side", remedy)
