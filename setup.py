@@ -25,7 +25,9 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_port frame_pump link nmt readings servo setpoint"),
+    *_below(
+        "drivers", "command_watch drive_watch exchange frame_port frame_pump link nmt readings servo setpoint"
+    ),
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
