@@ -25,8 +25,10 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_port frame_pump link message_port nmt readings servo setpoint"),
-    *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
+    *_below("drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"),
+    *_below("drivers", "servo setpoint"),
+    *_below("hil", "attribution axis clock_map command_meter compensation controllers delay loop safety"),
+    *_below("hil", "samples scenario syncs ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
     *_below("virtual_bus/can_bus", "arbitration bit_length bus_load controller error_frame error_handling"),

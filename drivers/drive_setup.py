@@ -10,9 +10,10 @@ from typing import NamedTuple
 from drivers.errors import PeerFault, TransferAborted
 from drivers.objects import RemoteObjects, SettingRefused
 from drivers.objects402 import Object
-from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoPlan, write_plan
+from drivers.pdo import PdoPlan, write_plan
 from drivers.pdo_capability import PdoCapability, capability_of_drive
-from drivers.pdo_planner import PlanImpossible, PlanWish, plan_pdos
+from drivers.pdo_layouts import DEMAND, STAMP, Features, choices, limits_of, status_timer_ms
+from drivers.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
 from drivers.pdo_plans import mode_plan
 from drivers.profile402 import (
     AbortConnectionOption,
@@ -33,6 +34,10 @@ DEVICE_NAME = 0x1008
 CONSUMER_HEARTBEAT_TIME = 0x1016
 PRODUCER_HEARTBEAT_TIME = 0x1017
 IDENTITY = 0x1018
+ERROR_BEHAVIOUR = 0x1029
+NO_CHANGE_OF_NMT_STATE = 1
+"""1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
+PDOs would be silent: the host could not see the statusword fall, nor the speed go down."""
 DRIVE_PROFILE = 402
 
 
@@ -66,6 +71,13 @@ class DriveSettings:
     """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
     position_every_cycles: int = 1
     """As in :func:`drivers.pdo_plans.mode_plan`. Without effect beside ``plan``."""
+    coherent: bool = False
+    """As in :func:`drivers.pdo_layouts.layout`. Without effect beside ``plan``."""
+    velocity_sign: float = 1.0
+    """-1: the drive's velocity counts against its position, which is carried on by it."""
+    command_timeout_ms: int | None = None
+    """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
+    ``supervise_commands`` on."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""
@@ -90,6 +102,8 @@ class DriveSettings:
             raise ValueError(
                 "drive_heartbeat_ms must be below drive_heartbeat_timeout_ms, and that below 65536"
             )
+        if self.command_timeout_ms is not None and not 0 < self.command_timeout_ms <= 0xFFFF:
+            raise ValueError("command_timeout_ms must be in 1..65535")
 
 
 class Reaction(NamedTuple):
@@ -232,6 +246,9 @@ def write_reactions(objects: RemoteObjects) -> list[str]:
     notes = []
     for index, value, text in REACTIONS:
         notes += write_optional(objects, index, "h", value, text)
+    if objects.read_if_there(ERROR_BEHAVIOUR, 1, "B") is not None:
+        text = "NMT state kept when the host is lost"
+        notes += write_optional(objects, ERROR_BEHAVIOUR, "B", NO_CHANGE_OF_NMT_STATE, text, sub=1)
     return notes
 
 
@@ -284,63 +301,82 @@ def write_optional(
     return []
 
 
-def choose_plan(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
-    """The plan of the settings; else one for the drive's dictionary; else the standard one. And notes.
+def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
+    """Write the plan of the settings; else the best that the drive takes of those for its dictionary, or of
+    the standard ones. With notes on what it cannot do.
 
-    Raises PlanImpossible if the dictionary leaves no way.
+    A drive that will not have its mappings changed is served by those that it has, if they carry what is
+    needed. Raises TransferAborted, SettingRefused or PlanImpossible.
     """
     if settings.plan is not None:
-        return settings.plan, []
+        return settings.plan, write_plan(objects, settings.plan)
+    refusals: list[PeerFault] = []
+    tried: list[PdoPlan] = []
+    for features in choices(_able(objects, settings), settings.position_every_cycles):
+        plan, notes = _planned(objects, settings, features)
+        if plan in tried:
+            continue
+        tried.append(plan)
+        try:
+            written = write_plan(objects, plan)
+        except (TransferAborted, SettingRefused) as error:
+            refusals.append(error)
+            continue
+        refused = [f"a PDO plan that tells more was not taken: {refusals[0].evidence}"] if refusals else []
+        return plan, refused + notes + written
+    return _map_as_held(objects, settings, refusals[0])
+
+
+def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
+    """What the drive may be able to tell: by its dictionary, if there is one, a plan is made anyway."""
     if settings.capability is not None:
-        result = plan_pdos(settings.capability, objects.node_id, _wish(settings))
+        return Features()
+    stamp, demand = (objects.read_if_there(*key) is not None for key in (STAMP, DEMAND))
+    return Features(stamp, demand and _wish(settings).torque_mode)
+
+
+def _planned(
+    objects: RemoteObjects, settings: DriveSettings, features: Features
+) -> tuple[PdoPlan, list[str]]:
+    """A plan that uses no more than ``features``, and what it lacks."""
+    wish = replace(_wish(settings), features=features)
+    if settings.capability is not None:
+        result = plan_pdos(settings.capability, objects.node_id, wish)
         return result.plan, list(result.notes)
-    stamped = objects.read_if_there(HIGH_RESOLUTION_TIME_STAMP) is not None
-    return _standard_plan(objects, settings, stamped), []
+    plan = _standard_plan(objects, settings, features)
+    torque_mode = wish.torque_mode and not wish.coherent
+    return plan, limits_of(features_of(plan), torque_mode=torque_mode)
 
 
 def _wish(settings: DriveSettings) -> PlanWish:
-    return PlanWish(settings.mode, settings.synchronous_command, settings.position_every_cycles)
-
-
-def _standard_plan(objects: RemoteObjects, settings: DriveSettings, stamped: bool) -> PdoPlan:
-    return mode_plan(
-        objects.node_id,
+    return PlanWish(
         settings.mode,
-        device_stamp=stamped,
-        synchronous_command=settings.synchronous_command,
-        position_every_cycles=settings.position_every_cycles,
+        settings.synchronous_command,
+        settings.position_every_cycles,
+        status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
+        coherent=settings.coherent,
     )
 
 
-def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
-    """Write the plan. Raises TransferAborted, SettingRefused or PlanImpossible.
-
-    A drive that has 0x1013 but will not map it is served without; one that will not have its mappings
-    changed, by those that it has, if they carry what is needed.
-    """
-    plan, notes = choose_plan(objects, settings)
-    try:
-        return plan, notes + write_plan(objects, plan)
-    except (TransferAborted, SettingRefused) as error:
-        if settings.plan is not None:
-            raise
-        refusal = error
-    if any(pdo.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None for pdo in plan.tpdos):
-        plan = _standard_plan(objects, settings, stamped=False)
-        try:
-            notes = [f"1013h is not mapped: {refusal.evidence}", *write_plan(objects, plan)]
-        except (TransferAborted, SettingRefused) as error:
-            refusal = error
-        else:
-            return plan, notes
-    return _map_as_held(objects, settings, refusal)
+def _standard_plan(objects: RemoteObjects, settings: DriveSettings, features: Features) -> PdoPlan:
+    return mode_plan(
+        objects.node_id,
+        settings.mode,
+        device_stamp=features.stamp,
+        demand=features.demand,
+        status_on_change=features.status_on_change,
+        synchronous_command=settings.synchronous_command,
+        position_every_cycles=settings.position_every_cycles,
+        status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
+        coherent=settings.coherent,
+    )
 
 
 def _map_as_held(
     objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
 ) -> tuple[PdoPlan, list[str]]:
     """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
-    standard = _standard_plan(objects, settings, stamped=True)
+    standard = _standard_plan(objects, settings, Features())
     pdos = (*standard.tpdos, *standard.rpdos)
     wanted = {(entry.index, entry.sub): entry.code for pdo in pdos for entry in pdo.entries}
     try:

@@ -32,6 +32,7 @@ class FramePump(Master):
         super().__init__()
         self.handlers: dict[int, Handler] = {}
         self.echo_handlers: dict[int, Handler] = {SYNC: self._on_sync_echo}
+        """Who is told of our own frames once they were on the bus, by identifier."""
         self.housekeeping_at: Instant = NEVER
         self._link = link
         self._now = clock.now
@@ -89,3 +90,7 @@ class FramePump(Master):
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
         self.sync_count += 1
         return self._link.send(SYNC, b"")
+
+    def _sync_echo(self, _data: bytes, at: Instant) -> None:
+        if self.on_sync_echo is not None:
+            self.on_sync_echo(at)

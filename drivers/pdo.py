@@ -13,7 +13,7 @@ from struct import Struct
 from drivers.errors import TransferAborted
 from drivers.objects import RemoteObjects, SettingRefused
 from drivers.sdo import object_name
-from drivers.timebase import NS_PER_S, Duration
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 
 HIGH_RESOLUTION_TIME_STAMP = 0x1013
 EVENT_DRIVEN = 255
@@ -81,6 +81,10 @@ class PdoMap:
     cob_id: int
     entries: tuple[PdoEntry, ...]
     transmission_type: int = EVERY_SYNC
+    inhibit_time_100us: int = 0
+    """Sub-index 3: shortest time between two of an event-driven TPDO; 0: no limit."""
+    event_timer_ms: int = 0
+    """Sub-index 5: after so long without an event an event-driven TPDO is sent all the same; 0: never."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= 512:
@@ -111,6 +115,17 @@ class PdoMap:
     def synchronous(self) -> bool:
         return self.transmission_type <= SYNCHRONOUS_MAX
 
+    def times_a_cycle(self, period_ns: Duration) -> float:
+        """How often it travels in a cycle of one SYNC and one command.
+
+        A TPDO that is sent on change is reckoned by its event timer: changes are rare.
+        """
+        if self.synchronous:
+            return 1.0 / max(1, self.transmission_type)
+        if self.direction is PdoDirection.TRANSMIT and self.event_timer_ms:
+            return min(1.0, period_ns / (self.event_timer_ms * NS_PER_MS))
+        return 1.0
+
     def codec(self) -> Struct:
         """Compiled layout: little endian, no padding (CiA 301 7.1.4)."""
         return Struct("<" + "".join(entry.code for entry in self.entries))
@@ -135,13 +150,19 @@ class PdoPlan:
         if len(set(used)) != len(used):
             raise ValueError("two PDOs of the plan share an identifier")
 
-    @property
-    def frames_a_cycle(self) -> tuple[tuple[int, float], ...]:
+    def frames_a_cycle(self, period_ns: Duration) -> tuple[tuple[int, float], ...]:
         """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
         return tuple(
-            ((pdo.bits + 7) // 8, 1.0 / max(1, pdo.transmission_type) if pdo.synchronous else 1.0)
-            for pdo in (*self.tpdos, *self.rpdos)
+            ((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in (*self.tpdos, *self.rpdos)
         )
+
+    def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
+        """The first TPDO that carries an object."""
+        return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
+
+    def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
+        """The first RPDO that carries an object."""
+        return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)
 
 
 def frame_bits_max(data_bytes: int) -> int:
@@ -158,7 +179,7 @@ def bus_load_percent_max(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_
     """Share of the bus that SYNC, sent every ``period_ns``, and the PDOs of all plans take at most."""
     bits = float(frame_bits_max(0))
     for plan in plans:
-        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle)
+        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle(period_ns))
     return 100.0 * bits * NS_PER_S / (bitrate_bit_s * period_ns)
 
 
@@ -212,10 +233,28 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         found.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
+    found += _timer_differences(objects, pdo)
     held = _held_mapping(objects, pdo.mapping_index)
     wanted = [entry.mapping_word for entry in pdo.entries]
     if held != wanted:
         found.append(f"{pdo.name} maps {_mapping_text(held)} instead of {_mapping_text(wanted)}")
+    return found
+
+
+def _timer_differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
+    """Without its inhibit time a PDO works all the same; one that is to be repeated needs its event timer."""
+    found = []
+    if pdo.inhibit_time_100us:
+        inhibit = objects.read_if_there(pdo.communication_index, 3, "H")
+        if inhibit not in (None, pdo.inhibit_time_100us):
+            found.append(
+                f"{pdo.name} has an inhibit time of {inhibit} x 100 us instead of {pdo.inhibit_time_100us}"
+            )
+    if pdo.event_timer_ms:
+        timer = objects.read_if_there(pdo.communication_index, 5, "H")
+        if timer != pdo.event_timer_ms:
+            held = "no event timer" if timer is None else f"an event timer of {timer} ms"
+            found.append(f"{pdo.name} has {held} instead of {pdo.event_timer_ms} ms")
     return found
 
 
@@ -255,8 +294,8 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
         objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
-    for sub, code in ((3, "H"), (5, "H")):
-        _write_zero_if_there(objects, pdo.communication_index, sub, code)
+    for sub, value in ((3, pdo.inhibit_time_100us), (5, pdo.event_timer_ms)):
+        _write_timer(objects, pdo.communication_index, sub, value)
     if _held_mapping(objects, pdo.mapping_index) != [entry.mapping_word for entry in pdo.entries]:
         objects.write(pdo.mapping_index, 0, "B", 0)
         for sub, entry in enumerate(pdo.entries, start=1):
@@ -266,10 +305,8 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
         objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
 
 
-def _write_zero_if_there(objects: RemoteObjects, index: int, sub: int, code: str) -> None:
-    """Inhibit time and event timer off; a drive that lacks them or keeps them read-only has none to mind."""
-    if objects.read_if_there(index, sub, code):
-        try:
-            objects.write(index, sub, code, 0)
-        except TransferAborted:
-            return
+def _write_timer(objects: RemoteObjects, index: int, sub: int, value: int) -> None:
+    """Inhibit time or event timer; whether a drive that lacks or refuses it does is for ``differences``."""
+    if objects.read_if_there(index, sub, "H") not in (None, value):
+        with suppress(TransferAborted):
+            objects.write(index, sub, "H", value)

@@ -16,6 +16,8 @@ from drivers.objects import RemoteObjects
 from drivers.pdo import PdoDirection
 from drivers.sdo import object_name
 
+Key = tuple[int, int]
+"""Index and sub-index."""
 NOT_VALID = 1 << 31
 _PDOS_MAX = 64
 _ENTRIES_MAX = 64
@@ -55,6 +57,8 @@ class PdoSlot:
     """ms; None if it has none."""
     entries_told: int = 0
     """High limit of sub-index 0, if it allows more entries than the file defines; else 0."""
+    inhibit_writable: bool = False
+    event_timer_writable: bool = False
 
     @property
     def name(self) -> str:
@@ -65,6 +69,11 @@ class PdoSlot:
     def identifier(self) -> int | None:
         """The 11-bit identifier; None if there is none yet."""
         return None if self.cob_id is None or not self.cob_id & 0x7FF else self.cob_id & 0x7FF
+
+    @property
+    def keys(self) -> set[Key]:
+        """What is mapped."""
+        return {(word >> 16, word >> 8 & 0xFF) for word in self.mapping}
 
     @property
     def valid(self) -> bool:
@@ -114,6 +123,24 @@ class PdoCapability:
     def of(self, direction: PdoDirection) -> tuple[PdoSlot, ...]:
         """The PDOs of one direction, by number."""
         return tuple(slot for slot in self.slots if slot.direction is direction)
+
+    def can_carry(self, key: Key, direction: PdoDirection) -> bool:
+        """Some PDO carries the object, or could."""
+        return self.flexible_object(key, direction) is not None or any(
+            key in slot.keys for slot in self.of(direction) if not slot.mapping_writable
+        )
+
+    def flexible_object(self, key: Key, direction: PdoDirection) -> MappedObject | None:
+        """The object, if a PDO whose mapping can be written may carry it."""
+        found = self.objects.get(key)
+        if found is None or not found.code:
+            return None
+        may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
+        flexible = [slot for slot in self.of(direction) if slot.mapping_writable]
+        mapped_by_default = any(key in slot.keys for slot in flexible)
+        if not mapped_by_default and not (may and (found.mappable or not self.flags_tell)):
+            return None
+        return found if flexible else None
 
 
 def capability_of(loaded: LoadedDictionary) -> PdoCapability:
@@ -207,16 +234,22 @@ def _slot(dictionary: Any, direction: PdoDirection, number: int) -> PdoSlot | No
         direction,
         number,
         _number(communication.get(1)),
-        1 in communication and communication[1].access_type in _WRITABLE,
+        _writable(communication, 1),
         _number(communication.get(2)),
-        2 in communication and communication[2].access_type in _WRITABLE,
+        _writable(communication, 2),
         words,
         writable and (count_writable or len(places) == 1),
         entries_max,
         _number(communication.get(3)),
         _number(communication.get(5)),
         entries_told,
+        _writable(communication, 3),
+        _writable(communication, 5),
     )
+
+
+def _writable(members: Mapping[int, Any], sub: int) -> bool:
+    return sub in members and members[sub].access_type in _WRITABLE
 
 
 def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:

@@ -1,11 +1,11 @@
 """A PDO plan for a drive's own PDOs: from what the loop needs and what the drive can do.
 
-    flexible PDOs   the needed objects are packed in their order, 64 bits a PDO
+    flexible PDOs   the layouts of drivers.pdo_layouts, the best first, one after the other until one fits
     fixed PDOs      those that carry the needed objects are taken as they are, with what else they carry
     both            objects that no flexible PDO may carry are looked for in the fixed ones
 
-The loop needs the statusword, velocity, position and, if the drive tells it, torque with every SYNC; and to
-send the controlword and the set-point of a mode.
+The loop needs velocity, position, statusword and, if the drive tells it, torque; and to send the controlword
+and the set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,28 +16,35 @@ from drivers.objects402 import Object
 from drivers.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
-    HIGH_RESOLUTION_TIME_STAMP,
     SYNCHRONOUS_MAX,
     PdoDirection,
     PdoEntry,
     PdoMap,
     PdoPlan,
 )
-from drivers.pdo_capability import MappedObject, PdoCapability, PdoSlot
+from drivers.pdo_capability import Key, MappedObject, PdoCapability, PdoSlot
+from drivers.pdo_layouts import (
+    ALL,
+    CURRENT,
+    DEMAND,
+    POSITION,
+    STAMP,
+    STATUS,
+    STATUS_TIMER_MS,
+    TORQUE,
+    VELOCITY,
+    Features,
+    Group,
+    choices,
+    layout,
+    limits_of,
+)
 from drivers.pdo_plans import TARGETS
 from drivers.profile402 import Mode
 from drivers.sdo import object_name
 
 _BITS_MAX = 64
-_Key = tuple[int, int]
-
-STATUS: _Key = (Object.STATUSWORD, 0)
-VELOCITY: _Key = (Object.VELOCITY_ACTUAL_VALUE, 0)
-TORQUE: _Key = (Object.TORQUE_ACTUAL_VALUE, 0)
-CURRENT: _Key = (Object.CURRENT_ACTUAL_VALUE, 0)
-POSITION: _Key = (Object.POSITION_ACTUAL_VALUE, 0)
-STAMP: _Key = (HIGH_RESOLUTION_TIME_STAMP, 0)
-CONTROL: _Key = (Object.CONTROLWORD, 0)
+CONTROL: Key = (Object.CONTROLWORD, 0)
 
 
 class PlanImpossible(PeerFault):
@@ -53,8 +60,17 @@ class PlanWish:
     """The drive applies the set-point at the next SYNC, not on arrival."""
     position_every_cycles: int = 1
     """Above 1 the position comes with every so many SYNCs only."""
-    device_stamp: bool = True
-    """The drive's own clock 1013h with every position, if it can be mapped."""
+    features: Features = ALL
+    """What may be used of what the drive can tell."""
+    status_timer_ms: int = STATUS_TIMER_MS
+    coherent: bool = False
+    """All values of one SYNC in a reading; see :func:`drivers.pdo_layouts.layout`."""
+
+    @property
+    def torque_mode(self) -> bool:
+        """The set-point is a torque."""
+        target = TARGETS.get(self.mode)
+        return target is not None and target.index == Object.TARGET_TORQUE
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +87,8 @@ class _Bin:
 
     slot: PdoSlot
     entries: list[PdoEntry] = field(default_factory=list)
+    group: Group | None = None
+    """What it is filled for; None outside a layout."""
 
     def takes(self, entry: PdoEntry) -> bool:
         full = sum(known.bits for known in self.entries) + entry.bits > _BITS_MAX
@@ -99,7 +117,10 @@ def plan_pdos(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanRe
 def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
     notes: list[str] = []
     planner = _Planner(capability, node_id, notes)
-    sent = planner.wanted(_fed_back(capability, wish, notes), PdoDirection.TRANSMIT)
+    torque = _torque(capability, notes)
+    laid_out = planner.laid_out(wish, torque)
+    needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
+    sent = planner.wanted(needed, PdoDirection.TRANSMIT) if laid_out is None else laid_out
     target = TARGETS.get(wish.mode)
     told = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
     received = planner.wanted(told, PdoDirection.RECEIVE)
@@ -111,53 +132,43 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
         )
     tpdos = planner.transmit(sent, wish)
     rpdos = planner.receive(received, wish)
-    return PlanResult(PdoPlan(tpdos, rpdos), tuple(notes))
+    plan = PdoPlan(tpdos, rpdos)
+    notes += limits_of(features_of(plan), torque_mode=wish.torque_mode and not wish.coherent)
+    return PlanResult(plan, tuple(notes))
+
+
+def features_of(plan: PdoPlan) -> Features:
+    """What a plan makes use of."""
+    speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
+    return Features(
+        stamp=speed is not None and speed.place_of(*STAMP) is not None,
+        demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
+        status_on_change=status is not None and not status.synchronous,
+    )
 
 
 def _mode_name(mode: Mode) -> str:
     return mode.name.lower().replace("_", " ")
 
 
-def _fed_back(capability: PdoCapability, wish: PlanWish, notes: list[str]) -> list[_Key]:
-    """What the drive is to send, in the order of its urgency."""
-    keys = [STATUS, VELOCITY]
-    torque = next(
-        (key for key in (TORQUE, CURRENT) if _can_carry(capability, key, PdoDirection.TRANSMIT)), None
-    )
-    if torque is None:
+def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
+    """What stands for the torque, if anything does."""
+    able = (key for key in (TORQUE, CURRENT) if capability.can_carry(key, PdoDirection.TRANSMIT))
+    found = next(able, None)
+    if found is None:
         notes.append("neither 6077h nor 6078h can be mapped: readings carry no torque")
-    else:
-        keys.append(torque)
-        if torque == CURRENT:
-            notes.append("6077h cannot be mapped: torque is taken from the current 6078h")
-    keys.append(POSITION)
-    stamped = wish.device_stamp and wish.position_every_cycles == 1
-    if stamped and _can_carry(capability, STAMP, PdoDirection.TRANSMIT):
-        keys.append(STAMP)
-    return keys
+    elif found == CURRENT:
+        notes.append("6077h cannot be mapped: torque is taken from the current 6078h")
+    return found
 
 
-def _can_carry(capability: PdoCapability, key: _Key, direction: PdoDirection) -> bool:
-    return bool(_flexible_object(capability, key, direction)) or any(
-        key in _keys(slot) for slot in capability.of(direction) if not slot.mapping_writable
-    )
-
-
-def _flexible_object(capability: PdoCapability, key: _Key, direction: PdoDirection) -> MappedObject | None:
-    """The object, if a PDO whose mapping can be written may carry it."""
-    found = capability.objects.get(key)
-    if found is None or not found.code:
-        return None
-    may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
-    flexible = [slot for slot in capability.of(direction) if slot.mapping_writable]
-    mapped_by_default = any(key in _keys(slot) for slot in flexible)
-    if not mapped_by_default and not (may and (found.mappable or not capability.flags_tell)):
-        return None
-    return found if flexible else None
-
-
-def _keys(slot: PdoSlot) -> set[_Key]:
-    return {(word >> 16, word >> 8 & 0xFF) for word in slot.mapping}
+def _serves(slot: PdoSlot, group: Group) -> bool:
+    """Identifier, transmission type and event timer of a PDO can be what a group needs."""
+    numbered = slot.number <= 4 or slot.identifier is not None
+    switchable = slot.cob_id is None or slot.valid or slot.cob_id_writable
+    held, wanted = slot.transmission_type, group.transmission_type
+    typed = slot.type_writable or held in (None, wanted)
+    return numbered and switchable and typed and (not group.event_timer_ms or slot.event_timer_writable)
 
 
 class _Planner:
@@ -167,15 +178,67 @@ class _Planner:
         self._node_id = node_id
         self._notes = notes
 
-    def wanted(self, keys: Sequence[_Key], direction: PdoDirection) -> list[_Bin]:
+    # ---- layouts ------------------------------------------------------------------------------------------
+
+    def laid_out(self, wish: PlanWish, torque: Key | None) -> list[_Bin] | None:
+        """PDOs for the best layout that fits the flexible ones; None if none does."""
+        every = wish.position_every_cycles
+        able = wish.features._replace(
+            stamp=wish.features.stamp and self._flexible(STAMP),
+            demand=wish.features.demand and wish.torque_mode and self._flexible(DEMAND),
+        )
+        for coherent in (True, False) if wish.coherent else (False,):
+            for features in choices(able, every):
+                groups = layout(features, torque, every, wish.status_timer_ms, coherent=coherent)
+                bins = self._lay_out(groups)
+                if bins is not None:
+                    return bins
+        return None
+
+    def _flexible(self, key: Key) -> bool:
+        return self._capability.flexible_object(key, PdoDirection.TRANSMIT) is not None
+
+    def _lay_out(self, groups: Sequence[Group]) -> list[_Bin] | None:
+        """A layout in the flexible TPDOs; a group may take several, but a speed is told with its stamp."""
+        free = self._free(PdoDirection.TRANSMIT)
+        bins: list[_Bin] = []
+        for group in groups:
+            filled: list[_Bin] = []
+            for key in group.keys:
+                found = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
+                if found is None:
+                    return None
+                entry = PdoEntry(*key, found.code)
+                taking = next((made for made in filled if made.takes(entry)), None)
+                if taking is None:
+                    slot = next((slot for slot in free if _serves(slot, group)), None)
+                    if slot is None:
+                        return None
+                    free.remove(slot)
+                    taking = _Bin(slot, group=group)
+                    filled.append(taking)
+                taking.entries.append(entry)
+            if STAMP in group.keys and len(filled) > 1:
+                return None
+            bins += filled
+        return bins
+
+    def _free(self, direction: PdoDirection) -> list[PdoSlot]:
+        """PDOs whose mapping can be written; one that need not be moved or switched on goes first."""
+        free = [slot for slot in self._capability.of(direction) if slot.mapping_writable and slot.entries_max]
+        return sorted(free, key=lambda slot: (slot.number > 4, slot.number))
+
+    # ---- PDOs of any kind ---------------------------------------------------------------------------------
+
+    def wanted(self, keys: Sequence[Key], direction: PdoDirection) -> list[_Bin]:
         """PDOs that carry the objects; :attr:`lacks` says which none can.
 
         If the flexible PDOs have no room for all, what fixed ones carry is left to those.
         """
-        flexible = {key: made for key in keys if (made := _flexible_object(self._capability, key, direction))}
+        flexible = {key: made for key in keys if (made := self._capability.flexible_object(key, direction))}
         bins, lacks = self._cover(keys, flexible, direction)
         if lacks:
-            fixed = {key for slot in self._fixed(direction) for key in _keys(slot)}
+            fixed = {key for slot in self._fixed(direction) for key in slot.keys}
             spared = {key: made for key, made in flexible.items() if key not in fixed}
             other_bins, other_lacks = self._cover(keys, spared, direction)
             if not other_lacks:
@@ -184,14 +247,14 @@ class _Planner:
         return sorted(bins, key=lambda made: made.slot.number)
 
     def _cover(
-        self, keys: Sequence[_Key], flexible: Mapping[_Key, MappedObject], direction: PdoDirection
-    ) -> tuple[list[_Bin], list[_Key]]:
+        self, keys: Sequence[Key], flexible: Mapping[Key, MappedObject], direction: PdoDirection
+    ) -> tuple[list[_Bin], list[Key]]:
         """PDOs for the objects, those of ``flexible`` in PDOs that can be mapped; and what none carries."""
         bins = self._pack(flexible, direction)
         lacks = []
         carried = {(entry.index, entry.sub) for made in bins for entry in made.entries}
         for key in (key for key in keys if key not in carried):
-            if any(key in _keys(made.slot) for made in bins if not made.slot.mapping_writable):
+            if any(key in made.slot.keys for made in bins if not made.slot.mapping_writable):
                 continue
             slot = self._fixed_slot(key, keys, direction)
             if slot is None:
@@ -203,10 +266,9 @@ class _Planner:
     def _fixed(self, direction: PdoDirection) -> list[PdoSlot]:
         return [slot for slot in self._capability.of(direction) if not slot.mapping_writable]
 
-    def _pack(self, flexible: Mapping[_Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
-        """First fit in order; a PDO that need not be moved or switched on goes first."""
-        free = [slot for slot in self._capability.of(direction) if slot.mapping_writable and slot.entries_max]
-        free.sort(key=lambda slot: (slot.number > 4, slot.number))
+    def _pack(self, flexible: Mapping[Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
+        """First fit in order."""
+        free = self._free(direction)
         bins: list[_Bin] = []
         for key, found in flexible.items():
             entry = PdoEntry(*key, found.code)
@@ -218,18 +280,22 @@ class _Planner:
                 taking.entries.append(entry)
         return bins
 
-    def _fixed_slot(self, key: _Key, keys: Sequence[_Key], direction: PdoDirection) -> PdoSlot | None:
+    def _fixed_slot(self, key: Key, keys: Sequence[Key], direction: PdoDirection) -> PdoSlot | None:
         """The PDO with a fixed mapping that carries the object and most of the others."""
-        able = [slot for slot in self._fixed(direction) if key in _keys(slot) and self._readable(slot, keys)]
-        return max(able, key=lambda slot: (len(_keys(slot) & set(keys)), -slot.number), default=None)
+        able = [slot for slot in self._fixed(direction) if key in slot.keys and self._readable(slot, keys)]
+        return max(
+            able,
+            key=lambda slot: (len(slot.keys & set(keys)), STAMP in slot.keys, -slot.number),
+            default=None,
+        )
 
-    def _readable(self, slot: PdoSlot, keys: Sequence[_Key]) -> bool:
+    def _readable(self, slot: PdoSlot, keys: Sequence[Key]) -> bool:
         """Every entry is made of whole octets, and those that are needed have a known type."""
         octets = all(word & 0xFF and not word & 0x07 for word in slot.mapping)
-        needed = [key for key in keys if key in _keys(slot)]
+        needed = [key for key in keys if key in slot.keys]
         return octets and all(self._code(key, slot) for key in needed)
 
-    def _code(self, key: _Key, slot: PdoSlot) -> str:
+    def _code(self, key: Key, slot: PdoSlot) -> str:
         """``struct`` character of an object in a PDO with a fixed mapping; empty if it has none."""
         word = next(word for word in slot.mapping if (word >> 16, word >> 8 & 0xFF) == key)
         found = self._capability.objects.get(key)
@@ -245,7 +311,7 @@ class _Planner:
             made.append(PdoEntry(*key, code))
         return made
 
-    def _lack(self, key: _Key, direction: PdoDirection) -> str:
+    def _lack(self, key: Key, direction: PdoDirection) -> str:
         """Why no PDO can carry an object."""
         name = object_name(*key)
         found = self._capability.objects.get(key)
@@ -269,6 +335,9 @@ class _Planner:
     def transmit(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
         made = []
         for each in bins:
+            if each.group is not None:
+                made.append(self._map(each, each.group.transmission_type))
+                continue
             keys = {(entry.index, entry.sub) for entry in each.entries}
             alone = POSITION in keys and not keys & {STATUS, VELOCITY}
             kind = wish.position_every_cycles if alone else EVERY_SYNC
@@ -298,10 +367,7 @@ class _Planner:
 
     def _map(self, each: _Bin, kind: int) -> PdoMap:
         slot = each.slot
-        number = min(slot.number, 4)
-        predefined = slot.direction.default_cob_id(number, self._node_id) if slot.number <= 4 else None
-        fixed = slot.identifier if not slot.cob_id_writable else None
-        cob_id = fixed or predefined or slot.identifier
+        cob_id = self._identifier(slot)
         if cob_id is None:
             summary = f"{slot.name} has no identifier, and the predefined ones are those of PDO 1 to 4"
             raise PlanImpossible(summary, "", "give a PDO plan by hand")
@@ -309,4 +375,18 @@ class _Planner:
             raise PlanImpossible(
                 f"{slot.name} is switched off, and cannot be switched on", "1800h:1 is read-only"
             )
-        return PdoMap(slot.direction, slot.number, cob_id, tuple(each.entries), kind)
+        inhibit = timer = 0
+        if each.group is not None:
+            inhibit = each.group.inhibit_time_100us if slot.inhibit_writable else 0
+            timer = each.group.event_timer_ms
+            if timer and not inhibit:
+                self._notes.append(
+                    f"{slot.name} has no inhibit time: a statusword that chatters fills the bus"
+                )
+        return PdoMap(slot.direction, slot.number, cob_id, tuple(each.entries), kind, inhibit, timer)
+
+    def _identifier(self, slot: PdoSlot) -> int | None:
+        """The one that cannot be changed, the predefined one, or the one that it has."""
+        predefined = slot.direction.default_cob_id(slot.number, self._node_id) if slot.number <= 4 else None
+        fixed = slot.identifier if not slot.cob_id_writable else None
+        return fixed or predefined or slot.identifier

@@ -5,11 +5,24 @@ from drivers.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
     HIGH_RESOLUTION_TIME_STAMP,
-    SYNCHRONOUS_MAX,
     PdoDirection,
     PdoEntry,
     PdoMap,
     PdoPlan,
+)
+from drivers.pdo_capability import Key
+from drivers.pdo_layouts import (
+    ALL,
+    DEMAND,
+    POSITION,
+    STAMP,
+    STATUS,
+    STATUS_TIMER_MS,
+    TORQUE,
+    VELOCITY,
+    Features,
+    choices,
+    layout,
 )
 from drivers.profile402 import Mode
 
@@ -17,6 +30,8 @@ _CONTROLWORD = PdoEntry(Object.CONTROLWORD, 0, "H")
 _TORQUE = PdoEntry(Object.TARGET_TORQUE, 0, "h")
 _POSITION = PdoEntry(Object.TARGET_POSITION, 0, "i")
 _VELOCITY = PdoEntry(Object.TARGET_VELOCITY, 0, "i")
+_CODES: dict[Key, str] = {STATUS: "H", VELOCITY: "i", TORQUE: "h", POSITION: "i", DEMAND: "h", STAMP: "I"}
+"""Types of CiA 402-2 and CiA 301."""
 
 TARGETS: dict[Mode, PdoEntry] = {
     Mode.PROFILE_POSITION: _POSITION,
@@ -34,22 +49,31 @@ def mode_plan(
     mode: Mode,
     *,
     device_stamp: bool,
+    demand: bool = True,
+    status_on_change: bool = True,
     synchronous_command: bool = False,
     position_every_cycles: int = 1,
+    status_timer_ms: int = STATUS_TIMER_MS,
+    coherent: bool = False,
+    demand_changes: bool = False,
 ) -> PdoPlan:
-    """The plan for one mode.
+    """The plan for one mode, for a drive that can map what is asked for.
 
-    TPDO1: statusword, velocity, torque. TPDO2: position and, with ``device_stamp``, the drive's own stamp
-    0x1013. RPDO1: controlword and the set-point of the mode, applied on arrival or, if
+    TPDO1: velocity and, with ``device_stamp``, the drive's own stamp 1013h. TPDO2: torque, position and,
+    with ``demand`` in a torque mode, the torque demand 6074h; with every ``position_every_cycles``-th SYNC,
+    above 1 so that three drives at 1 kHz fit 1 Mbit/s. TPDO3: the statusword on change, and every
+    ``status_timer_ms``. RPDO1: controlword and the set-point of the mode, applied on arrival or, if
     ``synchronous_command``, at the next SYNC.
 
-    With ``position_every_cycles`` above 1 the TPDO2 holds the position alone and comes with every so many
-    SYNCs, which leaves room for three drives at 1 kHz on 1 Mbit/s; the stamp is of no use without a reading
-    of its own, so it is not mapped.
+    ``status_on_change``: see :mod:`drivers.pdo_layouts`, which also says what ``coherent`` is.
+    ``demand_changes``: a TPDO4 with 6074h and 1013h, sent whenever they change: when a command began to act.
     """
     target = TARGETS.get(mode)
     command = (_CONTROLWORD,) if target is None else (_CONTROLWORD, target)
-    tpdos = _actual_values(node_id, device_stamp, position_every_cycles)
+    able = Features(device_stamp, demand and target is _TORQUE, status_on_change)
+    tpdos = _actual_values(node_id, able, position_every_cycles, status_timer_ms, coherent)
+    if demand_changes:
+        tpdos = (*tpdos, _demand_changes(node_id))
     return PdoPlan(tpdos, _commands(node_id, (command,), synchronous_command))
 
 
@@ -72,27 +96,34 @@ def all_modes_plan(node_id: int, *, device_stamp: bool, synchronous_command: boo
     Each carries the controlword as well, so one frame a cycle does in every mode.
     """
     commands = tuple((_CONTROLWORD, target) for target in (_TORQUE, _POSITION, _VELOCITY))
-    return PdoPlan(
-        _actual_values(node_id, device_stamp, 1), _commands(node_id, commands, synchronous_command)
-    )
+    tpdos = _actual_values(node_id, ALL._replace(stamp=device_stamp), 1, STATUS_TIMER_MS, coherent=False)
+    return PdoPlan(tpdos, _commands(node_id, commands, synchronous_command))
 
 
-def _actual_values(node_id: int, device_stamp: bool, position_every_cycles: int) -> tuple[PdoMap, ...]:
-    if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
-        raise ValueError(f"position_every_cycles {position_every_cycles} is not in 1..{SYNCHRONOUS_MAX}")
-    actual = (
-        PdoEntry(Object.STATUSWORD, 0, "H"),
-        PdoEntry(Object.VELOCITY_ACTUAL_VALUE, 0, "i"),
-        PdoEntry(Object.TORQUE_ACTUAL_VALUE, 0, "h"),
-    )
-    position: tuple[PdoEntry, ...] = (PdoEntry(Object.POSITION_ACTUAL_VALUE, 0, "i"),)
-    if device_stamp and position_every_cycles == 1:
-        position += (PdoEntry(HIGH_RESOLUTION_TIME_STAMP, 0, "I"),)
+def _actual_values(
+    node_id: int, able: Features, position_every_cycles: int, timer_ms: int, coherent: bool
+) -> tuple[PdoMap, ...]:
+    features = choices(able, position_every_cycles)[0]
+    groups = layout(features, TORQUE, position_every_cycles, timer_ms, coherent=coherent)
     transmit = PdoDirection.TRANSMIT
-    return (
-        PdoMap(transmit, 1, transmit.default_cob_id(1, node_id), actual),
-        PdoMap(transmit, 2, transmit.default_cob_id(2, node_id), position, position_every_cycles),
+    return tuple(
+        PdoMap(
+            transmit,
+            number,
+            transmit.default_cob_id(number, node_id),
+            tuple(PdoEntry(*key, _CODES[key]) for key in group.keys),
+            group.transmission_type,
+            group.inhibit_time_100us,
+            group.event_timer_ms,
+        )
+        for number, group in enumerate(groups, start=1)
     )
+
+
+def _demand_changes(node_id: int) -> PdoMap:
+    transmit = PdoDirection.TRANSMIT
+    entries = (PdoEntry(*DEMAND, "h"), PdoEntry(HIGH_RESOLUTION_TIME_STAMP, 0, "I"))
+    return PdoMap(transmit, 4, transmit.default_cob_id(4, node_id), entries, EVENT_DRIVEN)
 
 
 def _commands(

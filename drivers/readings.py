@@ -1,229 +1,250 @@
-"""TPDOs of one drive put together into readings in SI units."""
+"""TPDOs of one drive made into readings in SI units."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
-from drivers.exchange import Reading
+from drivers.command_watch import CommandWatch
+from drivers.exchange import Readback, Reading
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
-from drivers.pdo import EVERY_SYNC, HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.profile402 import Status
 from drivers.scaling import Scaling
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_US, Duration, Instant
 
 _WORD: Final = 1 << 32
 _HALF_WORD: Final = 1 << 31
-_SELDOM: Final = -1
-"""Mark of a TPDO that delays no reading."""
+_REACH_PERIODS: Final = 64
+"""A stamp further than this from the one before is a clock that was set, or a long silence: a speed says
+nothing of the way in between. A bench bears fewer readings lost in a row."""
+NEVER_TOLD: Final = Instant(-1)
+_NAN: Final = float("nan")
 
-_new: Final = tuple.__new__
-_READING: Final = Reading
-"""``_new(_READING, values)`` takes a third of the time of ``Reading(*values)``."""
+
+class DemandChange(NamedTuple):
+    """A torque demand 6074h that a drive told when it changed: when a command began to act."""
+
+    demand_raw: int
+    """In the unit of 0x6071."""
+    device_time_ns: int
+    """On the drive's clock, as in a reading."""
+    received_at: Instant
 
 
 class Seen:
     """The last statusword that a drive told, by whatever way it came."""
 
-    __slots__ = ("statusword",)
+    __slots__ = ("at", "statusword")
 
     def __init__(self) -> None:
         self.statusword = -1
         """0x6041, raw; -1 before the first."""
+        self.at = NEVER_TOLD
+        """When it came."""
+
+    def take(self, statusword: int, at: Instant) -> None:
+        """The drive told its statusword."""
+        self.statusword = statusword
+        self.at = at
 
 
 class ReadingAssembler:
-    """Collects the synchronous TPDOs of a drive; a reading is complete with the one of lowest priority.
+    """A reading for every frame that carries the speed; everything else as it was told last.
 
-    The TPDOs of one SYNC arrive in the order of their identifiers, one after the other. A set is dropped and
-    counted when it mixes two SYNCs, which happens when frames of both are lost:
+    So no reading mixes two SYNCs: what is of another SYNC bears the instant at which it was told. The drive's
+    stamp is used if it is in that very frame.
 
-        SYNC k: TPDO1 arrives, TPDO2 lost        SYNC k+1: TPDO1 lost, TPDO2 arrives
-
-    A set certainly is of one SYNC if, since the last complete set, as many of its first TPDOs arrived as
-    periods went by on the drive's own clock. Otherwise, and for a drive without that clock, it is taken for
-    one if its frames arrived within half a period.
-
-    A TPDO that comes only with every n-th SYNC delays no reading. If the position travels in such a one, it
-    is carried along by the speed in between:
+    A position is of the SYNC whose frames it travels with, and is carried on by the mean of the speeds of two
+    readings, over the time between them: by the drive's stamps, without them by the SYNCs sent. Each telling
+    anchors it anew:
 
         SYNC          k          k+1        k+2        ...  k+n
         TPDO1         speed      speed      speed           speed
-        TPDO2         position                              position
+        TPDO2          position                              position
         reading       carried    + speed T  + speed T  ...  carried
 
-    and a time stamp that does not come with every reading is not used.
+    If the position's frame comes before the speed's (a lower identifier, or the same frame), a reading has
+    the position of its own SYNC.
     """
 
     __slots__ = (
+        "_anchored_at",
         "_carried_rad",
-        "_carrier",
-        "_carries",
-        "_expected",
-        "_first_at",
-        "_firsts",
-        "_half_period_ns",
-        "_network",
-        "_period_s",
+        "_carried_to_us",
+        "_changes",
+        "_last_at",
+        "_last_us",
+        "_leads",
+        "_period_ns",
         "_period_us",
-        "_places",
         "_position",
         "_position_raw",
         "_pump",
+        "_reach_us",
+        "_readbacks",
         "_readings",
-        "_seen",
         "_stamp_raw",
-        "_stamp_us",
-        "_syncs",
+        "_stamped",
         "_told",
-        "_values",
-        "incoherent",
-        "incomplete",
+        "_torque_raw",
+        "_velocity_rad_s",
+        "_velocity_sign",
         "malformed",
+        "position_told_at",
+        "readings_made",
         "scaling",
+        "torque_told_at",
+        "watch",
     )
 
     def __init__(
-        self, network: CanopenNetwork, plan: PdoPlan, scaling: Scaling, period_ns: Duration, told: Seen
+        self,
+        network: CanopenNetwork,
+        plan: PdoPlan,
+        scaling: Scaling,
+        period_ns: Duration,
+        told: Seen,
+        velocity_sign: float = 1.0,
     ) -> None:
+        """``velocity_sign``: -1 for a drive whose velocity counts against its position.
+
+        Raises ValueError if the plan lacks speed, position or statusword.
+        """
+        wanted = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
+        missing = [f"{index:04X}h" for index in wanted if plan.tpdo_with(index) is None]
+        if missing:
+            raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
         self.scaling = scaling
-        self.incomplete = 0
-        """Sets of which an earlier TPDO is missing."""
-        self.incoherent = 0
-        """Sets that mix two SYNCs."""
         self.malformed = 0
         """PDOs of a length other than mapped."""
-        self._network = network
+        self.readings_made = 0
+        self.watch: CommandWatch | None = None
+        """Told of every demand, or torque, that arrives."""
+        self.torque_told_at = NEVER_TOLD
+        self.position_told_at = NEVER_TOLD
         self._pump = network.frame_pump
         self._told = told
-        self._half_period_ns = period_ns // 2
+        self._velocity_sign = velocity_sign
+        self._period_ns = period_ns
         self._period_us = max(1, period_ns // NS_PER_US)
-        self._period_s = period_ns / NS_PER_S
+        self._reach_us = _REACH_PERIODS * self._period_us
         self._readings: list[Reading] = []
-        self._values: list[int] = []
-        self._seen = self._expected = self._firsts = 0
-        self._first_at = Instant(0)
-        self._position = self._stamp_us = 0
+        self._readbacks: list[Readback] = []
+        self._changes: list[DemandChange] = []
+        self._torque_raw: int | None = None
+        self._velocity_rad_s = 0.0
+        self._position = 0
         self._position_raw: int | None = None
-        self._stamp_raw: int | None = None
         self._carried_rad = 0.0
-        self._syncs = self._pump.sync_count
-        each = sorted(_with_each_sync(plan), key=lambda pdo: pdo.cob_id)
-        seldom = [pdo for pdo in plan.tpdos if pdo not in each]
-        self._places = self._subscribe(each, seldom)
-        self._carries = not any(pdo.place_of(Object.POSITION_ACTUAL_VALUE) is not None for pdo in each)
+        self._carried_to_us = 0
+        self._anchored_at = NEVER_TOLD
+        self._last_at = NEVER_TOLD
+        self._last_us = 0
+        self._stamp_raw: int | None = None
+        self._subscribe(network, plan)
 
     def take(self) -> list[Reading]:
         """The readings completed since the last call, oldest first."""
-        taken = self._readings
-        if taken:
-            self._readings = []
+        taken, self._readings = self._readings, []
         return taken
 
-    def anchor_position(self, raw: int) -> None:
-        """0x6064 as the drive tells it now: what positions are carried on from."""
+    def take_readbacks(self) -> list[Readback]:
+        """The torque demands told with a SYNC since the last call, oldest first."""
+        taken, self._readbacks = self._readbacks, []
+        return taken
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """The torque demands told on change since the last call, oldest first."""
+        taken, self._changes = self._changes, []
+        return taken
+
+    @property
+    def torque_nm(self) -> float:
+        """As told last; NaN before the first."""
+        raw = self._torque_raw
+        return _NAN if raw is None else raw * self.scaling.torque_nm
+
+    # ---- what the frames tell -------------------------------------------------------------------------
+
+    def anchor_position(self, raw: int, at: Instant) -> None:
+        """0x6064 as the drive told it at ``at``: what positions are carried on from."""
         self._unwrap_position(raw)
+        self.position_told_at = at
         self._carried_rad = 0.0
-        self._syncs = self._pump.sync_count
-
-    def frame_arrived(self, bit: int, at: Instant) -> None:
-        """A TPDO of a reading arrived, the one of ``bit``; 0: the last of its SYNC."""
-        if not bit:
-            self._complete(at)
-            return
-        self._seen |= bit
-        if bit == 1:
-            self._firsts += 1
-            self._first_at = at
-
-    def _subscribe(self, each: list[PdoMap], seldom: list[PdoMap]) -> tuple[int, int, int, int, int]:
-        """Give each PDO its slice of the values; the places of the five values of a reading among them."""
-        places: dict[tuple[int, int], int] = {}
-        last = len(each) - 1
-        for number, pdo in enumerate(each + seldom):
-            low = len(self._values)
-            self._values.extend([0] * len(pdo.entries))
-            for offset, entry in enumerate(pdo.entries):
-                places.setdefault((entry.index, entry.sub), low + offset)
-            bit = _SELDOM if number > last else 0 if number == last else 1 << number
-            inlet = _Inlet(self, pdo, self._values, low, bit, self._told)
-            self._network.listen(pdo.cob_id, inlet.take)
-        self._expected = (1 << last) - 1
-        wanted = (
-            Object.STATUSWORD,
-            Object.POSITION_ACTUAL_VALUE,
-            Object.VELOCITY_ACTUAL_VALUE,
-            Object.TORQUE_ACTUAL_VALUE,
-        )
-        if (Object.TORQUE_ACTUAL_VALUE, 0) not in places:
-            # The current stands for it, in thousandths of its own rating; without that it reads as 0.
-            spare = places.get((Object.CURRENT_ACTUAL_VALUE, 0), len(self._values))
-            places[Object.TORQUE_ACTUAL_VALUE, 0] = spare
-            self._values.append(0)
-        missing = [f"{index:04X}h" for index in wanted if (index, 0) not in places]
-        if missing:
-            raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
-        status, position, velocity, torque = (places[index, 0] for index in wanted)
-        stamped = any(pdo.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None for pdo in each)
-        stamp = places[HIGH_RESOLUTION_TIME_STAMP, 0] if stamped else -1
-        return status, position, velocity, torque, stamp
-
-    def _complete(self, at: Instant) -> None:
-        """The last TPDO of a set arrived: build the reading, or count why there is none."""
-        status, position, velocity, torque, stamp = self._places
-        values = self._values
-        periods = 0
-        device_time_ns = None
-        if stamp >= 0:
-            passed_us = self._unwrap_stamp(values[stamp])
-            device_time_ns = self._stamp_us * NS_PER_US
-            periods = (passed_us + self._period_us // 2) // self._period_us
-        if self._carries:
-            self._carry_position(values[velocity])
+        if self._leads:
+            self._anchored_at = at
+        elif self._stamped:
+            # Of the SYNC of the last reading; or of one whose speed was lost on the way.
+            self._carried_to_us = self._last_us + self._periods(at - self._last_at) * self._period_us
         else:
-            self._unwrap_position(values[position])
-        firsts, self._firsts = self._firsts, 0
-        seen, self._seen = self._seen, 0
-        if seen != self._expected:
-            self.incomplete += 1
-            return
-        if seen and firsts != periods and at - self._first_at > self._half_period_ns:
-            self.incoherent += 1
-            return
-        scaling = self.scaling
+            self._carried_to_us = self._pump.sync_count * self._period_us
+
+    def torque_told(self, raw: int, at: Instant) -> None:
+        """0x6077, or the current that stands for it, arrived."""
+        self._torque_raw = raw
+        self.torque_told_at = at
+
+    def demand_told(self, raw: int, at: Instant) -> None:
+        """0x6074 of a SYNC arrived."""
+        self._readbacks.append(Readback(raw, at, self.readings_made))
+
+    def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
+        """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
+        self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * NS_PER_US, at))
+
+    def speed_told(self, raw: int, stamp_raw: int, at: Instant) -> None:
+        """0x606C arrived, with its stamp 0x1013 or -1: a reading."""
+        device_time_ns = None
+        if stamp_raw >= 0:
+            us = self._unwrapped(stamp_raw)
+            self._stamp_raw = stamp_raw
+            device_time_ns = us * NS_PER_US
+        else:
+            us = self._pump.sync_count * self._period_us
+        self._last_us, self._last_at = us, at
+        self.readings_made += 1
+        velocity_rad_s = raw * self.scaling.velocity_rad_s
+        told = self._told
         self._readings.append(
-            _new(
-                _READING,
-                (
-                    self._pump.sync_count,
-                    self._position * scaling.position_rad + self._carried_rad,
-                    values[velocity] * scaling.velocity_rad_s,
-                    values[torque] * scaling.torque_nm,
-                    values[status],
-                    device_time_ns,
-                    at,
-                ),
+            Reading(
+                velocity_rad_s,
+                device_time_ns,
+                at,
+                self._position * self.scaling.position_rad + self._carry(us, velocity_rad_s, at),
+                self.position_told_at,
+                self.torque_nm,
+                self.torque_told_at,
+                told.statusword,
+                told.at,
             )
         )
 
-    def _carry_position(self, velocity_raw: int) -> None:
-        """Add what the shaft turned since the reading before, at this speed."""
-        syncs = self._pump.sync_count
-        self._carried_rad += (
-            (syncs - self._syncs) * self._period_s * velocity_raw * self.scaling.velocity_rad_s
-        )
-        self._syncs = syncs
+    def _carry(self, us: int, velocity_rad_s: float, at: Instant) -> float:
+        """What the shaft turned from the telling of the position until ``us``, rad.
 
-    def _unwrap_stamp(self, raw: int) -> int:
-        """Microseconds since the stamp before, 0 for the first; negative if the drive's clock was set back.
-
-        0x1013 counts modulo 2^32, which is 71.6 minutes.
+        A reading older than what was carried to, which was overtaken, moves nothing.
         """
+        if self._anchored_at >= 0:
+            self._carried_to_us = us - self._periods(at - self._anchored_at) * self._period_us
+            self._anchored_at = NEVER_TOLD
+        passed_us = us - self._carried_to_us
+        if not -self._reach_us <= passed_us <= self._reach_us:
+            self._carried_to_us, passed_us = us, 0
+        mean_rad_s = 0.5 * (self._velocity_rad_s + velocity_rad_s) * self._velocity_sign
+        carried_rad = self._carried_rad + mean_rad_s * passed_us * 1e-6
+        if passed_us >= 0:
+            self._carried_rad, self._carried_to_us = carried_rad, us
+            self._velocity_rad_s = velocity_rad_s
+        return carried_rad
+
+    def _periods(self, gap_ns: int) -> int:
+        """Whole SYNCs between two frames by their arrival; those of one SYNC come within half a period."""
+        return (gap_ns + self._period_ns // 2) // self._period_ns
+
+    def _unwrapped(self, stamp_raw: int) -> int:
+        """0x1013 in microseconds, counted on from the last reading's; it counts modulo 2^32, 71.6 minutes."""
         if self._stamp_raw is None:
-            self._stamp_us = raw
-            passed = 0
-        else:
-            passed = ((raw - self._stamp_raw + _HALF_WORD) % _WORD) - _HALF_WORD
-            self._stamp_us += passed
-        self._stamp_raw = raw
-        return passed
+            return stamp_raw
+        return self._last_us + ((stamp_raw - self._stamp_raw + _HALF_WORD) % _WORD) - _HALF_WORD
 
     def _unwrap_position(self, raw: int) -> None:
         """0x6064 is an INTEGER32: at 65536 counts a turn it wraps after 22 minutes of 1500 rev/min."""
@@ -233,55 +254,84 @@ class ReadingAssembler:
             self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
         self._position_raw = raw
 
+    def _subscribe(self, network: CanopenNetwork, plan: PdoPlan) -> None:
+        speed = plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
+        position = plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
+        assert speed is not None
+        assert position is not None
+        self._leads = position.cob_id <= speed.cob_id
+        self._stamped = speed.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None
+        watched = (
+            Object.TORQUE_DEMAND
+            if any(pdo.synchronous and pdo.place_of(Object.TORQUE_DEMAND) is not None for pdo in plan.tpdos)
+            else Object.TORQUE_ACTUAL_VALUE
+        )
+        for pdo in plan.tpdos:
+            network.listen(pdo.cob_id, _Inlet(self, pdo, self._told, watched).take)
+
 
 class _Inlet:
-    """Takes the frames of one TPDO into its slice of an assembler's values."""
+    """Takes the frames of one TPDO apart for an assembler; objects that nobody asks for are passed over."""
 
     __slots__ = (
         "_assembler",
-        "_bit",
-        "_low",
+        "_demand",
+        "_on_change",
         "_position",
         "_size",
+        "_stamp",
         "_status",
         "_told",
+        "_torque",
         "_unpack",
-        "_values",
+        "_velocity",
+        "_watched",
     )
 
-    def __init__(
-        self, assembler: ReadingAssembler, pdo: PdoMap, values: list[int], low: int, bit: int, told: Seen
-    ) -> None:
-        """``bit``: its mark in the set of a SYNC, 0 for the one that completes it, -1 outside any set."""
+    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: Seen, watched: int) -> None:
         codec = pdo.codec()
         self._assembler = assembler
+        self._told = told
         self._unpack = codec.unpack
         self._size = codec.size
-        self._values = values
-        self._low = low
-        self._bit = bit
-        self._told = told
-        status, position = pdo.place_of(Object.STATUSWORD), pdo.place_of(Object.POSITION_ACTUAL_VALUE)
-        self._status = -1 if status is None else status
-        self._position = -1 if position is None else position
+        self._status = _place(pdo, Object.STATUSWORD)
+        self._torque = _place(pdo, Object.TORQUE_ACTUAL_VALUE, Object.CURRENT_ACTUAL_VALUE)
+        self._position = _place(pdo, Object.POSITION_ACTUAL_VALUE)
+        self._velocity = _place(pdo, Object.VELOCITY_ACTUAL_VALUE)
+        self._stamp = _place(pdo, HIGH_RESOLUTION_TIME_STAMP)
+        self._demand = _place(pdo, Object.TORQUE_DEMAND)
+        self._watched = _place(pdo, watched)
+        self._on_change = not pdo.synchronous and self._demand >= 0 and self._stamp >= 0
 
     def take(self, data: bytes, at: Instant) -> None:
+        assembler = self._assembler
         if len(data) != self._size:
-            self._assembler.malformed += 1
+            assembler.malformed += 1
             return
         fields = self._unpack(data)
-        place, values = self._low, self._values
-        for value in fields:
-            values[place] = value
-            place += 1
+        if self._on_change:
+            assembler.demand_changed(fields[self._demand], fields[self._stamp], at)
+            return
         if self._status >= 0:
-            self._told.statusword = fields[self._status]
-        if self._bit != _SELDOM:
-            self._assembler.frame_arrived(self._bit, at)
-        elif self._position >= 0:
-            self._assembler.anchor_position(fields[self._position])
+            self._told.take(fields[self._status], at)
+        if self._torque >= 0:
+            assembler.torque_told(fields[self._torque], at)
+        if self._position >= 0:
+            assembler.anchor_position(fields[self._position], at)
+        if self._velocity >= 0:
+            assembler.speed_told(fields[self._velocity], fields[self._stamp] if self._stamp >= 0 else -1, at)
+        if self._demand >= 0:
+            assembler.demand_told(fields[self._demand], at)
+        watch = assembler.watch
+        # A torque that the drive itself limits is no command's; its demand is.
+        if (
+            watch is not None
+            and self._watched >= 0
+            and (self._demand >= 0 or not self._told.statusword & Status.INTERNAL_LIMIT_ACTIVE)
+        ):
+            watch.told(fields[self._watched])
 
 
-def _with_each_sync(plan: PdoPlan) -> list[PdoMap]:
-    """The TPDOs that make up a reading; of a plan without any such, all."""
-    return [pdo for pdo in plan.tpdos if pdo.transmission_type == EVERY_SYNC] or list(plan.tpdos)
+def _place(pdo: PdoMap, *indices: int) -> int:
+    """Position among the entries of the first of the objects that is there; -1 if none is."""
+    return next((place for index in indices if (place := pdo.place_of(index)) is not None), -1)

@@ -13,8 +13,9 @@ from drivers.drive_setup import (
     write_limits,
     write_reactions,
 )
+from drivers.drive_watch import DriveWatch
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
-from drivers.exchange import Command, Drive, Reading
+from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
 from drivers.mode_control import MODE_BITS, ModeControl
 from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
@@ -24,18 +25,16 @@ from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.profile402 import DriveCommand, Mode, State, state_of
-from drivers.readings import ReadingAssembler, Seen
+from drivers.readings import DemandChange, ReadingAssembler, Seen
 from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
+from drivers.supervision import CommandSupervision, end_heartbeat
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
-NOT_SENT: Final = Instant(-1)
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
-_ENABLED_BITS: Final = 0x6F
-_ENABLED: Final = 0x27
 _CONNECT_TRY_S: Final = 0.1
 _SETTLE_NS: Final = 50 * NS_PER_MS
 
@@ -82,10 +81,10 @@ class ServoDrive(Drive):
         self.modes = ModeControl(self.control)
         self.motion: Motion | None = None
         self._assembler: ReadingAssembler | None = None
-        self._enabled = False
-        self._boot_ups = 0
         self._consumer_entry = 0
         self._beats = True
+        self._watch = DriveWatch(self.control, self.status, self._told)
+        self._supervision = CommandSupervision(self.objects)
 
     # ---- set-up ---------------------------------------------------------------------------------------
 
@@ -121,17 +120,21 @@ class ServoDrive(Drive):
         notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
-        self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
-        self._assembler.anchor_position(self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i"))
+        self._assembler = ReadingAssembler(
+            network, plan, scaling, settings.sync_period_ns, self._told, settings.velocity_sign
+        )
+        position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+        self._assembler.anchor_position(position, network.clock.now())
         self.control.set_point = SetPoint(
             network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
         )
         self.control.controlword = NONE_SENT
         self.plan = plan
+        self._watch.configure(beats.produced, plan, settings.drive_heartbeat_timeout_ms)
+        self._supervision.configure(settings, plan, self._assembler)
         self.motion = Motion(self.control, self.modes, scaling)
         self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
         self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
-        self._boot_ups = self.status.boot_ups
         self.notes = notes + pdo_notes
         return self.notes
 
@@ -143,11 +146,11 @@ class ServoDrive(Drive):
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
-        self._boot_ups = self.status.boot_ups
-        self._enabled = True
+        self._watch.begin()
 
     def disable(self, deadline: Instant) -> None:
         """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""
+        self._supervision.end()
         self._stop_following()
         if self.control.read_state() is State.OPERATION_ENABLED:
             self.control.command(DriveCommand.DISABLE_OPERATION)
@@ -162,6 +165,7 @@ class ServoDrive(Drive):
         self.control.command_by_pdo(DriveCommand.QUICK_STOP)
         if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
             self.control.command(DriveCommand.QUICK_STOP)
+        self._supervision.end()
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
         state = self.control.await_state(
             lambda now: now not in moving and self._at_rest(), deadline, "come to rest", faults=False
@@ -173,16 +177,20 @@ class ServoDrive(Drive):
         """Leave the drive at rest and disabled; raises nothing for what the drive or the bus does.
 
         Takes ``limit`` at most, and one SDO time-out. The drive then watches the host no more, and is
-        pre-operational. If it cannot be brought to rest, it goes on watching, and stops when the host's
-        heartbeat ends.
+        pre-operational. If it cannot be brought to rest, it goes on watching, and the host's heartbeat ends,
+        so that it stops by itself; so does every other drive of this network that is still watching.
         """
-        self._enabled = False
+        self._watch.active = False
         if self.identity is None:
             return Release(True, None, "it was never connected")
         deadline = self.network.deadline_after(limit)
         failure = self._try_to_stop(deadline)
         if failure is not None:
-            return Release(False, self.state, str(failure))
+            return Release(
+                False,
+                self.state,
+                f"{failure}{end_heartbeat(self.network, watched=bool(self._consumer_entry))}",
+            )
         try:
             self._leave()
         except PeerFault as error:
@@ -214,53 +222,52 @@ class ServoDrive(Drive):
         """The readings completed since the last call, oldest first."""
         return [] if self._assembler is None else self._assembler.take()
 
-    def write(self, command: Command) -> Instant:
-        """Send a torque set-point; returns the instant at which the bus was given it.
+    def take_readbacks(self) -> list[Readback]:
+        """The torque demands 0x6074 that came with SYNCs since the last call, oldest first."""
+        return [] if self._assembler is None else self._assembler.take_readbacks()
 
-        -1 and nothing sent if the command has expired. Torque beyond the drive's set limit is clipped to it.
-        Raises ValueError for a torque that is no number.
+    def take_demand_changes(self) -> list[DemandChange]:
+        """As :meth:`take_readbacks`, of a plan with ``demand_changes``: each when the demand changed."""
+        return [] if self._assembler is None else self._assembler.take_demand_changes()
+
+    def write(self, command: Command) -> SentCommand | None:
+        """Send a torque set-point; None and nothing sent if it has expired.
+
+        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number.
         """
         if self._expired(command.expires_at):
-            return NOT_SENT
-        return self._configured().send_torque(command.torque_nm)
+            return None
+        sent = self._configured().send_torque(command.torque_nm, command.sequence)
+        self._supervision.sent(sent.raw)
+        return sent
 
     def check(self) -> None:
-        """Raise if the drive is not what it should be; waits only if it raises.
+        """As :meth:`drivers.drive_watch.DriveWatch.check`; DriveInFault too if it follows no command."""
+        self._watch.check()
+        if not self._supervision.follows:
+            self._watch.active = False
+            raise DriveInFault(f"{self.control.title} follows no command any more", self.control.evidence())
 
-        NoAnswer: its heartbeat is lost. DriveInFault: it was enabled and reports a fault, has left OPERATION
-        ENABLED or the NMT state OPERATIONAL (which silences its PDOs), or was restarted.
-        """
-        status = self.status
-        if status.lost_at is not None:
-            raise NoAnswer(
-                f"{self.control.title} was lost",
-                f"no heartbeat for {status.timeout_ns / NS_PER_MS:.0f} ms",
-                "check its supply and the cable",
-            )
-        if not self._enabled:
-            return
-        if status.boot_ups != self._boot_ups:
-            self._enabled = False
-            raise DriveInFault(
-                f"{self.control.title} restarted", f"{status.boot_ups - self._boot_ups} boot-up message"
-            )
-        if self._beats and status.state is not NmtState.OPERATIONAL:
-            self._enabled = False
-            left = "an unknown NMT state" if status.state is None else status.state.name
-            raise DriveInFault(f"{self.control.title} fell back to {left}", self.control.evidence())
-        if self._told.statusword & _ENABLED_BITS != _ENABLED:
-            self._enabled = False
-            raise self._out_of_operation()
+    def supervise_commands(self) -> str:
+        """As :meth:`drivers.supervision.CommandSupervision.begin`, called right before the first cycle."""
+        return self._supervision.begin(self.modes.mode)
 
     @property
     def enabled(self) -> bool:
         """``enable`` succeeded, and since then nothing was seen or done that ended it."""
-        return self._enabled
+        return self._watch.active
 
     @property
-    def incoherent_readings(self) -> int:
-        """Sets of TPDOs thrown away because they were not of one SYNC, or not complete."""
-        return 0 if self._assembler is None else self._assembler.incoherent + self._assembler.incomplete
+    def malformed_frames(self) -> int:
+        """PDOs of a length other than mapped; they are thrown away."""
+        return 0 if self._assembler is None else self._assembler.malformed
+
+    @property
+    def torque_shown(self) -> tuple[float, Instant]:
+        """The torque that the drive told last, N m, and when; NaN and -1 before the first."""
+        if self._assembler is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self._assembler.torque_nm, self._assembler.torque_told_at
 
     @property
     def rated_torque_nm(self) -> float:
@@ -318,17 +325,19 @@ class ServoDrive(Drive):
         """Take a halt back."""
         self._moving().resume()
 
-    def write_speed(self, speed_rad_s: float, expires_at: Instant) -> Instant:
+    def write_speed(self, speed_rad_s: float, expires_at: Instant, sequence: int = 0) -> SentCommand | None:
         """As :meth:`write`, for cyclic synchronous velocity."""
         if self._expired(expires_at):
-            return NOT_SENT
-        return self._configured().send_speed(speed_rad_s)
+            return None
+        return self._configured().send_speed(speed_rad_s, sequence)
 
-    def write_position(self, position_rad: float, expires_at: Instant) -> Instant:
+    def write_position(
+        self, position_rad: float, expires_at: Instant, sequence: int = 0
+    ) -> SentCommand | None:
         """As :meth:`write`, for cyclic synchronous position; counted as in a reading."""
         if self._expired(expires_at):
-            return NOT_SENT
-        return self._configured().send_position(position_rad)
+            return None
+        return self._configured().send_position(position_rad, sequence)
 
     # ---- inside ---------------------------------------------------------------------------------------
 
@@ -378,7 +387,7 @@ class ServoDrive(Drive):
 
     def _stop_following(self) -> None:
         """No frame from now on carries torque, and ``check`` no longer asks for OPERATION ENABLED."""
-        self._enabled = False
+        self._watch.active = False
         if self.control.set_point is not None:
             self.control.set_point.hold_torque(0.0)
 
@@ -388,12 +397,3 @@ class ServoDrive(Drive):
             return True
         raw = self.objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
         return abs(raw * self._assembler.scaling.velocity_rad_s) < REST_RAD_S
-
-    def _out_of_operation(self) -> DriveInFault:
-        state = self.state
-        if state in FAULTY:
-            return self.control.in_fault()
-        named = "an unknown state" if state is None else repr(state.value)
-        return DriveInFault(
-            f"{self.control.title} fell out of operation into {named}", self.control.evidence()
-        )

@@ -1,8 +1,10 @@
 """Controlword and set-points of one drive, and the RPDOs that carry them."""
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
+from drivers.exchange import SentCommand
 from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
@@ -17,17 +19,56 @@ _HALF_WORD: Final = 1 << 31
 _TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)
 _round: Final = round
 """As constants of this module: found without a look-up where it is compiled."""
+_AWAITED_MAX: Final = 256
+"""Commands that wait for their echo on a bus that has none, or has stopped giving them."""
+_OVERTAKEN_MAX: Final = 16
+"""Commands whose echo may yet come after a later one's, on a bus that delays frames by so many cycles; older
+ones never came to the bus, and one of equal data must not be taken for them."""
+
+
+class _Awaited:
+    """The commands of one RPDO that wait for their echo, by the data of their frames."""
+
+    __slots__ = ("_overtaken", "_waiting")
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[bytes, SentCommand]] = deque(maxlen=_AWAITED_MAX)
+        self._overtaken: deque[tuple[bytes, SentCommand]] = deque(maxlen=_OVERTAKEN_MAX)
+
+    def sent(self, data: bytes, command: SentCommand) -> None:
+        """A command was handed to the bus."""
+        self._waiting.append((data, command))
+
+    def echoed(self, data: bytes, at: Instant) -> None:
+        """A frame of this RPDO was on the bus: that of the first command that sent such data since the last
+        one seen there; or, if the bus let frames overtake each other, of the last one before."""
+        waiting = self._waiting
+        for place, (awaited, command) in enumerate(waiting):
+            if awaited == data:
+                command.on_bus_at = at
+                for _ in range(place):
+                    self._overtaken.append(waiting.popleft())
+                waiting.popleft()
+                return
+        overtaken = self._overtaken
+        for place in range(len(overtaken) - 1, -1, -1):
+            awaited, command = overtaken[place]
+            if awaited == data:
+                command.on_bus_at = at
+                del overtaken[place]
+                return
 
 
 class _Carrier:
     """One RPDO and its present values."""
 
-    __slots__ = ("cob_id", "pack", "values")
+    __slots__ = ("awaited", "cob_id", "pack", "values")
 
     def __init__(self, pdo: PdoMap) -> None:
         self.cob_id = pdo.cob_id
         self.pack: Callable[..., bytes] = pdo.codec().pack
         self.values: list[Any] = [b"" if entry.code[-1] == "s" else 0 for entry in pdo.entries]
+        self.awaited = _Awaited()
 
 
 class _Place:
@@ -78,6 +119,7 @@ class SetPoint:
         self._places: dict[int, list[_Place]] = {}
         for pdo in plan.rpdos:
             carrier = _Carrier(pdo)
+            network.frame_pump.echo_handlers[pdo.cob_id] = carrier.awaited.echoed
             for place, entry in enumerate(pdo.entries):
                 if entry.sub == 0:
                     self._places.setdefault(entry.index, []).append(_Place(carrier, place))
@@ -103,8 +145,8 @@ class SetPoint:
 
     # ---- the cyclic modes -----------------------------------------------------------------------------
 
-    def hold_torque(self, torque_nm: float) -> None:
-        """Set the torque that the next frame carries, N m. Raises ValueError for what is no number."""
+    def hold_torque(self, torque_nm: float) -> int:
+        """Set the torque that the next frame carries, N m; it, as sent. Raises ValueError for no number."""
         raw = _round(torque_nm * self._per_nm)
         limit = self._torque_raw_max
         if not -limit <= raw <= limit:
@@ -112,16 +154,17 @@ class SetPoint:
             self.clipped += 1
         for place in self._torque:
             place.carrier.values[place.place] = raw
+        return raw
 
-    def send_torque(self, torque_nm: float) -> Instant:
-        """Set and send; returns the instant at which the bus was given the frame.
+    def send_torque(self, torque_nm: float, sequence: int) -> SentCommand:
+        """Set and send; what was sent, of which the bus may tell more later.
 
-        Raises RuntimeError if no RPDO carries 0x6071.
+        ``sequence``: the cycle that produced it. Raises RuntimeError if no RPDO carries 0x6071.
         """
-        self.hold_torque(torque_nm)
-        return self._send_first(self._torque, _TARGET_TORQUE)
+        raw = self.hold_torque(torque_nm)
+        return self._send_first(self._torque, _TARGET_TORQUE, raw, sequence)
 
-    def send_speed(self, speed_rad_s: float) -> Instant:
+    def send_speed(self, speed_rad_s: float, sequence: int) -> SentCommand:
         """As :meth:`send_torque`, for 0x60FF."""
         raw = round(speed_rad_s * self._per_rad_s)
         limit = self._velocity_raw_max
@@ -129,19 +172,24 @@ class SetPoint:
             raw = limit if raw > 0 else -limit
             self.clipped += 1
         self.hold(Object.TARGET_VELOCITY, raw)
-        return self._send_first(self._places.get(Object.TARGET_VELOCITY, []), Object.TARGET_VELOCITY)
+        places = self._places.get(Object.TARGET_VELOCITY, [])
+        return self._send_first(places, Object.TARGET_VELOCITY, raw, sequence)
 
-    def send_position(self, position_rad: float) -> Instant:
+    def send_position(self, position_rad: float, sequence: int) -> SentCommand:
         """As :meth:`send_torque`, for 0x607A, which wraps as the position in a reading is unwrapped."""
         raw = (round(position_rad * self._per_rad) + _HALF_WORD) % _WORD - _HALF_WORD
         self.hold(Object.TARGET_POSITION, raw)
-        return self._send_first(self._places.get(Object.TARGET_POSITION, []), Object.TARGET_POSITION)
+        places = self._places.get(Object.TARGET_POSITION, [])
+        return self._send_first(places, Object.TARGET_POSITION, raw, sequence)
 
-    def _send_first(self, places: list[_Place], index: int) -> Instant:
+    def _send_first(self, places: list[_Place], index: int, raw: int, sequence: int) -> SentCommand:
         if not places:
             raise RuntimeError(f"no RPDO of the plan carries {index:04X}h")
         carrier = places[0].carrier
-        return self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
+        data = carrier.pack(*carrier.values)
+        command = SentCommand(sequence, raw, self._link.send(carrier.cob_id, data))
+        carrier.awaited.sent(data, command)
+        return command
 
 
 def _raw_limit(limit: float | None, per_unit: float, raw_max: int) -> int:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from drivers.error_codes import fault_text, register_text
 from drivers.errors import DriveInFault, PeerFault
@@ -25,6 +26,8 @@ FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
 _RESEND_NS = 50 * NS_PER_MS
 """A controlword that shows no effect for so long is sent again."""
+_ASK_S = 0.01
+"""Wait for a statusword that is asked for in the middle of a cycle: ten SDO transfers on a full bus."""
 _EMERGENCIES_KEPT = 8
 _EMERGENCIES_SHOWN = 2
 
@@ -45,6 +48,8 @@ class StateControl:
         """Vendor and device name, for the words of its maker; nothing before they are read."""
         self._told = told
         self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
+        self.emergency_came = False
+        """Since this was cleared."""
         self.network.on_emergency(self._on_emergency)
 
     def read_state(self) -> State | None:
@@ -53,8 +58,17 @@ class StateControl:
 
     def read_status(self) -> int:
         """The statusword by SDO, now."""
-        self._told.statusword = word = self.objects.read(Object.STATUSWORD, 0, "H")
+        word = self.objects.read(Object.STATUSWORD, 0, "H")
+        self._told.take(word, self.network.clock.now())
         return word
+
+    def ask_after_emergency(self) -> None:
+        """Ask for the statusword, once: an EMCY may be a warning, and what told of a fault be lost."""
+        self.emergency_came = False
+        with suppress(PeerFault):
+            node, status = self.objects.node_id, int(Object.STATUSWORD)
+            data = self.network.upload(node, status, timeout_s=_ASK_S, attempts=1)
+            self._told.take(int.from_bytes(data[:2], "little"), self.network.clock.now())
 
     def command(self, command: DriveCommand) -> None:
         """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
@@ -171,3 +185,4 @@ class StateControl:
     def _on_emergency(self, emergency: Emergency) -> None:
         if emergency.node_id == self.objects.node_id:
             self.emergencies.append(emergency)
+            self.emergency_came = True

@@ -1,11 +1,10 @@
 """A drive run by what commissioning found: its settings written first, its signs turned if need be."""
 
 from drivers.errors import PeerFault
-from drivers.exchange import Command, Drive, Reading
+from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
 from drivers.objects import SettingRefused
 from drivers.sdo import object_name
 from drivers.servo import ServoDrive
-from drivers.timebase import Instant
 from hil.configuration.drive_file import DriveFile
 
 
@@ -62,7 +61,11 @@ class TurnedDrive(Drive):
             for reading in self._drive.take_readings()
         ]
 
-    def write(self, command: Command) -> Instant:
+    def take_readbacks(self) -> list[Readback]:
+        """As the drive counts, like the raw value of a sent command."""
+        return self._drive.take_readbacks()
+
+    def write(self, command: Command) -> SentCommand | None:
         """Send a set-point, as the drive counts."""
         return self._drive.write(command._replace(torque_nm=command.torque_nm * self._torque))
 

@@ -1,5 +1,6 @@
 """How a bench file wants its drives, and what their data sheets say of them."""
 
+import math
 from pathlib import Path
 
 from drivers.dictionary import LoadedDictionary, load_dictionary
@@ -7,7 +8,8 @@ from drivers.drive_setup import DriveSettings, Identity
 from drivers.fitness import assess
 from drivers.pdo_capability import capability_of
 from drivers.scaling import ScaleOverride
-from hil.configuration.config import BenchConfig
+from drivers.timebase import NS_PER_MS
+from hil.configuration.config import BenchConfig, Host
 from hil.loop import Actuation, LoopTiming
 
 
@@ -25,11 +27,13 @@ def drive_settings(
 ) -> DriveSettings:
     """What the drive of an axis is told before it is enabled."""
     wanted, host = config.drive[axis], config.host
-    limits = wanted.limits
+    limits, commissioned = wanted.limits, wanted.commissioned
     return DriveSettings(
         sync_period_ns=timing.period,
         synchronous_command=timing.actuation is Actuation.ON_SYNC,
         position_every_cycles=config.loop.position_every_cycles,
+        velocity_sign=1.0 if commissioned is None else float(commissioned.signs.velocity),
+        command_timeout_ms=_command_timeout_ms(limits.dropouts_consecutive_max, host, timing),
         drive_heartbeat_ms=wanted.heartbeat_ms,
         drive_heartbeat_timeout_ms=wanted.heartbeat_timeout_ms,
         host_heartbeat_ms=host.heartbeat_ms,
@@ -39,8 +43,16 @@ def drive_settings(
         quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
         capability=None if sheet is None else capability_of(sheet),
         unwatched=wanted.unwatched,
-        scale=ScaleOverride() if wanted.commissioned is None else wanted.commissioned.override,
+        scale=ScaleOverride() if commissioned is None else commissioned.override,
     )
+
+
+def _command_timeout_ms(dropouts_max: int, host: Host, timing: LoopTiming) -> int:
+    """As many commands may fail to come as readings: not for longer than the host's heartbeat, nor for less
+    than from one heartbeat to the next, so that a host that is late is not taken for one that is lost.
+    """
+    blind_ms = math.ceil(dropouts_max * timing.period / NS_PER_MS)
+    return min(host.heartbeat_timeout_ms, max(host.heartbeat_ms, blind_ms))
 
 
 def identity_notes(identity: Identity, sheet: LoadedDictionary, node_id: int) -> list[str]:

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Final
 
 from drivers.errors import PeerFault
-from drivers.exchange import Command, Drive, Reading
+from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
 from drivers.profile402 import Mode
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Instant
@@ -68,12 +68,23 @@ class DrivePort(Drive):
             for reading in readings
         ]
 
-    def write(self, command: Command) -> Instant:
+    def take_readbacks(self) -> list[Readback]:
+        """As the drive's own."""
+        return self.drive.take_readbacks()
+
+    @property
+    def torque_shown(self) -> tuple[float, Instant]:
+        """The torque that the drive told last, N m, and when; its sign put right."""
+        torque_nm, at = self.drive.torque_shown
+        return torque_nm * self.torque_sign, at
+
+    def write(self, command: Command) -> SentCommand | None:
         """Send a set-point."""
         if self.quantity is Quantity.TORQUE:
             return self.drive.write(command._replace(torque_nm=command.torque_nm * self.torque_sign))
         if self.quantity is Quantity.SPEED:
-            return self.drive.write_speed(command.torque_nm * self.velocity_sign, command.expires_at)
+            speed_rad_s = command.torque_nm * self.velocity_sign
+            return self.drive.write_speed(speed_rad_s, command.expires_at, command.sequence)
         return self._write_position(command)
 
     @property
@@ -89,10 +100,10 @@ class DrivePort(Drive):
         """In a position mode, positions are counted on from where the shaft stands now."""
         self._position_rad = self._last = None
 
-    def _write_position(self, command: Command) -> Instant:
+    def _write_position(self, command: Command) -> SentCommand | None:
         if self._position_rad is None:
             raise PeerFault("no position to count from")
         passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
         self._last = command.effective_at
         self._position_rad += command.torque_nm * passed_s
-        return self.drive.write_position(self._position_rad, command.expires_at)
+        return self.drive.write_position(self._position_rad, command.expires_at, command.sequence)

@@ -163,7 +163,10 @@ class Session:
         return None
 
     def configure(self, mode: Mode | None = None, plan: PdoPlan | None = None) -> list[str]:
-        """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take."""
+        """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take.
+
+        Exercises hold torque and position against the speed of the same SYNC: the plan is a coherent one.
+        """
         mode = mode or self.motion_mode()
         if mode is None:
             raise StepFailed("the drive has no mode in which the bench could move it")
@@ -173,6 +176,8 @@ class Session:
             plan=plan,
             capability=self.capability,
             mode=mode,
+            coherent=True,
+            velocity_sign=1.0 if self.port is None else self.port.velocity_sign,
             drive_heartbeat_ms=request.heartbeat_ms,
             drive_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
             host_heartbeat_ms=request.heartbeat_ms,
@@ -192,7 +197,7 @@ class Session:
 
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
         """The shortest period that the bus bears, ns, and its load in percent."""
-        plan = mode_plan(self.request.node, mode, device_stamp=True)
+        plan = mode_plan(self.request.node, mode, device_stamp=True, coherent=True)
         wanted = self.request.period_us
         for period_us in (wanted,) if wanted is not None else PERIODS_US:
             period = Duration(period_us * NS_PER_US)

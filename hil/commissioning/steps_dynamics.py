@@ -315,26 +315,23 @@ class _Probe:
             self.cycles += 1
             command_at = Instant(max(due + round(part * self._period), sync_at))
             self._network.pump(command_at)
-            shown = self._take(sync_at)
+            shown = self._shown(sync_at)
             if before is not None and sent_at is not None and shown is not None and not late:
                 self._answer(sync_at, sent_at, shown, before, torque, cycle)
             at = self._send(torque, Instant(command_at + self._period))
-            if sent_at is None:
-                sent_at = at
+            sent_at = at if sent_at is None else sent_at
             due = Instant(max(due + self._period, self._session.clock_now))
             self._port.check()
         return due
 
-    def _take(self, sync_at: Instant) -> float | None:
-        """The torque of the reading that answers the SYNC; None if it was lost or is late."""
-        shown = None
-        for reading in self._port.take_readings():
-            since = reading.received_at - sync_at - self._latency
-            if since >= 0:
-                shown = reading.torque_nm
-                self.delays_us.append(since / 1e3)
-        self._missing.append(shown is None)
-        return shown
+    def _shown(self, sync_at: Instant) -> float | None:
+        """The torque in answer to the SYNC; None if it was lost or is late. The readings are counted."""
+        delays = [reading.received_at - sync_at - self._latency for reading in self._port.take_readings()]
+        answers = [delay for delay in delays if delay >= 0]
+        self.delays_us += [delay / 1e3 for delay in answers]
+        self._missing.append(not answers)
+        torque_nm, told_at = self._port.torque_shown
+        return torque_nm if told_at - sync_at >= self._latency else None
 
     def _answer(
         self, sync_at: Instant, sent_at: Instant, shown: float, before: float, torque: float, cycle: int
@@ -345,8 +342,10 @@ class _Probe:
             self.firsts.append((age_us, part))
         self.answers.append((age_us, part))
 
-    def _send(self, torque_nm: float, expires_at: Instant) -> Instant:
-        return self._port.write(Command(0, torque_nm, expires_at, expires_at))
+    def _send(self, torque_nm: float, expires_at: Instant) -> Instant | None:
+        """When the bus was given it; None if it was too late to be sent."""
+        sent = self._port.write(Command(0, torque_nm, expires_at, expires_at))
+        return None if sent is None else sent.handed_at
 
     def judge_commands(self, lag: StepLag) -> None:
         """Those that should have shown their effect by the first SYNC, and did not, were lost."""

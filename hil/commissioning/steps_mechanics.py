@@ -239,7 +239,7 @@ class TorqueConstant(Step):
         return None
 
     def plan(self, session: Session, /) -> str:
-        return f"map 6078h into TPDO3 and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
+        return f"map 6078h beside 6077h and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
 
     def run(self, session: Session) -> Outcome:
         outcome = Outcome()
@@ -251,7 +251,7 @@ class TorqueConstant(Step):
             session.configure(mode)
             raise StepFailed("6078h cannot be mapped beside the rest", str(error)) from error
         currents: list[tuple[Instant, int]] = []
-        cob_id = PdoDirection.TRANSMIT.default_cob_id(3, session.request.node)
+        cob_id = PdoDirection.TRANSMIT.default_cob_id(1, session.request.node)
         session.network.link.tap(
             lambda _direction, can_id, data, _extended, _remote, at: (
                 currents.append((at, int.from_bytes(data[:2], "little", signed=True)))
@@ -310,13 +310,18 @@ class TorqueConstant(Step):
 
 
 def _plan_with_current(session: Session) -> PdoPlan:
+    """The current in the frame of the torque, in the place of the statusword, which has a TPDO of its own."""
     mode = session.torque_mode()
     assert mode is not None
     node = session.request.node
-    base = mode_plan(node, mode, device_stamp=session.objects.read_if_there(0x1013) is not None)
+    stamped = session.objects.read_if_there(0x1013) is not None
+    base = mode_plan(node, mode, device_stamp=stamped, coherent=True)
+    actual, speed = base.tpdos
+    status, *rest = actual.entries
+    current = PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h")
     transmit = PdoDirection.TRANSMIT
-    entry = (PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h"),)
-    plan = PdoPlan((*base.tpdos, PdoMap(transmit, 3, transmit.default_cob_id(3, node), entry)), base.rpdos)
+    third = PdoMap(transmit, 3, transmit.default_cob_id(3, node), (status,))
+    plan = PdoPlan((replace(actual, entries=(current, *rest)), speed, third), base.rpdos)
     load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
     if load > 90.0:
         raise StepFailed("the bus has no room for the current", f"{load:.0f} % load")
@@ -324,7 +329,7 @@ def _plan_with_current(session: Session) -> PdoPlan:
 
 
 def _swing(session: Session) -> list[tuple[Instant, float]]:
-    """Swing the shaft; the torques with the instants at which they came."""
+    """Swing the shaft; the torques with the instants of the frames that told them."""
     known = _guide_mechanics(session)
     limits = session.limits
     amplitude = 0.6 * limits.torque_nm
@@ -332,7 +337,7 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
     readings: list[tuple[Instant, float]] = []
     port = session.port
     assert port is not None
-    port.listener = lambda taken: readings.extend((each.received_at, each.torque_nm) for each in taken)
+    port.listener = lambda taken: readings.extend((each.torque_told_at, each.torque_nm) for each in taken)
     with session.enabled():
         exerciser = session.exerciser()
         # By the cosine the speed has no mean.
@@ -348,7 +353,7 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
 def _paired(
     readings: list[tuple[Instant, float]], currents: list[tuple[Instant, int]]
 ) -> tuple["np.typing.NDArray[np.float64]", "np.typing.NDArray[np.float64]"]:
-    """Torque and current of the same SYNC: a reading is complete with the frame that holds the current."""
+    """Torque and current of the same frame."""
     by_instant = dict(currents)
     pairs = [(torque, by_instant[at]) for at, torque in readings if at in by_instant]
     if len(pairs) < 50:

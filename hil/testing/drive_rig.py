@@ -150,7 +150,7 @@ class DriveRig:
             while self.network.pump_one(due):
                 for reading in self.client.take_readings():
                     wanted = torque_nm(reading) if callable(torque_nm) else torque_nm
-                    self.client.write(Command(reading.sequence, wanted, due, due))
+                    self.client.write(Command(self.network.sync_count, wanted, due, due))
                     taken.append(reading)
             self.client.check()
         return taken

@@ -180,7 +180,7 @@ class ModesSuite:
         drive, network = rig.drive, rig.network
         drive.objects.write(Object.INTERPOLATION_TIME_PERIOD, 1, "B", 10)
 
-        def cycles(count: int, write: Callable[[float, Instant], Instant], value: float) -> None:
+        def cycles(count: int, write: Callable[[float, Instant], object], value: float) -> None:
             for cycle in range(1, count + 1):
                 due = network.deadline_after(Duration(10 * NS_PER_MS))
                 network.send_sync()

@@ -83,8 +83,8 @@ def run(axes: list[Axis], cycles: int, torques_nm: list[float]) -> None:
         answer_at = Instant(due - PERIOD // 2)
         for axis, torque_nm in zip(axes, torques_nm, strict=True):
             axis.network.pump(answer_at)
-            for reading in axis.drive.take_readings():
-                axis.drive.write(Command(reading.sequence, torque_nm, due, due))
+            for _ in axis.drive.take_readings():
+                axis.drive.write(Command(cycle, torque_nm, due, due))
         for axis in axes:
             axis.network.pump(due)
             axis.drive.check()

@@ -36,6 +36,8 @@ class Pdo:
     kind_access: str = "rw"
     cob_id_access: str = "rw"
     cob_id: str = ""
+    timers: bool = True
+    """It has an inhibit time and an event timer."""
 
 
 def four_pdos(**how: object) -> list[Pdo]:
@@ -61,9 +63,12 @@ def pdo_text(pdo: Pdo) -> str:
     first = 0x180 if pdo.index >= 0x1800 else 0x200
     cob_id = pdo.cob_id or f"$NODEID+{first + 0x100 * (pdo.index & 0xFF):#x}"
     access = "rw" if pdo.writable else "ro"
-    text = f"[{pdo.index:04X}]\nParameterName=PDO\nObjectType=9\nSubNumber=3\n"
-    text += sub(pdo.index, 0, U8, "ro", "2") + sub(pdo.index, 1, U32, pdo.cob_id_access, cob_id)
+    highest, members = ("5", 5) if pdo.timers else ("2", 3)
+    text = f"[{pdo.index:04X}]\nParameterName=PDO\nObjectType=9\nSubNumber={members}\n"
+    text += sub(pdo.index, 0, U8, "ro", highest) + sub(pdo.index, 1, U32, pdo.cob_id_access, cob_id)
     text += sub(pdo.index, 2, U8, pdo.kind_access, str(pdo.kind))
+    if pdo.timers:
+        text += sub(pdo.index, 3, U16, "rw", "0") + sub(pdo.index, 5, U16, "rw", "0")
     mapping = pdo.index + 0x200
     places = max(pdo.entries, len(pdo.mapping))
     text += f"[{mapping:04X}]\nParameterName=Mapping\nObjectType=9\nSubNumber={places + 1}\n"

@@ -43,6 +43,7 @@ TYPES = {
     (0x606C, 0): "i",
     (0x6071, 0): "h",
     (0x6072, 0): "H",
+    (0x6074, 0): "h",
     (0x6076, 0): "I",
     (0x6077, 0): "h",
     (0x6080, 0): "I",
@@ -165,10 +166,14 @@ class FakeServo:
         self.mode_status = 0
         """Bits of the statusword that belong to the mode."""
         self.control_history: list[int] = []
+        self.syncs = 0
+        self._told: dict[int, tuple[bytes, int]] = {}
+        """Of each event-driven TPDO what it told last, and when."""
         self.stop_ns = 5 * NS_PER_MS
         self._segments = b""
         bus.listeners.append(self._on_frame)
         self._beat()
+        self._look()
 
     def _add_pdo(self, communication: int, mapping: int) -> None:
         for sub, code in ((0, "B"), (1, "I"), (2, "B"), (3, "H"), (5, "H")):
@@ -203,6 +208,7 @@ class FakeServo:
         if frame.can_id == 0 and frame.data[1] in (0, self.node_id):
             self.nmt_state = {1: 0x05, 2: 0x04, 0x80: 0x7F}[frame.data[0]]
         elif frame.can_id == 0x80 and self.nmt_state == 5:
+            self.syncs += 1
             self._transmit()
         elif frame.can_id == 0x600 + self.node_id:
             self._serve(frame.data)
@@ -289,11 +295,31 @@ class FakeServo:
         return [(word >> 16, word >> 8 & 0xFF) for word in words]
 
     def _transmit(self) -> None:
+        """The synchronous TPDOs, each with every so many SYNCs as its transmission type says."""
         for number in range(PDOS):
-            cob_id = self.values[0x1800 + number, 1]
-            if not cob_id >> 31 and number + 1 not in self.lost_tpdos:
-                data = b"".join(self._encoded(*place) for place in self._mapped(0x1A00 + number))
-                self.bus.deliver(cob_id & 0x7FF, data, (number + 1) * 130 * NS_PER_US)
+            kind = self.values[0x1800 + number, 2]
+            if 1 <= kind <= 240 and self.syncs % kind == 0:
+                self._send_tpdo(number, (number + 1) * 130 * NS_PER_US)
+
+    def _look(self) -> None:
+        """The event-driven TPDOs: on change, and by their event timers; looked at every 100 us."""
+        for number in range(PDOS):
+            if self.nmt_state != 5 or self.silent or self.values[0x1800 + number, 2] < 254:
+                continue
+            data, told_at = self._told.get(number, (b"", 0))
+            timer_ns = self.values[0x1800 + number, 5] * NS_PER_MS
+            if self._tpdo(number) != data or (timer_ns and self.bus.time - told_at >= timer_ns):
+                self._told[number] = (self._tpdo(number), self.bus.time)
+                self._send_tpdo(number, 0)
+        self.bus.call_after(100 * NS_PER_US, self._look)
+
+    def _tpdo(self, number: int) -> bytes:
+        return b"".join(self._encoded(*place) for place in self._mapped(0x1A00 + number))
+
+    def _send_tpdo(self, number: int, after_ns: int) -> None:
+        cob_id = self.values[0x1800 + number, 1]
+        if not cob_id >> 31 and number + 1 not in self.lost_tpdos:
+            self.bus.deliver(cob_id & 0x7FF, self._tpdo(number), after_ns)
 
     def _receive(self, frame: WireFrame) -> None:
         for number in range(PDOS):

@@ -16,7 +16,8 @@ from drivers.pdo import (
     frame_bits_max,
     write_plan,
 )
-from drivers.pdo_plans import torque_plan
+from drivers.pdo_plans import mode_plan, torque_plan
+from drivers.profile402 import Mode
 from drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
@@ -35,6 +36,7 @@ def test_the_torque_plan_is_the_predefined_connection_set() -> None:
     assert [(pdo.name, pdo.cob_id, pdo.bits) for pdo in PLAN.tpdos] == [
         ("TPDO1", 0x181, 64),
         ("TPDO2", 0x281, 64),
+        ("TPDO3", 0x381, 16),
     ]
     (command,) = PLAN.rpdos
     assert (command.cob_id, command.transmission_type, command.synchronous) == (0x201, 255, False)
@@ -42,19 +44,21 @@ def test_the_torque_plan_is_the_predefined_connection_set() -> None:
 
 
 def test_codec_is_little_endian_without_padding() -> None:
-    codec = PLAN.tpdos[0].codec()
+    codec = PLAN.tpdos[1].codec()
     assert codec.size == 8
-    assert codec.unpack(bytes.fromhex("2702102700009cff")) == (0x0227, 10000, -100)
+    assert codec.unpack(bytes.fromhex("9cff102700006400")) == (-100, 10000, 100)
 
 
 def test_a_seldom_position_leaves_room_on_the_bus() -> None:
     plans = [torque_plan(node, device_stamp=True, position_every_cycles=10) for node in (1, 2, 3)]
-    position = plans[0].tpdos[1]
-    assert [entry.index for entry in position.entries] == [0x6064]
+    speed, position, status = plans[0].tpdos
+    assert [entry.index for entry in speed.entries] == [0x606C, 0x1013], "the stamp rides with the speed"
+    assert [entry.index for entry in position.entries] == [0x6077, 0x6064, 0x6074]
     assert position.transmission_type == 10
-    # SYNC 55, and three times 135 + 95 / 10 + 95 bits a millisecond.
+    assert (status.transmission_type, status.inhibit_time_100us, status.event_timer_ms) == (255, 10, 25)
+    # SYNC 55, and three times 135 + 135 / 10 + 75 / 25 + 95 bits a millisecond.
     load = bus_load_percent_max(plans, Duration(NS_PER_MS), 1_000_000)
-    assert load == pytest.approx((55 + 3 * (135 + 9.5 + 95)) / 10)
+    assert load == pytest.approx((55 + 3 * (135 + 13.5 + 3 + 95)) / 10)
     whole = [torque_plan(node, device_stamp=True) for node in (1, 2, 3)]
     assert bus_load_percent_max(whole, Duration(NS_PER_MS), 1_000_000) > 100.0
 
@@ -63,6 +67,38 @@ def test_a_seldom_position_leaves_room_on_the_bus() -> None:
 def test_a_position_is_sent_every_1_to_240_syncs(cycles: int) -> None:
     with pytest.raises(ValueError, match=r"in 1\.\.240"):
         torque_plan(1, device_stamp=True, position_every_cycles=cycles)
+
+
+def indices(plan: PdoPlan) -> list[list[int]]:
+    return [[entry.index for entry in pdo.entries] for pdo in plan.tpdos]
+
+
+def test_what_a_drive_cannot_tell_makes_another_plan() -> None:
+    mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    plan = mode_plan(1, mode, device_stamp=False)
+    assert indices(plan) == [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041]]
+    plan = mode_plan(1, mode, device_stamp=True, demand=False)
+    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]]
+    plan = mode_plan(1, mode, device_stamp=True, status_on_change=False)
+    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064, 0x6041]]
+    plan = mode_plan(1, mode, device_stamp=True, status_on_change=False, position_every_cycles=10)
+    assert indices(plan) == [[0x606C, 0x6041], [0x6077, 0x6064, 0x6074]], "the statusword with every SYNC"
+    assert [pdo.transmission_type for pdo in plan.tpdos] == [1, 10]
+    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_VELOCITY, device_stamp=True)
+    assert indices(plan) == [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]], "no torque is commanded"
+
+
+def test_a_coherent_plan_has_the_speed_behind_everything_else() -> None:
+    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, coherent=True)
+    assert indices(plan) == [[0x6041, 0x6077, 0x6064], [0x606C, 0x1013]]
+    assert {pdo.transmission_type for pdo in plan.tpdos} == {1}
+
+
+def test_demand_changes_have_a_pdo_of_their_own() -> None:
+    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, demand_changes=True)
+    change = plan.tpdos[3]
+    assert (change.cob_id, change.transmission_type) == (0x481, 255)
+    assert [entry.index for entry in change.entries] == [0x6074, 0x1013]
 
 
 def test_mapping_word() -> None:
@@ -77,9 +113,9 @@ def test_longest_frame(length: int, bits: int) -> None:
 def test_bus_load_of_one_and_three_axes() -> None:
     period = Duration(NS_PER_MS)
     one = bus_load_percent_max([PLAN], period, 1_000_000)
-    assert one == pytest.approx((55 + 135 + 135 + 95) / 10)
+    assert one == pytest.approx((55 + 135 + 135 + 3 + 95) / 10)
     three = [torque_plan(node_id, device_stamp=True) for node_id in (1, 2, 3)]
-    assert bus_load_percent_max(three, period, 1_000_000) == pytest.approx((55 + 3 * 365) / 10)
+    assert bus_load_percent_max(three, period, 1_000_000) == pytest.approx((55 + 3 * 368) / 10)
 
 
 def test_a_pdo_of_more_than_eight_bytes_is_no_pdo() -> None:
@@ -97,11 +133,12 @@ def test_the_plan_is_written_by_the_standards_procedure(node: Node) -> None:
     bus, servo, _, objects = node
     servo.values[0x1800, 1] = 0x40000181
     notes = write_plan(objects, PLAN)
-    assert notes == ["TPDO1 written", "TPDO2 written", "RPDO1 written"]
+    assert notes == ["TPDO1 written", "TPDO2 written", "TPDO3 written", "RPDO1 written"]
     assert servo.values[0x1800, 1] == 0x40000181
     assert servo.values[0x1801, 1] == 0x281
-    assert servo.values[0x1A00, 0] == 3
-    assert [servo.values[0x1A00, sub] for sub in (1, 2, 3)] == [0x60410010, 0x606C0020, 0x60770010]
+    assert servo.values[0x1A00, 0] == 2
+    assert [servo.values[0x1A00, sub] for sub in (1, 2)] == [0x606C0020, 0x10130020]
+    assert [servo.values[0x1802, sub] for sub in (2, 3, 5)] == [255, 10, 25]
     downloads = [data for data in bus.sent_to(0x601) if data[0] >> 5 == 1]
     mapping = [data for data in downloads if data[1:3] in (b"\x00\x18", b"\x00\x1a")]
     assert mapping[0] == bytes.fromhex("23001801810100c0")
@@ -126,11 +163,12 @@ def test_pdos_outside_the_plan_are_switched_off(node: Node) -> None:
 def test_two_pdos_may_swap_identifiers(node: Node) -> None:
     _, servo, _, objects = node
     write_plan(objects, PLAN)
-    first, second = PLAN.tpdos
+    first, second, third = PLAN.tpdos
     swapped = PdoPlan(
         (
             PdoMap(first.direction, 1, second.cob_id, first.entries),
             PdoMap(second.direction, 2, first.cob_id, second.entries),
+            third,
         ),
         PLAN.rpdos,
     )
@@ -149,8 +187,21 @@ def test_every_difference_is_named(node: Node) -> None:
         "TPDO1 is switched off",
         "TPDO1 has identifier 199h instead of 181h",
         "TPDO1 has transmission type 254 instead of 1",
-        "TPDO1 maps 6041h:00/16 instead of 6041h:00/16 606Ch:00/32 6077h:00/16",
+        "TPDO1 maps 606Ch:00/32 instead of 606Ch:00/32 1013h:00/32",
     ]
+    servo.values[0x1802, 3], servo.values[0x1802, 5] = 7, 50
+    assert differences(objects, PLAN.tpdos[2]) == [
+        "TPDO3 has an inhibit time of 7 x 100 us instead of 10",
+        "TPDO3 has an event timer of 50 ms instead of 25 ms",
+    ]
+
+
+def test_a_statusword_without_an_event_timer_is_refused_one_without_inhibit_time_is_not(node: Node) -> None:
+    _, servo, _, objects = node
+    del servo.types[0x1802, 3]
+    write_plan(objects, PLAN)
+    del servo.types[0x1802, 5]
+    assert differences(objects, PLAN.tpdos[2]) == ["TPDO3 has no event timer instead of 25 ms"]
 
 
 def test_a_pdo_that_the_drive_lacks_is_named(node: Node) -> None:
@@ -177,9 +228,9 @@ def test_a_pdo_that_cannot_be_switched_off_is_told(node: Node) -> None:
     _, servo, _, objects = node
     write_plan(objects, PLAN)
     servo.values[0x1801, 2] = 254
-    servo.values[0x1802, 1] = 0x381
-    servo.refuse |= {(0x1801, 1): 0x06010002, (0x1802, 1): 0x06010002}
+    servo.values[0x1803, 1] = 0x481
+    servo.refuse |= {(0x1801, 1): 0x06010002, (0x1803, 1): 0x06010002}
     notes = write_plan(objects, PLAN)
     assert servo.values[0x1801, 2] == 1
-    assert notes[0].startswith("TPDO3 is not used and cannot be switched off: abort code 06010002h")
+    assert notes[0].startswith("TPDO4 is not used and cannot be switched off: abort code 06010002h")
     assert notes[1:] == ["TPDO2 written"]

@@ -6,13 +6,15 @@ from drivers.dictionary import parse_dictionary
 from drivers.pdo import PdoMap
 from drivers.pdo_budget import budget_of, content_of
 from drivers.pdo_capability import capability_of
-from drivers.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
+from drivers.pdo_layouts import Features
+from drivers.pdo_planner import PlanImpossible, PlanResult, PlanWish, features_of, plan_pdos
 from drivers.pdo_plans import mode_plan
 from drivers.profile402 import Mode
 from drivers.timebase import NS_PER_MS, Duration
-from tests.unit.drivers.eds_maker import NODE, U32, Pdo, four_pdos, sheet, sheet_text, variable
+from tests.unit.drivers.eds_maker import I16, NODE, U32, Pdo, four_pdos, sheet, sheet_text, variable
 
 STATUS, SPEED, TORQUE, POSITION = 0x60410010, 0x606C0020, 0x60770010, 0x60640020
+CLOCK, DEMAND = variable(0x1013, U32, "rw"), variable(0x6074, I16, "ro")
 CONTROL, TARGET_TORQUE, TARGET_SPEED = 0x60400010, 0x60710010, 0x60FF0020
 
 
@@ -29,10 +31,70 @@ def _shown(pdo: PdoMap) -> str:
 
 
 def test_a_free_drive_gets_the_standard_plan() -> None:
-    stamp = variable(0x1013, U32, "rw")
-    for also, stamped in (("", False), (stamp, True)):
-        made = plan(four_pdos(), also=also).plan
-        assert made == mode_plan(NODE, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=stamped)
+    mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    assert plan(four_pdos()).plan == mode_plan(NODE, mode, device_stamp=False, demand=False)
+    assert plan(four_pdos(), also=CLOCK).plan == mode_plan(NODE, mode, device_stamp=True, demand=False)
+    everything = plan(four_pdos(), also=CLOCK + DEMAND)
+    assert everything == (PlanResult(mode_plan(NODE, mode, device_stamp=True)))
+
+
+def test_what_is_lost_is_told() -> None:
+    order = "no 1013h beside 606Ch: readings are attributed to SYNCs by their order"
+    unmeasured = "no 6074h beside the position: which command acts is not measured"
+    assert plan(four_pdos()).notes == (order, unmeasured)
+    assert plan(four_pdos(), also=CLOCK).notes == (unmeasured,)
+    assert plan(four_pdos(), PlanWish(Mode.PROFILE_VELOCITY), also=CLOCK).notes == ()
+    with_sync = "6041h is not told on change: it is told with the SYNC"
+    assert plan(four_pdos(timers=False), also=CLOCK + DEMAND).notes == (unmeasured, with_sync)
+
+
+def test_a_statusword_that_cannot_be_told_on_change_comes_with_every_sync() -> None:
+    both = CLOCK + DEMAND
+    assert shown(plan(four_pdos(timers=False), also=both))[:2] == [
+        "TPDO1 185h 1: 606Ch:00/32 1013h:00/32",
+        "TPDO2 285h 1: 6077h:00/16 6064h:00/32 6041h:00/16",
+    ]
+    wish = PlanWish(position_every_cycles=10)
+    assert shown(plan(four_pdos(timers=False), wish, also=both))[:2] == [
+        "TPDO1 185h 1: 606Ch:00/32 6041h:00/16",
+        "TPDO2 285h 10: 6077h:00/16 6064h:00/32 6074h:00/16",
+    ]
+
+
+def test_two_tpdos_are_enough_for_the_stamp() -> None:
+    pdos = [Pdo(0x1400), Pdo(0x1800), Pdo(0x1801)]
+    assert shown(plan(pdos, also=CLOCK + DEMAND))[:2] == [
+        "TPDO1 185h 1: 606Ch:00/32 1013h:00/32",
+        "TPDO2 285h 1: 6077h:00/16 6064h:00/32 6041h:00/16",
+    ]
+
+
+def test_a_pdo_that_cannot_follow_the_sync_takes_the_statusword() -> None:
+    pdos = [Pdo(0x1400), Pdo(0x1800, kind=255, kind_access="ro"), Pdo(0x1801), Pdo(0x1802)]
+    result = plan(pdos, also=CLOCK)
+    assert [line.split("h ")[0] for line in shown(result)[:3]] == ["TPDO2 285", "TPDO3 385", "TPDO1 185"]
+    assert features_of(result.plan) == Features(demand=False)
+
+
+def test_without_an_inhibit_time_a_chattering_statusword_is_told_of() -> None:
+    text = sheet_text(four_pdos(), also=CLOCK + DEMAND)
+    for number in range(4):
+        text = text.replace(f"[{0x1800 + number:04X}sub3]", f"[{0x2F00 + number:04X}]")
+    result = plan_pdos(capability_of(parse_dictionary(text.encode(), "x", NODE)), NODE, PlanWish())
+    assert result.notes == ("TPDO3 has no inhibit time: a statusword that chatters fills the bus",)
+    assert result.plan.tpdos[2].inhibit_time_100us == 0
+
+
+def test_a_coherent_plan_has_the_speed_last() -> None:
+    assert shown(plan(four_pdos(), PlanWish(coherent=True), also=CLOCK + DEMAND))[:2] == [
+        "TPDO1 185h 1: 6041h:00/16 6077h:00/16 6064h:00/32",
+        "TPDO2 285h 1: 606Ch:00/32 1013h:00/32",
+    ]
+
+
+def test_features_that_are_not_wanted_are_not_used() -> None:
+    wish = PlanWish(features=Features(stamp=False))
+    assert shown(plan(four_pdos(), wish, also=CLOCK + DEMAND))[0] == "TPDO1 185h 1: 606Ch:00/32"
 
 
 @pytest.mark.parametrize(
@@ -53,17 +115,18 @@ def test_homing_needs_no_set_point() -> None:
 
 def test_wishes_for_synchronous_commands_and_seldom_positions() -> None:
     wish = PlanWish(synchronous_command=True, position_every_cycles=4)
-    lines = shown(plan(four_pdos(), wish, also=variable(0x1013, U32, "rw")))
-    assert lines[1] == "TPDO2 285h 4: 6064h:00/32"
-    assert lines[2].startswith("RPDO1 205h 1:")
+    lines = shown(plan(four_pdos(), wish, also=CLOCK))
+    assert lines[1] == "TPDO2 285h 4: 6077h:00/16 6064h:00/32"
+    assert lines[2] == "TPDO3 385h 255: 6041h:00/16"
+    assert lines[3].startswith("RPDO1 205h 1:")
 
 
 def test_few_entries_a_pdo_take_more_pdos() -> None:
     assert shown(plan(four_pdos(entries=1))) == [
-        "TPDO1 185h 1: 6041h:00/16",
-        "TPDO2 285h 1: 606Ch:00/32",
-        "TPDO3 385h 1: 6077h:00/16",
-        "TPDO4 485h 1: 6064h:00/32",
+        "TPDO1 185h 1: 606Ch:00/32",
+        "TPDO2 285h 1: 6077h:00/16",
+        "TPDO3 385h 1: 6064h:00/32",
+        "TPDO4 485h 255: 6041h:00/16",
         "RPDO1 205h 255: 6040h:00/16",
         "RPDO2 305h 255: 6071h:00/16",
     ]
@@ -160,16 +223,16 @@ def test_what_is_mapped_by_default_can_be_mapped_whatever_its_mark() -> None:
 
 def test_marks_that_are_all_missing_say_nothing() -> None:
     everything = (0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60FF)
-    assert len(shown(plan(four_pdos(), unmapped=everything))) == 3
+    assert len(shown(plan(four_pdos(), unmapped=everything))) == 4
 
 
 def test_torque_degrades_to_current_and_to_nothing() -> None:
     current = variable(0x6078, 3, "ro")
     result = plan(four_pdos(), without=(0x6077,), also=current)
-    assert shown(result)[0].endswith("6041h:00/16 606Ch:00/32 6078h:00/16")
+    assert shown(result)[1].endswith("6078h:00/16 6064h:00/32")
     assert "torque is taken from the current 6078h" in result.notes[0]
     result = plan(four_pdos(), without=(0x6077,))
-    assert shown(result)[0].endswith("6041h:00/16 606Ch:00/32")
+    assert shown(result)[1].endswith(": 6064h:00/32")
     assert "readings carry no torque" in result.notes[0]
 
 
@@ -192,7 +255,7 @@ def test_types_and_identifiers_that_cannot_be_changed_are_kept() -> None:
         "TPDO2 285h 1",
         "RPDO1 321h 255",
     ]
-    assert result.notes == ("TPDO1 keeps its transmission type 254, 1 was wanted",)
+    assert result.notes[0] == "TPDO1 keeps its transmission type 254, 1 was wanted"
 
 
 def test_a_pdo_that_cannot_be_switched_on() -> None:
@@ -209,20 +272,21 @@ def test_a_fifth_pdo_keeps_the_identifier_that_it_has() -> None:
 
 
 def test_the_budget_is_that_of_the_longest_frames() -> None:
-    result = plan(four_pdos())
+    result = plan(four_pdos(), also=CLOCK)
     budget = budget_of([result.plan], Duration(NS_PER_MS), 500_000)
     assert [(line.name, line.bits_max, line.time_ns) for line in budget.lines] == [
         ("SYNC", 55, 110_000),
         ("TPDO1", 135, 270_000),
-        ("TPDO2", 95, 190_000),
+        ("TPDO2", 115, 230_000),
+        ("TPDO3", 75, 150_000),
         ("RPDO1", 95, 190_000),
     ]
-    assert budget.load_percent == pytest.approx(76.0)
-    assert budget.shortest_period_ns == 950_001
+    assert budget.load_percent == pytest.approx(11 + 27 + 23 + 15 / 25 + 19)
+    assert budget.shortest_period_ns == 1_187_501
 
 
 def test_a_seldom_pdo_costs_its_share() -> None:
     result = plan(four_pdos(), PlanWish(position_every_cycles=4))
     budget = budget_of([result.plan], Duration(NS_PER_MS), 1_000_000)
-    assert budget.load_percent == pytest.approx(5.5 + 13.5 + 9.5 / 4 + 9.5)
-    assert budget.fullest_cycle_percent == pytest.approx(5.5 + 13.5 + 9.5 + 9.5)
+    assert budget.load_percent == pytest.approx(5.5 + 9.5 + 11.5 / 4 + 7.5 / 25 + 9.5)
+    assert budget.fullest_cycle_percent == pytest.approx(5.5 + 9.5 + 11.5 + 7.5 + 9.5)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +12,7 @@ from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.objects import SettingRefused
 from drivers.profile402 import State
-from drivers.servo import NOT_SENT, ServoDrive
+from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
@@ -93,6 +93,7 @@ def test_configure_writes_heartbeats_reactions_limits_and_mode(bench: Bench) -> 
     values = servo.values
     assert values[0x1016, 1] == 127 << 16 | 150
     assert values[0x1017, 0] == 50
+    assert values[0x1802, 5] == 25
     assert values[0x6007, 0] == 3
     assert values[0x6072, 0] == 2500
     assert values[0x6080, 0] == round(250.0 * 60 / (2 * math.pi))
@@ -134,11 +135,9 @@ def test_a_limit_that_is_not_taken_becomes_a_note(bench: Bench) -> None:
 
 def test_a_mapping_that_stays_wrong_is_named(bench: Bench) -> None:
     _, servo, network, drive = bench
-    servo.stubborn.add((0x1A00, 2))
+    servo.stubborn.add((0x1A00, 1))
     drive.connect(soon(network))
-    with pytest.raises(
-        SettingRefused, match=r"TPDO1 maps 6041h:00/16 0000h:00/0 .* instead of .*606Ch:00/32"
-    ):
+    with pytest.raises(SettingRefused, match=r"TPDO1 maps 0000h:00/0 1013h:00/32 instead of 606Ch:00/32"):
         drive.configure(SETTINGS)
 
 
@@ -203,21 +202,42 @@ def test_a_state_that_is_not_reached_tells_what_was_seen(bench: Bench) -> None:
 
 
 def test_reading_is_in_si(bench: Bench) -> None:
-    _, servo, network, drive = bench
+    _, servo, _, drive = bench
     enabled(bench)
     servo.values[0x6064, 0] = -65536 // 4
     servo.values[0x606C, 0] = 1_500_000
     servo.values[0x6077, 0] = 500
     cycle(bench)
+    drive.take_readings()
+    cycle(bench)
     (reading,) = drive.take_readings()
-    assert reading.sequence == 1
-    assert reading.position_rad == pytest.approx(-math.pi / 2)
+    assert reading.position_rad == pytest.approx(-math.pi / 2 + 1500 * 2 * math.pi / 60 * 0.001)
     assert reading.velocity_rad_s == pytest.approx(1500 * 2 * math.pi / 60)
     assert reading.torque_nm == pytest.approx(1.0)
     assert reading.statusword == 0x0227
-    assert reading.device_time_ns == reading.received_at - 260_000
+    assert reading.device_time_ns == reading.received_at - 130_000
     assert drive.take_readings() == []
-    assert network.sync_count == 1
+
+
+def test_a_command_tells_what_was_sent_and_when_it_was_on_the_bus(bench: Bench) -> None:
+    bus, _, network, drive = bench
+    enabled(bench)
+    sent = drive.write(Command(7, 1.0, Instant(0), soon(network)))
+    assert sent is not None
+    assert (sent.sequence, sent.raw, sent.handed_at, sent.on_bus_at) == (7, 500, network.clock.now(), None)
+    network.frame_pump.echo_handlers[0x201](bus.sent_to(0x201)[-1], Instant(4711))
+    assert sent.on_bus_at == 4711
+
+
+def test_the_torque_demand_is_read_back(bench: Bench) -> None:
+    _, servo, _, drive = bench
+    enabled(bench)
+    servo.values[0x6074, 0] = 321
+    cycle(bench)
+    (readback,) = drive.take_readbacks()
+    assert (readback.demand_raw, readback.readings) == (321, 1)
+    assert drive.take_readbacks() == []
+    assert drive.torque_shown == (0.0, readback.received_at)
 
 
 def test_write_scales_clips_and_keeps_the_controlword(bench: Bench) -> None:
@@ -246,73 +266,9 @@ def test_an_expired_command_is_not_sent(bench: Bench) -> None:
     late = command(1.0, network)
     network.pump(network.deadline_after(Duration(2 * PERIOD)))
     sent = len(bus.sent)
-    assert drive.write(late) == NOT_SENT
+    assert drive.write(late) is None
     assert len(bus.sent) == sent
     assert drive.unsent_commands == 1
-
-
-def test_check_is_silent_on_a_healthy_drive(bench: Bench) -> None:
-    bus, _, network, drive = bench
-    enabled(bench)
-    for _ in range(300):
-        cycle(bench)
-        drive.check()
-    assert drive.status.lost_at is None
-    assert len(drive.take_readings()) == 300
-    beats = [at for at, frame in bus.sent if frame.can_id == 0x77F]
-    assert {later - at for at, later in pairwise(beats)} == {50 * NS_PER_MS}
-    assert network.emergencies_seen == 0
-
-
-def test_check_names_the_fault(bench: Bench) -> None:
-    _, servo, _, drive = bench
-    enabled(bench)
-    cycle(bench)
-    servo.fault(0x2310)
-    cycle(bench)
-    with pytest.raises(DriveInFault, match=r"axis1 \(node 1 on fake\) is in fault.*2310h.*continuous over"):
-        drive.check()
-
-
-def test_check_names_a_drive_that_left_operation(bench: Bench) -> None:
-    _, servo, _, drive = bench
-    enabled(bench)
-    servo.state = State.SWITCH_ON_DISABLED
-    cycle(bench)
-    with pytest.raises(DriveInFault, match="fell out of operation into 'switch on disabled'"):
-        drive.check()
-
-
-def test_check_names_a_drive_that_left_nmt_operational(bench: Bench) -> None:
-    _, servo, _, drive = bench
-    enabled(bench)
-    servo.nmt_state = 0x7F
-    for _ in range(60):
-        cycle(bench)
-    with pytest.raises(DriveInFault, match="fell back to PRE_OPERATIONAL"):
-        drive.check()
-    drive.check()
-
-
-def test_check_names_a_restart(bench: Bench) -> None:
-    _, servo, _, drive = bench
-    enabled(bench)
-    servo.boot()
-    cycle(bench)
-    with pytest.raises(DriveInFault, match="restarted"):
-        drive.check()
-
-
-def test_check_names_a_lost_heartbeat(bench: Bench) -> None:
-    _, servo, _, drive = bench
-    enabled(bench)
-    servo.silent = True
-    cycle(bench)
-    drive.check()
-    for _ in range(200):
-        cycle(bench)
-    with pytest.raises(NoAnswer, match="no heartbeat for 150 ms"):
-        drive.check()
 
 
 def test_disable_uses_the_ramp_and_ends_disabled(bench: Bench) -> None:
@@ -367,6 +323,21 @@ def test_release_of_a_silent_drive_is_bounded(bench: Bench) -> None:
     assert network.clock.now() - started < 3 * NS_PER_S
     # The first thing that went out was the quick stop, with no torque behind it.
     assert bus.sent_to(0x201)[-1] == bytes.fromhex("02000000")
+    # The last: nobody hears a heartbeat any more, and every drive stops that listens for it.
+    assert "the host's heartbeat ended: each drive on fake that watches it (1016h) stops" in released.evidence
+    beats = len(bus.sent_to(0x77F))
+    network.pump(soon(network))
+    assert len(bus.sent_to(0x77F)) == beats
+
+
+def test_a_drive_that_does_not_watch_the_host_is_left_to_a_hand(bench: Bench) -> None:
+    _, servo, network, drive = bench
+    del servo.types[0x1016, 0]
+    drive.connect(soon(network))
+    drive.configure(replace(SETTINGS, unwatched=True))
+    servo.silent = True
+    assert drive.release(Duration(NS_PER_S)).evidence.endswith("stop it by hand")
+    assert network.produces_heartbeat
 
 
 def test_release_before_connect_touches_nothing(bench: Bench) -> None:

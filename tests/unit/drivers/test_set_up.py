@@ -79,20 +79,103 @@ def test_a_drive_that_keeps_its_mappings_is_served_by_them(bench: Bench) -> None
     assert reading.velocity_rad_s == pytest.approx(2 * math.pi / 60)
 
 
+STAMP, DEMAND = 0x10130020, 0x60740010
+NOT_MAPPABLE, LENGTH = 0x06040041, 0x06090030
+
+
+class Choosy(FakeServo):
+    """Refuses some objects in a mapping, and event-driven TPDOs if it is told to."""
+
+    def __init__(self, bus: FakeBus, unmapped: set[int], *, events: bool = True) -> None:
+        self.unmapped, self.events = unmapped, events
+        super().__init__(bus)
+
+    def _download(self, index: int, sub: int, data: bytes) -> bytes:
+        value = int.from_bytes(data, "little")
+        self.refuse.pop((index, sub), None)
+        if index & 0xFE00 == 0x1A00 and value in self.unmapped:
+            self.refuse[index, sub] = NOT_MAPPABLE
+        elif index & 0xFE00 == 0x1800 and sub == 2 and value > 240 and not self.events:
+            self.refuse[index, sub] = LENGTH
+        return super()._download(index, sub, data)
+
+
+@pytest.mark.parametrize(
+    ("unmapped", "events", "mapped", "lost"),
+    [
+        (set(), True, [[0x606C, 0x1013], [0x6077, 0x6064, 0x6074], [0x6041]], []),
+        ({DEMAND}, True, [[0x606C, 0x1013], [0x6077, 0x6064], [0x6041]], ["no 6074h"]),
+        ({STAMP}, True, [[0x606C], [0x6077, 0x6064, 0x6074], [0x6041]], ["no 1013h"]),
+        (
+            set(),
+            False,
+            [[0x606C, 0x1013], [0x6077, 0x6064, 0x6041]],
+            ["no 6074h", "6041h is not told on change"],
+        ),
+        (
+            {STAMP, DEMAND},
+            False,
+            [[0x606C, 0x6041], [0x6077, 0x6064]],
+            ["no 1013h", "no 6074h", "6041h is not told on change"],
+        ),
+    ],
+)
+def test_a_drive_that_refuses_part_of_the_plan_is_served_by_the_next_best(
+    unmapped: set[int], events: bool, mapped: list[list[int]], lost: list[str]
+) -> None:
+    bus, network = make_network()
+    servo = Choosy(bus, unmapped, events=events)
+    for number in range(4):
+        servo.values[0x1800 + number, 2] = 1
+    drive = ServoDrive(network, 1, "axis1")
+    drive.connect(soon(network))
+    notes = drive.configure(SETTINGS)
+    assert drive.plan is not None
+    assert [[entry.index for entry in pdo.entries] for pdo in drive.plan.tpdos] == mapped
+    told = [note for note in notes if note.startswith(("no 6074h", "no 1013h", "6041h is not"))]
+    assert [note[: len(text)] for note, text in zip(told, lost, strict=True)] == lost
+    assert any("a PDO plan that tells more was not taken: abort code" in note for note in notes) == bool(lost)
+    drive.enable(soon(network))
+    bench = (bus, servo, network, drive)
+    cycle(bench)
+    drive.check()
+    (reading,) = drive.take_readings()
+    assert (reading.device_time_ns is None) == (STAMP in unmapped)
+    assert len(drive.take_readbacks()) == (DEMAND not in unmapped and events)
+    bus.shutdown()
+
+
+def test_a_drive_without_torque_demand_is_told(bench: Bench) -> None:
+    _, servo, network, drive = bench
+    del servo.types[0x6074, 0]
+    drive.connect(soon(network))
+    notes = drive.configure(SETTINGS)
+    assert "no 6074h beside the position: which command acts is not measured" in notes
+    assert not any("was not taken" in note for note in notes)
+
+
+def test_the_nmt_state_is_kept_when_the_host_is_lost_where_the_drive_has_a_say_in_it(bench: Bench) -> None:
+    _, servo, network, drive = bench
+    servo.types[0x1029, 1], servo.values[0x1029, 1] = "B", 0
+    drive.connect(soon(network))
+    drive.configure(SETTINGS)
+    assert servo.values[0x1029, 1] == 1
+
+
 def test_a_plan_is_made_for_what_the_dictionary_says(bench: Bench) -> None:
     _, servo, network, drive = bench
     capability = capability_of(sheet(four_pdos(entries=2)))
     drive.connect(soon(network))
     drive.configure(replace(SETTINGS, capability=capability))
     assert drive.plan is not None
-    assert [len(pdo.entries) for pdo in drive.plan.tpdos] == [2, 2]
-    assert servo.values[0x1A00, 0] == 2
+    assert [len(pdo.entries) for pdo in drive.plan.tpdos] == [1, 2, 1]
+    assert servo.values[0x1A01, 0] == 2
     drive.configure(replace(SETTINGS, capability=capability_of(sheet(four_pdos(), without=(0x6077,)))))
     drive.enable(soon(network))
     servo.values[0x6077, 0] = 500
     cycle(bench)
     (reading,) = drive.take_readings()
-    assert reading.torque_nm == 0.0
+    assert math.isnan(reading.torque_nm)
     assert "readings carry no torque" in " ".join(drive.notes)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.drive_setup import Identity
 from drivers.errors import BadInput, BenchError, PeerFault
-from drivers.exchange import Command, Reading
+from drivers.exchange import Command, Readback, Reading, SentCommand
 from drivers.objects import SettingRefused
 from drivers.servo import ServoDrive
 from drivers.timebase import Instant
@@ -54,11 +54,15 @@ class Drive:
         return self.held[index, sub]
 
     def take_readings(self) -> list[Reading]:
-        return [Reading(1, 5.0, 2.0, -0.5, 0x237, None, Instant(0))]
+        now = Instant(0)
+        return [Reading(2.0, None, now, 5.0, now, -0.5, now, 0x237, now)]
 
-    def write(self, command: Command) -> Instant:
+    def take_readbacks(self) -> list[Readback]:
+        return [Readback(-125, Instant(3), 1)]
+
+    def write(self, command: Command) -> SentCommand:
         self.sent.append(command)
-        return Instant(11)
+        return SentCommand(command.sequence, -125, Instant(11))
 
     def check(self) -> None:
         self.checked += 1
@@ -97,8 +101,11 @@ def test_signs_are_turned_for_the_loop_and_back_for_the_drive(tmp_path: Path) ->
     assert isinstance(turned, TurnedDrive)
     (reading,) = turned.take_readings()
     assert (reading.position_rad, reading.velocity_rad_s, reading.torque_nm) == (5.0, -2.0, 0.5)
-    assert turned.write(Command(1, 0.25, Instant(0), Instant(1))) == 11
+    sent = turned.write(Command(1, 0.25, Instant(0), Instant(1)))
     assert drive.sent[0].torque_nm == -0.25
+    (readback,) = turned.take_readbacks()
+    assert sent is not None
+    assert readback.demand_raw == sent.raw == -125, "both as the drive counts"
     turned.check()
     assert drive.checked == 1
 

@@ -239,7 +239,7 @@ def test_an_unknown_kind_lists_the_known(kind: Any) -> None:
         (("loop", "decide_after_us"), 1000, "less than loop.period_us = 1000"),
         (("loop", "deadline_us"), 20_001, "at most horizon_periods * period_us = 20000"),
         (("host", "heartbeat_timeout_ms"), 50, "more than host.heartbeat_ms = 50"),
-        (("bus", "bitrate_bit_s"), 250_000, "at least 1680"),
+        (("bus", "bitrate_bit_s"), 250_000, "at least 1701"),
         (("bus", "spec"), "socketcn:can0", "INTERFACE[:CHANNEL]"),
         (("load", "axis1", 0, "torque_nm"), -5.1, "torque_max_nm = 5"),
         (("load", "axis1", 0, "at_s"), 2.0, "less than bench.duration_s = 2.0"),
@@ -274,9 +274,9 @@ def test_the_moment_of_decision_follows_the_period() -> None:
 
 
 def test_a_cycle_too_short_for_its_frames() -> None:
-    error = only_error_of(edited("loop", value={"period_us": 419}))
-    assert error.expected == "at least 420, which 1 drive(s) may take at 1000000 bit/s"
-    load(edited("loop", value={"period_us": 420}))
+    error = only_error_of(edited("loop", value={"period_us": 421}))
+    assert error.expected == "at least 422, which 1 drive(s) may take at 1000000 bit/s"
+    load(edited("loop", value={"period_us": 422}))
 
 
 def test_bit_rates_are_those_of_the_adapters() -> None:

@@ -1,0 +1,83 @@
+"""Whether a drive follows its commands, by what it tells."""
+
+import random
+
+import pytest
+
+from drivers.command_watch import CommandWatch
+
+CYCLES, HALF = 20, 10
+
+
+def run(watch: CommandWatch, commands: list[int], told: list[int]) -> int | None:
+    """Command and telling of each cycle; the first cycle in which the watch gave up."""
+    for cycle, (command, shown) in enumerate(zip(commands, told, strict=True)):
+        watch.sent(command)
+        watch.told(shown)
+        if not watch.follows:
+            return cycle
+    return None
+
+
+def drawn(count: int, seed: int = 1) -> list[int]:
+    random.seed(seed)
+    return [random.randint(-1000, 1000) for _ in range(count)]
+
+
+@pytest.mark.parametrize("delay", [0, 1, HALF - 1])
+def test_a_drive_that_follows_late_is_left_alone(delay: int) -> None:
+    commands = drawn(500)
+    told = [commands[max(0, cycle - delay)] for cycle in range(500)]
+    assert run(CommandWatch(CYCLES, 0), commands, told) is None
+
+
+def test_a_drive_that_hears_nothing_any_more_is_noticed_within_the_cycles() -> None:
+    commands = drawn(500)
+    told = [commands[min(cycle, 200)] for cycle in range(500)]
+    # The command of cycle 200 is among the last ten until cycle 209; ten more go by unfollowed.
+    assert run(CommandWatch(CYCLES, 0), commands, told) == 200 + CYCLES - 1
+
+
+def test_every_tenth_command_lost_is_borne() -> None:
+    commands = drawn(20_000)
+    random.seed(2)
+    told, held = [], 0
+    for command in commands:
+        held = held if random.random() < 0.1 else command
+        told.append(held)
+    assert run(CommandWatch(CYCLES, 0), commands, told) is None
+
+
+def test_commands_that_stay_the_same_prove_nothing() -> None:
+    assert run(CommandWatch(CYCLES, 0), [7] * 500, [7] * 500) is None
+    assert run(CommandWatch(CYCLES, 0), [7] * 100 + drawn(100), [7] * 200) is not None
+
+
+def test_a_command_that_stays_at_its_limit_is_not_followed_by_an_older_one() -> None:
+    """A drive that goes on with 300 runs away; the controller answers with the same limit in every cycle."""
+    assert run(CommandWatch(CYCLES, 0), [300] * 50 + [-1000] * 100, [300] * 150) == 50 + CYCLES - 2
+
+
+def test_the_margin_covers_what_is_only_measured() -> None:
+    commands = [100 * (cycle % 7) for cycle in range(200)]
+    told = [command + 20 for command in commands]
+    assert run(CommandWatch(CYCLES, 20), commands, told) is None
+    assert run(CommandWatch(CYCLES, 19), commands, told) is not None
+
+
+def test_a_drive_that_tells_seldom_is_judged_by_the_commands_that_went_by() -> None:
+    watch = CommandWatch(CYCLES, 0)
+    for command in drawn(25):
+        watch.sent(command)
+    watch.told(5000)
+    assert not watch.follows
+    watch = CommandWatch(CYCLES, 0)
+    for command in drawn(HALF - 1):
+        watch.sent(command)
+    watch.told(5000)
+    assert watch.follows
+
+
+def test_a_single_cycle_is_no_watch() -> None:
+    with pytest.raises(ValueError, match="at least two"):
+        CommandWatch(1, 0)
