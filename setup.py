@@ -25,7 +25,9 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"),
+    *_below(
+        "drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"
+    ),
     *_below("drivers", "servo setpoint"),
     *_below("hil", "attribution axis clock_map command_meter compensation controllers delay loop safety"),
     *_below("hil", "samples scenario syncs ticker"),

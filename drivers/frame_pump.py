@@ -90,7 +90,3 @@ class FramePump(Master):
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
         self.sync_count += 1
         return self._link.send(SYNC, b"")
-
-    def _sync_echo(self, _data: bytes, at: Instant) -> None:
-        if self.on_sync_echo is not None:
-            self.on_sync_echo(at)

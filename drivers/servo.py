@@ -258,6 +258,14 @@ class ServoDrive(Drive):
         return self._watch.active
 
     @property
+    def reading_bytes(self) -> int:
+        """Length of the frame that carries the speed. RuntimeError before ``configure``."""
+        speed = None if self.plan is None else self.plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
+        if speed is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return speed.bits // 8
+
+    @property
     def malformed_frames(self) -> int:
         """PDOs of a length other than mapped; they are thrown away."""
         return 0 if self._assembler is None else self._assembler.malformed

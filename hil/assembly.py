@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.axis import Axis, AxisParts, LoadMachine
 from hil.attribution import OrderAttribution, StampAttribution
+from hil.axis import Axis, AxisParts, LoadMachine
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
 from hil.compensation import Arrival, Compensator, Stamp
@@ -139,8 +139,8 @@ def axis(
 ) -> Axis:
     """The ``number``-th axis of the bench, on ``drive``.
 
-    ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes what is to be said of the drive's clock. ``own_controller``: in
-    place of the bench's.
+    ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes
+    what is to be said of the drive's clock. ``own_controller``: in place of the bench's.
     """
     name = config.axes[number]
     wanted = config.drive[name]

@@ -7,15 +7,15 @@ whose end on the bus lies there is the one it answers:
     stamps         :d1        :d2                   : d4            d3 was lost
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
-The bench sends no SYNC within half a period of another, so a stamp within a quarter of a period of a SYNC can
-be that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never negative
-but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus without
-echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of the SYNC
-behind its echo cannot be told from the offset of the clock.
+The bench sends no SYNC within half a period of another, so a stamp within a quarter of a period of a SYNC
+can be that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never
+negative but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus
+without echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of
+the SYNC behind its echo cannot be told from the offset of the clock.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
-more than half a period, the drive's clock may have been set. While that is open, readings are marked uncertain.
-It is settled when :data:`AGREEING` of them lie on one line on which each has a SYNC of its own and came no
+more than half a period, the drive's clock may have been set. While that is open, readings are marked
+uncertain. It is settled when :data:`AGREEING` of them lie on one line on which each has a SYNC of its own and came no
 sooner than a frame can. Of several such lines, whole periods apart, the one is taken that needs least to have
 happened: no step rather than a step, the same smallest delay rather than another, and no readings lost.
 
@@ -41,7 +41,7 @@ ECHO_ERROR: Final = {
     EchoBasis.NONE: 30 * NS_PER_US,
 }
 """How far the instant of an echo may lie from the end of its frame: none where it is computed, a tick of the
-adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: the jitter of the hand-over."""
+adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: jitter of the hand-over."""
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp so near to a SYNC is its own: two steps of the stamp's resolution and one of rounding."""
 AGREEING: Final = 8
@@ -49,8 +49,8 @@ AGREEING: Final = 8
 AGREEING_SPREAD: Final = 32
 """The same where delays spread over more than half a period, so that only the smallest of many is telling."""
 REVOKED: Final = 12
-"""Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time: twelve
-in a row are one chance in four thousand."""
+"""Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time:
+twelve in a row are one chance in four thousand."""
 SUSPECTS_MAX: Final = 48
 """After so many it is settled for the clock as it was."""
 STEP_COST: Final = 3
@@ -209,8 +209,8 @@ class StampAttribution:
 
     @property
     def spread(self) -> bool:
-        """Whether delays spread over more than half a period, so that a clock that was set by whole periods may
-        not show with the first reading: a placement is final only :data:`REVOKED` readings later."""
+        """Whether delays spread over more than half a period, so that a clock that was set by whole periods
+        may not show with the first reading: a placement is final only :data:`REVOKED` readings later."""
         return self._delays.high - self._delays.low >= self._half
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
@@ -318,7 +318,7 @@ class StampAttribution:
             self._unanchored = 0
 
     def _note_lateness(self, lateness: int) -> None:
-        """Follow how much the lateness changes from reading to reading; a clock that was set changes it once."""
+        """Follow how much lateness changes from reading to reading; a clock that was set changes it once."""
         change = abs(lateness - self._lateness)
         self._lateness = lateness
         self._late_ns = LATE_KEPT * self._late_ns + (1.0 - LATE_KEPT) * change
@@ -334,7 +334,13 @@ class StampAttribution:
         self._early = False
 
     def _suspect(
-        self, reading: Reading, device_ns: int, free: SyncMark | None, at: Instant, lateness: int, second: bool
+        self,
+        reading: Reading,
+        device_ns: int,
+        free: SyncMark | None,
+        at: Instant,
+        lateness: int,
+        second: bool,
     ) -> Sample | None:
         """A reading that puts the question, or came while it is open; ``free``: the SYNC it lies on."""
         suspects = self._suspects
@@ -349,7 +355,7 @@ class StampAttribution:
             self._note_lateness(min(lateness, self._quarter))
         self._early = self._early or at > reading.received_at - self._transit + self._match_ns
         suspects.append(_Suspect(device_ns, reading.received_at, second))
-        guess = self._guess(reading, free, at)
+        guess = self._guess(reading, free)
         self._settle()
         return guess
 
@@ -360,7 +366,7 @@ class StampAttribution:
             self._stamps.pop(mark.number, None)
         self._recent.clear()
 
-    def _guess(self, reading: Reading, free: SyncMark | None, at: Instant) -> Sample | None:
+    def _guess(self, reading: Reading, free: SyncMark | None) -> Sample | None:
         """A reading's most likely place, marked uncertain."""
         received_at = reading.received_at
         latest = Instant(received_at - self._transit)
@@ -402,7 +408,8 @@ class StampAttribution:
         if line.steps:
             step_us = (self.clock.place(pairs[0][0]) - pairs[0][1]) / NS_PER_US
             self._tell(
-                f"its clock was set by {step_us:+.0f} us; {len(self._suspects)} readings since then are uncertain"
+                f"its clock was set by {step_us:+.0f} us;"
+                f" {len(self._suspects)} readings since then are uncertain"
             )
             self.clock.start_anew(sorted(pairs), self._variance)
             self._late_ns = 0.0
@@ -449,7 +456,10 @@ class StampAttribution:
                 return None
             miss = mark.on_bus_at - at
             delay = suspect.received_at - mark.on_bus_at
-            if abs(miss) > self._match_ns + DRIFT_WITHIN * self._half or delay < self._transit - self._match_ns:
+            if (
+                abs(miss) > self._match_ns + DRIFT_WITHIN * self._half
+                or delay < self._transit - self._match_ns
+            ):
                 return None
             if self._stamps.get(mark.number, suspect.device_ns) != suspect.device_ns:
                 return None
@@ -492,8 +502,8 @@ class OrderAttribution:
 
     A reading answers the SYNC before it, as long as the drive answers before the next one. That cannot be
     seen from readings that come regularly: one period more of delay, which begins with a gap, looks like one
-    lost reading. So after a gap readings are uncertain until a *probe*: one SYNC goes out a quarter of a period
-    late. A drive that answers in time answers that one as late as itself; a delayed stream does not move.
+    lost reading. So after a gap readings are uncertain until a *probe*: one SYNC goes out a quarter of a
+    period late. A drive that answers in time answers that one as late as itself; a delayed stream stays.
     """
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:

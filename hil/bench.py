@@ -252,9 +252,7 @@ class _Run:
         ]
         self._axes = axes
         stall = None if world.faults is None else world.faults.host_stall
-        loop = Loop(
-            self._master, world.clock, axes, list(syncs.values()), timing, self._load.chore, stall
-        )
+        loop = Loop(self._master, world.clock, axes, list(syncs.values()), timing, self._load.chore, stall)
         self._enter("calibrating")
         loop.calibrate()
         self._stop.check()

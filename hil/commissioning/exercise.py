@@ -12,8 +12,10 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
+from hil.command_meter import CommandMeter
 from hil.commissioning.drive_port import DrivePort, Quantity
 from hil.commissioning.request import MotionLimits
 from hil.compensation import Arrival
@@ -21,8 +23,10 @@ from hil.controllers import Controller
 from hil.delay import DelayMeter
 from hil.loop import Loop, LoopTiming
 from hil.safety import SafetyGuard, SafetyLimits
-from hil.samples import CycleRecord, Dropout, StateEstimate
+from hil.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.scenario import LoadProfile, Segment, SpeedProfile
+from hil.segments import sync_log
+from hil.syncs import SyncLog
 
 Array = NDArray[np.float64]
 
@@ -184,8 +188,9 @@ class Exerciser:
         Raises LimitExceeded or a fault of the drive, which then still turns: the caller stops it.
         """
         records: list[CycleRecord] = []
-        axis = self._axis(controller, reference or [], records, guard_speed)
-        loop = Loop(self._network.frame_pump, self._network.clock, [axis], self.timing)
+        syncs = sync_log(self._network, self.timing.sync_latency, self.timing.period)
+        axis = self._axis(controller, reference or [], syncs, records, guard_speed)
+        loop = Loop(self._network.frame_pump, self._network.clock, [axis], [syncs], self.timing)
         # A reading that is still on its way from before would be taken for the answer to the first SYNC.
         self._network.pump(Instant(self._network.clock.now() + self.timing.settle))
         self.port.take_readings()
@@ -195,12 +200,18 @@ class Exerciser:
             duration_s(duration), lambda: self._should_stop() or done(), lambda _at: None, lambda _done: None
         )
         self._check_stop()
-        return recording_of(records, self.timing.sync_latency)
+        return recording_of(records)
 
     def _axis(
-        self, controller: Controller, reference: list[Segment], records: list[CycleRecord], guard_speed: bool
+        self,
+        controller: Controller,
+        reference: list[Segment],
+        syncs: SyncLog,
+        records: list[CycleRecord],
+        guard_speed: bool,
     ) -> Axis:
-        limits, port = self.limits, self.port
+        limits, port, period = self.limits, self.port, self.timing.period
+        transit = self.timing.sync_latency  # less than a reading takes, as no frame is shorter than a SYNC
         torque = port.quantity is Quantity.TORQUE
         guard = SafetyGuard(
             SafetyLimits(
@@ -220,20 +231,27 @@ class Exerciser:
             reference=SpeedProfile(reference),
             load=LoadProfile([]),
             load_machine=None,
-            # A new one each time: between exercises the clocks part too far for the rate of the last one.
-            clock_map=ClockMap(self.timing.sync_latency),
-            meter=DelayMeter(Duration(5 * self.timing.period), _HORIZON),
+            syncs=syncs,
+            # A new map each time: between exercises the clocks part too far for the rate of the last one.
+            by_stamp=StampAttribution(syncs, ClockMap(), period, transit, _unsaid),
+            by_order=OrderAttribution(syncs, period, transit, _unsaid),
+            meter=DelayMeter(Duration(5 * period), _HORIZON),
+            commands=CommandMeter(_HORIZON),
         )
-        return Axis(0, parts, self.timing.period, self.timing.sync_latency, records.append)
+        return Axis(0, parts, period, records.append)
 
 
-def recording_of(records: list[CycleRecord], sync_latency: Duration) -> Recording:
+def _unsaid(_text: str) -> None:
+    """What was seen of the drive's clock in an exercise of seconds shows in its readings."""
+
+
+def recording_of(records: list[CycleRecord]) -> Recording:
     """The records of one axis as arrays."""
     rows = []
     delays = []
     missing: list[bool] = []
-    causes = {"lost": 0, "late": 0, "stale": 0}
-    origin = records[0].sync_sent_at if records else Instant(0)
+    causes = {cause.value: 0 for cause in DropoutCause}
+    origin = records[0].due_at if records else Instant(0)
     for record in records:
         observation = record.observation
         if isinstance(observation, Dropout):
@@ -250,18 +268,20 @@ def recording_of(records: list[CycleRecord], sync_latency: Duration) -> Recordin
                 reading.torque_nm,
             )
         )
-        since_sync = reading.received_at - record.sync_sent_at - sync_latency
-        delays.append((since_sync / 1e3, record.delay / 1e3))
+        if record.sync_on_bus_at is not None:
+            since_sync = reading.received_at - record.sync_on_bus_at
+            delays.append((since_sync / 1e3, (reading.received_at - observation.sampled_at) / 1e3))
     sent = [
-        ((record.command_sent_at - origin) / NS_PER_S, record.command.torque_nm)
+        ((record.sending.handed_at - origin) / NS_PER_S, record.command.torque_nm)
         for record in records
-        if record.command_sent_at >= 0
+        if record.sending is not None and record.command is not None
     ]
     samples = np.array(rows, dtype=float).reshape(-1, 4)
     samples = samples[np.argsort(samples[:, 0], kind="stable")]
     commands = np.array(sent, dtype=float).reshape(-1, 2)
     measured = np.array(delays, dtype=float).reshape(-1, 2)
-    tally = Tally(len(records), causes["lost"], causes["late"], causes["stale"], runs_of(missing))
+    lost = causes["lost"] + causes["missed"]
+    tally = Tally(len(records), lost, causes["late"], causes["stale"], runs_of(missing))
     return Recording(
         time=samples[:, 0].copy(),
         position=samples[:, 1].copy(),

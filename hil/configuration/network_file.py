@@ -42,8 +42,8 @@ class Network(Section):
     command_losses_in_a_row_max: int = Field(default=0, ge=0, le=1000)
     """Most commands lost in a row."""
     commands: Literal["stated", "measured", "not measured"] = "stated"
-    """How the way of the commands is known: stated by whoever wrote the file, told by the drive (6074h), or not
-    at all; then nothing can be certified on it."""
+    """How the way of the commands is known: stated by whoever wrote the file, told by the drive (6074h), or
+    not at all; then nothing can be certified on it."""
     cycles: int = Field(default=0, ge=0)
     """Readings asked for; all axes together."""
     lost: int = Field(default=0, ge=0)

@@ -23,8 +23,7 @@ from hil.samples import CommandFate, DropoutCause
 
 _BARS = 100
 _ACTING, _LOST, _NOT_IDENTIFIABLE = (
-    COMMAND_FATES.index(fate)
-    for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
+    COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
 )
 _RUN_MAX = 1000
 """Losses in a row that are counted apart; more count as so many."""

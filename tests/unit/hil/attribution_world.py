@@ -1,8 +1,8 @@
 """A host, a bus and a drive with a clock, as instants only: what attribution is to find out, and the truth.
 
-    host     SYNC n handed over at n T + lateness(n), on the bus ``SYNC_LATENCY`` later, lost with ``sync_loss``
-    drive    hears it ``sync_delay(n)`` after that, stamps, answers
-    network  brings the answer after ``delay(n)``, or twice, or not at all
+host     SYNC n handed over at n T + lateness(n), on the bus ``SYNC_LATENCY`` later, lost with ``sync_loss``
+drive    hears it ``sync_delay(n)`` after that, stamps, answers
+network  brings the answer after ``delay(n)``, or twice, or not at all
 """
 
 import random
@@ -74,9 +74,7 @@ class Outcome:
     def errors(self) -> list[int]:
         """Of the sampling instants placed for certain, sorted."""
         return sorted(
-            abs(truth.sample.sampled_at - truth.sampled_at)
-            for truth in self.placed
-            if truth.sample.certain
+            abs(truth.sample.sampled_at - truth.sampled_at) for truth in self.placed if truth.sample.certain
         )
 
     @property

@@ -112,7 +112,9 @@ class FakeBus(Master):
                 continue
             stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
             reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
-            self.call_at(reading.received_at, lambda drive=drive, reading=reading: drive.readings.append(reading))  # type: ignore[misc]
+            self.call_at(
+                reading.received_at, lambda drive=drive, reading=reading: drive.readings.append(reading)
+            )  # type: ignore[misc]
         return self.at
 
     def _echo(self, at: Instant) -> None:

@@ -103,7 +103,7 @@ def test_two_stamps_for_one_sync_are_an_alarm() -> None:
     assert place.health.two_stamps == 1
 
 
-# ---- drives without a clock ---------------------------------------------------------------------------------
+# ---- drives without a clock -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.02, 0.3])
@@ -121,16 +121,14 @@ def test_by_order_nothing_is_misplaced_while_the_drive_answers_before_the_next_s
 
 def test_by_order_a_delay_that_begins_behind_the_next_sync_is_uncertain_never_wrong() -> None:
     """A gateway's 5 ms that begin after calibration: they would look like 0.24 ms."""
-    outcome = play(
-        Network(lambda n, _r: 240_000 if n < 1000 else 5_240_000, has_clock=False), 4000
-    )
+    outcome = play(Network(lambda n, _r: 240_000 if n < 1000 else 5_240_000, has_clock=False), 4000)
     assert outcome.misjudged == []
     assert outcome.violations == []
     assert len([number for number in outcome.uncertain if number >= 1000]) > 2_900
     assert any("later than the next SYNC" in text for text in outcome.told)
 
 
-# ---- the log of SYNCs ---------------------------------------------------------------------------------------
+# ---- the log of SYNCs -----------------------------------------------------------------------------------
 
 
 def test_a_sync_that_never_came_to_the_bus_makes_the_next_echo_unsure() -> None:

@@ -26,7 +26,7 @@ def command(number: int, raw: int, on_bus: bool = True) -> SentCommand:
 
 
 def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[Sending]:
-    """``acting[n]``: from which SYNC on command n is in force; None: lost. Told at every ``every``-th SYNC."""
+    """``acting[n]``: from which SYNC on command n is in force; None: lost. Told every ``every`` SYNCs."""
     meter = CommandMeter(HORIZON)
     settled: list[Sending] = []
     waiting = list(range(len(raws)))
@@ -59,9 +59,7 @@ def test_a_command_acts_between_its_echo_and_the_next_sync() -> None:
 
 def test_a_lost_command_is_told_and_its_neighbours_are_not_blamed() -> None:
     settled = play([1, 2, 3, 4, 5, 6], [1, 2, None, 4, 5, 6])
-    assert fates(settled) == [
-        CommandFate.LOST if number == 2 else CommandFate.ACTING for number in range(6)
-    ]
+    assert fates(settled) == [CommandFate.LOST if number == 2 else CommandFate.ACTING for number in range(6)]
 
 
 def test_a_delay_beyond_the_next_sync_is_seen_as_late_not_as_lost() -> None:

@@ -35,7 +35,9 @@ def test_counts_and_delays_against_the_records(records: list[CycleRecord]) -> No
     found = figures_of(rows_of(records))
     causes = [r.observation.cause.value for r in records if isinstance(r.observation, Dropout)]
     assert found.cycles == found.rows == CYCLES
-    assert found.dropouts == DropoutCounts(causes.count("lost"), causes.count("late"), causes.count("stale"), 0)
+    assert found.dropouts == DropoutCounts(
+        causes.count("lost"), causes.count("late"), causes.count("stale"), 0
+    )
     assert found.dropouts.lost > 0
     assert found.dropouts.late > 0
     assert found.dropouts_percent == pytest.approx(100 * len(causes) / CYCLES)
