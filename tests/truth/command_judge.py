@@ -24,6 +24,8 @@ class CommandJudgement:
     told_lost: int = 0
     wrong: int = 0
     """Told lost and acted, or told acting and were lost."""
+    unknown: int = 0
+    """Told, and the truth knows of none that was handed over then."""
     outside: int = 0
     """Told acting in an interval that the truth is not in, by more than the tolerance."""
     echo_wrong: int = 0
@@ -37,7 +39,16 @@ class CommandJudgement:
         """Take ``other`` in."""
         self.true_delays_ns += other.true_delays_ns
         self.told_delays_ns += other.told_delays_ns
-        for name in ("handed", "lost", "told_acting", "told_lost", "wrong", "outside", "echo_wrong"):
+        for name in (
+            "handed",
+            "lost",
+            "told_acting",
+            "told_lost",
+            "wrong",
+            "unknown",
+            "outside",
+            "echo_wrong",
+        ):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
     @property
@@ -71,7 +82,7 @@ def judge_commands(told: Told, truth: AxisTruth) -> CommandJudgement:
             continue
         command = truth.commands.get(handed_at)
         if command is None:
-            result.wrong += 1
+            result.unknown += 1
             continue
         result.handed += 1
         result.lost += command.acts_at is None

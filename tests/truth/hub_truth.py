@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from drivers.pdo import EVERY_SYNC, PdoPlan
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.truth.hub_listener import FrameTable
-from tests.truth.rows import MISSED, READING_IS_A_SET, Told
+from tests.truth.rows import MISSED, NO_INSTANT, READING_IS_A_SET, Told
 from tests.truth.taps import SYNC_ID, Field, Heard, PdoLayout
-from tests.truth.truth import SPEED, AxisTruth, Reading, SyncTruth
+from tests.truth.truth import SPEED, AxisTruth, CommandTruth, Reading, SyncTruth
 from virtual_bus.frame import Frame
 
 _SYNC: Final = Frame(SYNC_ID)
 ON_BUS_WITHIN: Final = Duration(100 * NS_PER_MS)
 """Longer no process waits for a core, even on a machine that others use too."""
+ON_BUS_EARLY: Final = Duration(4 * NS_PER_MS)
+"""The hub's stamps may be before the hand-over by as long as its process waits for a core."""
+COMMAND_WITHIN_CYCLES: Final = 16
+"""No command takes longer than so many cycles to the drive."""
 
 Instants = NDArray[np.int64]
 
@@ -58,8 +62,8 @@ def layout_of(plan: PdoPlan) -> PdoLayout:
     return PdoLayout(each, sent, command.cob_id, command.synchronous)
 
 
-def hub_truth(frames: FrameTable, told: Told, plan: PdoPlan) -> AxisTruth:
-    """What happened to the readings of one axis. Raises OutOfOrder."""
+def hub_truth(frames: FrameTable, told: Told, plan: PdoPlan, heard_commands: FrameTable) -> AxisTruth:
+    """What happened to one axis. ``heard_commands``: the RPDOs that its drive heard. Raises OutOfOrder."""
     layout = layout_of(plan)
     sync_ends = frames["at"][frames["can_id"] == SYNC_ID]
     handed_at = label_hand_overs(sync_ends, told)
@@ -77,7 +81,8 @@ def hub_truth(frames: FrameTable, told: Told, plan: PdoPlan) -> AxisTruth:
         syncs.append(SyncTruth(handed_at[place], Instant(end), Reading(came, place, heard), False))
         answered_at[came].append((place, heard))
     places: dict[int, int] = {sync.handed_at: place for place, sync in enumerate(syncs)}
-    return AxisTruth(layout, tuple(syncs), places, answered_at, (), {})
+    commands = _command_truths(layout, frames, heard_commands, told)
+    return AxisTruth(layout, tuple(syncs), places, answered_at, (), commands)
 
 
 def label_hand_overs(sync_ends: Instants, told: Told) -> list[Instant]:
@@ -99,6 +104,44 @@ def sync_spacings(truth: AxisTruth, told: Told, period: Duration) -> Spacings:
     handed, on_bus = np.diff(handed_at) < period // 2, np.diff(ended_at) < period // 2
     held_up, too_early = on_bus & ~handed, ended_at < handed_at
     return Spacings(int(handed.sum()), int(on_bus.sum()), int(held_up.sum()), int(too_early.sum()))
+
+
+def _command_truths(
+    layout: PdoLayout, frames: FrameTable, heard: FrameTable, told: Told
+) -> dict[int, CommandTruth]:
+    """By content: a command is known by its set-point if none of its neighbours has the same.
+
+    Synchronous commands are left out: which SYNC the drive's process heard first is not known here.
+    """
+    if layout.command_is_synchronous:
+        return {}
+    sent = told[told["command_handed_at"] != NO_INSTANT]
+    on_bus, acting = (
+        _by_content(table[table["can_id"] == layout.command_id], sent) for table in (frames, heard)
+    )
+    raw = sent["command_raw"]
+    known = np.ones(sent.size, bool)
+    for apart in range(1, COMMAND_WITHIN_CYCLES + 1):
+        known[apart:] &= raw[apart:] != raw[:-apart]
+        known[:-apart] &= raw[:-apart] != raw[apart:]
+    return {
+        at: CommandTruth(Instant(at), on_bus.get(at), acting.get(at))
+        for at in sent["command_handed_at"][known].tolist()
+    }
+
+
+def _by_content(table: FrameTable, sent: Told) -> dict[int, Instant]:
+    """Instant of a hand-over -> that at which a frame with the same set-point followed."""
+    handed_at, raw = sent["command_handed_at"], sent["command_raw"]
+    found: dict[int, Instant] = {}
+    for row in table:
+        set_point = int.from_bytes(bytes(row["data"]).ljust(8, b"\0")[2:4], "little", signed=True)
+        until = int(np.searchsorted(handed_at, row["at"] + ON_BUS_EARLY, side="right"))
+        for place in range(until - 1, max(-1, until - 1 - COMMAND_WITHIN_CYCLES), -1):
+            if raw[place] == set_point:
+                found.setdefault(int(handed_at[place]), Instant(int(row["at"])))
+                break
+    return found
 
 
 def _frame(row: np.void) -> Frame:

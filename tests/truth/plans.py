@@ -84,8 +84,8 @@ _LOSS: Final = _fault("loss", "probability = 0.1", _IN)
 _SYNC_LOSS: Final = _fault("loss", "probability = 0.05", _SYNC)
 _JITTER: Final = _delay(0, 1500)
 _GATEWAY: Final = _delay(5000, None, "from_s = 0.5")
-_COMMANDS: Final = _fault("loss", "probability = 0.1", _OUT) + _fault("delay", "delay_us = 600", _OUT)
-_COMMANDS_BEHIND: Final = _fault("loss", "probability = 0.1", _OUT, _BEHIND) + _fault(
+COMMANDS_LATE: Final = _fault("loss", "probability = 0.1", _OUT) + _fault("delay", "delay_us = 600", _OUT)
+COMMANDS_LATE_BEHIND: Final = _fault("loss", "probability = 0.1", _OUT, _BEHIND) + _fault(
     "delay", "delay_us = 600", _OUT, _BEHIND
 )
 _BLACKOUTS: Final = "blackout = [{from_s = 0.5, duration_s = 0.015}, {from_s = 1.0, duration_s = 0.06}]"
@@ -167,10 +167,10 @@ PLANS: Final = (
     # commands
     Plan("commands", commands=True, command_delay_us=10),
     Plan("commands, three axes", commands=True, axes=3, command_delay_us=10),
-    Plan("commands lost and late", _COMMANDS, commands=True),
-    Plan("commands behind the echo", _COMMANDS_BEHIND, commands=True),
-    Plan("commands, on_sync", _COMMANDS, commands=True, actuation="on_sync"),
-    Plan("commands lost and late, 3 axes", _COMMANDS, commands=True, axes=3),
+    Plan("commands lost and late", COMMANDS_LATE, commands=True),
+    Plan("commands behind the echo", COMMANDS_LATE_BEHIND, commands=True),
+    Plan("commands, on_sync", COMMANDS_LATE, commands=True, actuation="on_sync"),
+    Plan("commands lost and late, 3 axes", COMMANDS_LATE, commands=True, axes=3),
 )
 
 SHORT: Final = (

@@ -16,6 +16,8 @@ NO_INSTANT: Final = -(2**63)
 
 USED, LOST, LATE, STALE, MISSED = range(5)
 """``fate`` of a reading."""
+TORQUE_UNIT_NM: Final = 0.002
+"""6071h counts thousandths of the rated torque, 2 N m of the motor of [Ling2012]."""
 NOT_MEASURED, ACTING, COMMAND_LOST, NOT_IDENTIFIABLE = range(4)
 """``command_fate``."""
 
@@ -32,7 +34,16 @@ _INSTANTS = (
     "command_acts_after",
     "command_acts_by",
 )
-_WHOLE = ("sequence", "axis", "fate", "certain", "delay_ns", "sampled_at_error_ns", "command_fate")
+_WHOLE = (
+    "sequence",
+    "axis",
+    "fate",
+    "certain",
+    "delay_ns",
+    "sampled_at_error_ns",
+    "command_fate",
+    "command_raw",
+)
 TOLD_DTYPE: Final = np.dtype(
     [(name, np.int64) for name in (*_WHOLE, *_INSTANTS)] + [("velocity_rad_s", np.float64)]
 )
@@ -76,6 +87,7 @@ def _from_old(own: Rows, period: Duration) -> Told:
     told["received_at"] = np.where(used, own["received_at"], NO_INSTANT)
     sent = own["command_sent_at"] >= 0
     told["command_handed_at"] = np.where(sent, own["command_sent_at"], NO_INSTANT)
+    told["command_raw"] = np.rint(own["command_torque_nm"] / TORQUE_UNIT_NM)
     told["command_fate"] = np.where(sent, ACTING, NOT_MEASURED)
     for name in ("command_acts_after", "command_acts_by"):
         told[name] = np.where(sent, own["command_effective_at"], NO_INSTANT)

@@ -74,8 +74,8 @@ class Outcome:
             told_us, true_us = commands.delay_us(percentile)
             if not abs(told_us - true_us) <= self.plan.command_delay_us:
                 found.append(f"command delay p{percentile}: told {told_us:.0f} us, {true_us:.0f} us")
-        for what, count in (("wrong", commands.wrong), ("outside", commands.outside)):
-            if count:
+        for what in ("wrong", "unknown", "outside", "echo_wrong"):
+            if count := getattr(commands, what):
                 found.append(f"commands {what}: {count}")
         return found
 

@@ -185,6 +185,12 @@ def test_commands_that_are_told_rightly_and_wrongly(actuation: str) -> None:
     assert (judge_commands(told, axis).outside, judge_commands(told, axis).echo_wrong) == (1, 1)
 
 
+def test_a_command_that_was_never_handed_over_is_found() -> None:
+    told = told_rightly(truth())
+    told["command_handed_at"][ROW] += 1
+    assert judge_commands(told, truth()).unknown == 1
+
+
 def test_a_command_on_sync_acts_at_a_sync() -> None:
     axis = truth(LOSSES, "on_sync")
     heard_at = {sync.reading.heard.at for sync in axis.syncs if sync.reading is not None}

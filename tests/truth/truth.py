@@ -48,7 +48,6 @@ class CommandTruth:
     on_bus_at: Instant | None
     acts_at: Instant | None
     """From when the drive followed it; None if it was lost on the way, or replaced before it acted."""
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ class AxisTruth:
     steps_at: tuple[Instant, ...]
     """First SYNCs heard after a step of the drive's clock."""
     commands: dict[int, CommandTruth]
-    """By the instant of the hand-over."""
+    """By the instant of the hand-over, as far as it is known what became of them."""
 
     def handed_between(self, begin: int, end: int) -> tuple[SyncTruth, ...]:
         """The SYNCs handed over in [begin, end)."""
@@ -166,7 +165,7 @@ def _command_truths(log: TapLog, node_id: int, on_bus: dict[int, Instant]) -> di
     if acts is None:
         acts = _first(drive.commands)
     return {
-        at: CommandTruth(at, on_bus.get(id(frame)), acts.get(id(frame)), frame.data)
+        at: CommandTruth(at, on_bus.get(id(frame)), acts.get(id(frame)))
         for at, frame in log.handed
         if frame.can_id == drive.layout.command_id
     }
