@@ -23,6 +23,7 @@ RELEARNING_CYCLES: Final = 50
 """After a step of a drive's clock so many cycles may be uncertain."""
 VELOCITY_UNIT_RAD_S: Final = 2.0 * np.pi / 60.0 * 1e-3
 """606Ch of the simulated drive counts 0.001 r/min."""
+EXAMPLES_MAX: Final = 10
 _STAMPS: Final = 1 << 32
 
 
@@ -42,11 +43,14 @@ class Judgement:
     rows: int = 0
     misjudged: Counter[str] = field(default_factory=Counter)
     """Certain rows that are wrong, by what is wrong."""
-    first_wrong: str = ""
+    examples: list[str] = field(default_factory=list)
+    """The first wrong rows, in words."""
     fates: Counter[int] = field(default_factory=Counter)
     uncertain: int = 0
     uncertain_far: int = 0
-    """Of them, those with no clock step in the cycles before, and not at the begin of the run."""
+    """Of them, those with neither a clock step nor the begin of the run in the cycles before."""
+    uncertain_last: int = 0
+    """Of them, how many cycles after a step, or after the begin, the last one came."""
     uncertain_wrong: int = 0
     """Of them, those that would have been misjudged."""
     unaccounted: int = 0
@@ -57,11 +61,11 @@ class Judgement:
     """Certain rows whose ``sampled_at`` is further off than they say."""
     delay_errors_ns: list[int] = field(default_factory=list)
     """Of certain used rows, outside of re-learning."""
-    steps: int = 0
 
     def add(self, other: "Judgement") -> None:
         """Take ``other`` in."""
-        self.first_wrong = self.first_wrong or other.first_wrong
+        self.examples = (self.examples + other.examples)[:EXAMPLES_MAX]
+        self.uncertain_last = max(self.uncertain_last, other.uncertain_last)
         self.misjudged += other.misjudged
         self.fates += other.fates
         self.delay_errors_ns += other.delay_errors_ns
@@ -73,7 +77,6 @@ class Judgement:
             "unaccounted",
             "echo_wrong",
             "bound_broken",
-            "steps",
         ):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
@@ -103,7 +106,7 @@ class _Judge:
         self._truth = truth
         self._timing = timing
         self._result = result
-        self._first_due = int(told["due_at"][0])
+        self._first_due = int(told["due_at"][0]) - (int(told["sequence"][0]) - 1) * timing.period
         self._last_due = int(told["due_at"][-1])
         self._used = set(told["sync_handed_at"][told["fate"] == USED].tolist())
         self._steps = [self._cycle_at(at) for at in truth.steps_at if at >= self._first_due]
@@ -114,7 +117,6 @@ class _Judge:
     def judge(self) -> None:
         result, told = self._result, self._told
         result.rows = told.size
-        result.steps = len(self._steps)
         result.unaccounted = self._unaccounted()
         for row in told:
             fate = int(row["fate"])
@@ -125,7 +127,7 @@ class _Judge:
                 continue
             if wrong:
                 result.misjudged[wrong] += 1
-                result.first_wrong = result.first_wrong or f"cycle {row['sequence']}: {wrong}"
+                self._keep_example(row, wrong)
             elif fate == USED:
                 self._measure(row)
             self._check_echo(row)
@@ -143,6 +145,8 @@ class _Judge:
         """What is wrong with the fate that a row tells; empty if nothing is."""
         due, handed_at = int(row["due_at"]), int(row["sync_handed_at"])
         period = self._timing.period
+        if due != self._first_due + (int(row["sequence"]) - 1) * period:
+            return "its due is not on the grid"
         if fate == MISSED:
             return "missed, and its SYNC went out" if self._truth.handed_between(due, due + period) else ""
         place = self._truth.place_of.get(handed_at)
@@ -224,7 +228,7 @@ class _Judge:
         assert heard is not None
         if abs(int(row["sampled_at"]) - heard.at) > int(row["sampled_at_error_ns"]):
             result.bound_broken += 1
-        if not self._is_relearning(int(row["sequence"]), before=0):
+        if not _is_near(int(row["sequence"]), self._steps, before=0):
             result.delay_errors_ns.append(int(row["delay_ns"]) - (int(row["received_at"]) - heard.at))
 
     def _check_echo(self, row: Any) -> None:
@@ -234,16 +238,35 @@ class _Judge:
             self._result.echo_wrong += 1
 
     def _count_uncertain(self, cycle: int, wrong: bool) -> None:
-        """A step may also put readings in doubt that were on their way when it came."""
+        """A step may also put readings in doubt that were on their way when it came; so may the begin."""
         result = self._result
         result.uncertain += 1
         result.uncertain_wrong += wrong
-        near = cycle <= RELEARNING_CYCLES or self._is_relearning(cycle, before=self._timing.horizon)
-        result.uncertain_far += not near
+        begin_and_steps = [1, *self._steps]
+        if _is_near(cycle, begin_and_steps, before=self._timing.horizon):
+            since = cycle - max(step for step in begin_and_steps if step <= cycle)
+            result.uncertain_last = max(result.uncertain_last, since if since <= RELEARNING_CYCLES else 0)
+        else:
+            result.uncertain_far += 1
 
-    def _is_relearning(self, cycle: int, before: int) -> bool:
-        first = bisect_left(self._steps, cycle - RELEARNING_CYCLES)
-        return first < len(self._steps) and self._steps[first] <= cycle + before
+    def _keep_example(self, row: Any, wrong: str) -> None:
+        place = self._truth.place_of.get(int(row["sync_handed_at"]))
+        sync = None if place is None else self._truth.syncs[place]
+        reading = None if sync is None else sync.reading
+        told = f"axis {row['axis']}, cycle {row['sequence']}: {wrong}"
+        if sync is not None:
+            told += f"; handed over {sync.handed_at}, on the bus {sync.on_bus_at}"
+        if reading is not None:
+            told += f", sampled {reading.heard.at}, came {reading.received_at}"
+        if row["fate"] == USED:
+            told += f"; told sampled {row['sampled_at']}, came {row['received_at']}"
+        self._result.examples = [*self._result.examples, told][:EXAMPLES_MAX]
 
     def _cycle_at(self, at: Instant) -> int:
         return 1 + (at - self._first_due) // self._timing.period
+
+
+def _is_near(cycle: int, steps: list[int], before: int) -> bool:
+    """Whether one of ``steps`` is in the cycles of re-learning before ``cycle``, or so many after it."""
+    first = bisect_left(steps, cycle - RELEARNING_CYCLES)
+    return first < len(steps) and steps[first] <= cycle + before

@@ -1,6 +1,7 @@
 """The judge finds each kind of wrong row: rows that are right are made wrong one way at a time."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -120,6 +121,7 @@ def shift(name: str, by: float) -> Callable[[Told], None]:
         (tell("fate", MISSED), "missed, and its SYNC went out"),
         (shift("sync_handed_at", 1), "no SYNC was handed over then"),
         (shift("sync_handed_at", NS_PER_MS), "its SYNC is of another cycle"),
+        (shift("due_at", 1), "its due is not on the grid"),
     ],
 )
 def test_each_wrong_row_is_found(change: Callable[[Told], None], wrong: str) -> None:
@@ -132,7 +134,20 @@ def test_a_wrong_row_that_is_uncertain_is_counted_apart() -> None:
         told["certain"][[ROW, CYCLES - 1]] = 0
 
     found = judged(change)
-    assert (found.wrong, found.uncertain, found.uncertain_wrong, found.uncertain_far) == (0, 2, 1, 1)
+    assert (found.wrong, found.uncertain, found.uncertain_wrong) == (0, 2, 1)
+    assert (found.uncertain_last, found.uncertain_far) == (ROW, 1)
+
+
+def test_after_a_step_of_the_clock_rows_may_be_uncertain_and_delays_off() -> None:
+    axis = truth()
+    told = told_rightly(axis)
+    stepped = replace(axis, steps_at=(Instant(int(told["due_at"][ROW])),))
+    told["certain"][CYCLES - 1] = 0
+    told["delay_ns"][ROW] += NS_PER_MS
+    found = judge_axis(told, stepped, TIMING)
+
+    assert (found.uncertain_last, found.uncertain_far) == (CYCLES - 1 - ROW, 0)
+    assert found.delay_error_us(100) == 0.0
 
 
 def test_a_delay_a_bound_and_an_echo_that_are_off_are_found() -> None:
