@@ -1,0 +1,75 @@
+"""The rows of ``hil run`` on a hub, drives in another process, beside what a third, passive client heard."""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from tests.truth.hub_run import HubOutcome, run_beside_a_listener
+from tests.truth.plans import COMMANDS_LATE, Plan
+from tests.truth.rows import LATE, LOST, MISSED, STALE, USED
+
+CYCLES = 20_000
+SIDES = ("nowhere", "host", "drive")
+"""Before the echo, or behind it."""
+
+
+def main() -> None:
+    """Print some lines for each number of axes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--axes", type=int, choices=(1, 3), action="append", help="both, if left out")
+    parser.add_argument("--cycles", type=int, default=CYCLES)
+    parser.add_argument(
+        "--commands", choices=SIDES, action="append", help="where they are lost and late; each, if left out"
+    )
+    options = parser.parse_args()
+    for axes in options.axes or (1, 3):
+        for side in options.commands or SIDES:
+            at_host = COMMANDS_LATE if side == "host" else ""
+            at_drive = COMMANDS_LATE if side == "drive" else ""
+            plan = Plan(f"{axes} axes, commands lost and late: {side}", at_host, axes=axes, commands=True)
+            with tempfile.TemporaryDirectory() as scratch:
+                _print(plan, run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive))
+
+
+def _print(plan: Plan, found: HubOutcome) -> None:
+    readings, spacings = found.readings, found.spacings
+    fates = ", ".join(
+        f"{readings.fates[fate]} {name}"
+        for fate, name in (
+            (USED, "used"),
+            (LOST, "lost"),
+            (LATE, "late"),
+            (STALE, "stale"),
+            (MISSED, "missed"),
+        )
+    )
+    kinds = ", ".join(f"{kind}: {count}" for kind, count in readings.misjudged.most_common()) or "none"
+    p50, p99, most = found.delays_us
+    errors = [readings.delay_error_us(percentile) for percentile in (50, 99, 100)]
+    print(f"{plan.name}: {readings.rows} rows, hil run ended with {found.status}: {fates}")
+    print(f"  misjudged {readings.wrong} ({kinds}); uncertain {readings.uncertain}")
+    print(
+        f"  delays told, us: p50 {p50:.0f}, p99 {p99:.0f}, max {most:.0f}; negative {found.negative_delays}"
+    )
+    print(f"  delay error, us: p50 {errors[0]:.1f}, p99 {errors[1]:.1f}, max {errors[2]:.1f}")
+    print(f"  sampled_at_error_ns broken {readings.bound_broken}; wrong SYNC echoes {readings.echo_wrong}")
+    print(
+        f"  SYNCs closer than half a period: {spacings.handed} at hand-over, {spacings.on_bus} on the bus,"
+        f" of those {spacings.held_up} because the first was held up; unaccounted {readings.unaccounted}"
+    )
+    print(f"  SYNCs that ended on the bus before they were handed over: {spacings.too_early}")
+    commands = found.commands
+    delays = ", ".join(
+        f"{label} {told:.0f} ({true:.0f})"
+        for label, percentile in (("p50", 50), ("p99", 99), ("max", 100))
+        for told, true in [commands.delay_us(percentile)]
+    )
+    print(
+        f"  {commands.handed} commands, told (true): lost {commands.told_loss_percent:.1f}"
+        f" ({commands.true_loss_percent:.1f}) %, delay us {delays}"
+    )
+    print(f"  of them {commands.wrong} wrong, {commands.outside} outside of their interval")
+
+
+if __name__ == "__main__":
+    main()

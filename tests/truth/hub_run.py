@@ -1,0 +1,95 @@
+"""A run on a hub with its drives in another process, beside a third client, held against what that heard."""
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.configuration.config import BenchConfig
+from hil.recording.records import ROW_DTYPE
+from hil.recording.records_file import RECORDS_FILE, read_records
+from hil.testing.hosted import DriveProcess
+from hil.testing.run import pdo_plans
+from tests.scenario.processes import run
+from tests.truth.command_judge import CommandJudgement, judge_commands
+from tests.truth.hub_listener import heard, listening
+from tests.truth.hub_truth import Spacings, hub_truth, sync_spacings
+from tests.truth.judge import Judgement, Timing, judge_axis
+from tests.truth.plans import Plan
+from tests.truth.rows import USED, Told, told_by
+from tests.truth.runner import ROOT, bench_config
+
+FRAMES, COMMANDS = "frames.bin", "commands.bin"
+MOTOR: Final = ROOT / "examples" / "motors" / "ling2012.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class HubOutcome:
+    """What came of it."""
+
+    status: int
+    """Of ``hil run``."""
+    said: str
+    summary: dict[str, Any]
+    readings: Judgement
+    commands: CommandJudgement
+    spacings: Spacings
+    negative_delays: int
+    delays_us: tuple[float, float, float]
+    """p50, p99, max, as told."""
+
+
+def run_beside_a_listener(plan: Plan, cycles: int, folder: Path, drive_faults: str = "") -> HubOutcome:
+    """``hil run`` and ``hil simulate`` for ``cycles`` planned cycles of ``plan``.
+
+    ``folder``: of the run's files. ``drive_faults``: TOML, a fault plan of the drives' side.
+    """
+    config = bench_config(plan, cycles)
+    hub = f"truth-{os.getpid()}"
+    bench = folder / "bench.toml"
+    bench.write_text(config.resolved_text(bus_spec=f"hub:{hub}"), encoding="utf-8")
+    with listening(hub, folder / FRAMES):
+        drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
+        try:
+            status, summary, said = run(bench, f"hub:{hub}", folder / "run")
+        finally:
+            drives.stop()
+    return _outcome(config, folder, status, said, summary)
+
+
+def _simulate(hub: str, axes: int, folder: Path, faults: str) -> list[str]:
+    command = [sys.executable, "-m", "tests.truth.tapped_drives", str(folder / COMMANDS), "simulate"]
+    command += ["--bus", f"hub:{hub}", "--node", f"1-{axes}", "--motor", str(MOTOR)]
+    if faults:
+        (folder / "drive_faults.toml").write_text(faults, encoding="utf-8")
+        command += ["--faults", str(folder / "drive_faults.toml")]
+    return command
+
+
+def _outcome(
+    config: BenchConfig, folder: Path, status: int, said: str, summary: dict[str, Any]
+) -> HubOutcome:
+    frames, heard_commands = heard(folder / FRAMES), heard(folder / COMMANDS)
+    rows = np.concatenate([np.empty(0, ROW_DTYPE), *read_records(folder / "run" / RECORDS_FILE)])
+    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods)
+    readings, commands, negative, delays = Judgement(), CommandJudgement(), 0, list[int]()
+    plans = pdo_plans(config)
+    for axis, name in enumerate(config.axes):
+        told = told_by(rows, axis, timing.period)
+        truth = hub_truth(frames, told, plans[name], heard_commands)
+        readings.add(judge_axis(told, truth, timing))
+        commands.add(judge_commands(told, truth))
+        negative += int((_used_delays(told) < 0).sum())
+        delays += _used_delays(told).tolist()
+    spacings = sync_spacings(truth, told, timing.period)
+    p50, p99, most = (float(np.percentile(delays, q)) / 1e3 for q in (50, 99, 100))
+    return HubOutcome(status, said, summary, readings, commands, spacings, negative, (p50, p99, most))
+
+
+def _used_delays(told: Told) -> NDArray[np.int64]:
+    delays: NDArray[np.int64] = told["delay_ns"][told["fate"] == USED]
+    return delays

@@ -1,0 +1,149 @@
+"""From what a third client of a hub heard to what happened in each cycle of one axis.
+
+No frame is lost on a hub, and a drive answers SYNCs in the order in which it hears them. So the k-th TPDO
+with a speed answers the k-th SYNC, whatever the drive's process did in between. When the loop handed a SYNC
+over nobody else can see: the rows tell it, and it serves as a label. As all SYNCs are on the bus in the order
+in which they were handed over, and the last one belongs to the last row, the order alone decides which.
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.pdo import EVERY_SYNC, PdoPlan
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from tests.truth.hub_listener import FrameTable
+from tests.truth.rows import MISSED, NO_INSTANT, READING_IS_A_SET, Told
+from tests.truth.taps import SYNC_ID, Field, Heard, PdoLayout
+from tests.truth.truth import SPEED, AxisTruth, CommandTruth, Reading, SyncTruth
+from virtual_bus.frame import Frame
+
+_SYNC: Final = Frame(SYNC_ID)
+ON_BUS_WITHIN: Final = Duration(100 * NS_PER_MS)
+"""Longer no process waits for a core, even on a machine that others use too."""
+ON_BUS_EARLY: Final = Duration(4 * NS_PER_MS)
+"""The hub's stamps may be before the hand-over by as long as its process waits for a core."""
+COMMAND_WITHIN_CYCLES: Final = 16
+"""No command takes longer than so many cycles to the drive."""
+
+Instants = NDArray[np.int64]
+
+
+class OutOfOrder(AssertionError):
+    """The order of the frames does not tell which answers which."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spacings:
+    """SYNCs that follow the last one by less than half a period."""
+
+    handed: int
+    on_bus: int
+    held_up: int
+    """Of those on the bus, those that were handed over with more than that between them: the first one had to
+    wait for the bus, or for the process of the hub."""
+    too_early: int
+    """Those that ended on the bus before they were handed over, by the hub's stamps."""
+
+
+def layout_of(plan: PdoPlan) -> PdoLayout:
+    """Where the objects lie that a drive sends under ``plan``."""
+    sent: dict[int, Field] = {}
+    for pdo in plan.tpdos:
+        first_bit = 0
+        for entry in pdo.entries:
+            sent.setdefault(entry.index, Field(pdo.cob_id, first_bit // 8, entry.bits // 8))
+            first_bit += entry.bits
+    each = tuple(sorted(pdo.cob_id for pdo in plan.tpdos if pdo.transmission_type == EVERY_SYNC))
+    command = plan.rpdos[0]
+    return PdoLayout(each, sent, command.cob_id, command.synchronous)
+
+
+def hub_truth(frames: FrameTable, told: Told, plan: PdoPlan, heard_commands: FrameTable) -> AxisTruth:
+    """What happened to one axis. ``heard_commands``: the RPDOs that its drive heard. Raises OutOfOrder."""
+    layout = layout_of(plan)
+    sync_ends = frames["at"][frames["can_id"] == SYNC_ID]
+    handed_at = label_hand_overs(sync_ends, told)
+    by_id = {can_id: frames[frames["can_id"] == can_id] for can_id in layout.each_sync}
+    for can_id, found in by_id.items():
+        if found.size != sync_ends.size or (found["at"] < sync_ends).any():
+            raise OutOfOrder(f"{sync_ends.size} SYNCs and {found.size} frames {can_id:03X}h")
+    completing = max(layout.each_sync) if READING_IS_A_SET else layout.sent[SPEED].can_id
+    syncs: list[SyncTruth] = []
+    answered_at: dict[int, list[tuple[int, Heard]]] = defaultdict(list)
+    for place, end in enumerate(sync_ends.tolist()):
+        answers = [_frame(found[place]) for found in by_id.values()]
+        heard = Heard(Instant(end), _SYNC, answers, end)
+        came = Instant(int(by_id[completing]["at"][place]))
+        syncs.append(SyncTruth(handed_at[place], Instant(end), Reading(came, place, heard), False))
+        answered_at[came].append((place, heard))
+    places: dict[int, int] = {sync.handed_at: place for place, sync in enumerate(syncs)}
+    commands = _command_truths(layout, frames, heard_commands, told)
+    return AxisTruth(layout, tuple(syncs), places, answered_at, (), commands)
+
+
+def label_hand_overs(sync_ends: Instants, told: Told) -> list[Instant]:
+    """Of each SYNC on the bus when it was handed over; of those of the calibration, their end on the bus."""
+    handed_at = told["sync_handed_at"][told["fate"] != MISSED]
+    before = sync_ends.size - handed_at.size
+    if before < 0:
+        raise OutOfOrder(f"{handed_at.size} SYNCs handed over, {sync_ends.size} on the bus")
+    if (np.abs(sync_ends[before:] - handed_at) > ON_BUS_WITHIN).any():
+        raise OutOfOrder("a SYNC was on the bus long before or after it was handed over")
+    return [Instant(at) for at in (*sync_ends[:before].tolist(), *handed_at.tolist())]
+
+
+def sync_spacings(truth: AxisTruth, told: Told, period: Duration) -> Spacings:
+    """Of the SYNCs that the rows know."""
+    places = [truth.place_of[at] for at in told["sync_handed_at"][told["fate"] != MISSED].tolist()]
+    handed_at = np.array([truth.syncs[place].handed_at for place in places])
+    ended_at = np.array([truth.syncs[place].on_bus_at for place in places], np.int64)
+    handed, on_bus = np.diff(handed_at) < period // 2, np.diff(ended_at) < period // 2
+    held_up, too_early = on_bus & ~handed, ended_at < handed_at
+    return Spacings(int(handed.sum()), int(on_bus.sum()), int(held_up.sum()), int(too_early.sum()))
+
+
+def _command_truths(
+    layout: PdoLayout, frames: FrameTable, heard: FrameTable, told: Told
+) -> dict[int, CommandTruth]:
+    """By content: a command is known by its set-point if none of its neighbours has the same.
+
+    Synchronous commands are left out: which SYNC the drive's process heard first is not known here.
+    """
+    if layout.command_is_synchronous:
+        return {}
+    sent = told[told["command_handed_at"] != NO_INSTANT]
+    on_bus, acting = (
+        _by_content(table[table["can_id"] == layout.command_id], sent) for table in (frames, heard)
+    )
+    raw = sent["command_raw"]
+    known = np.ones(sent.size, bool)
+    for apart in range(1, COMMAND_WITHIN_CYCLES + 1):
+        known[apart:] &= raw[apart:] != raw[:-apart]
+        known[:-apart] &= raw[:-apart] != raw[apart:]
+    return {
+        at: CommandTruth(Instant(at), on_bus.get(at), acting.get(at))
+        for at in sent["command_handed_at"][known].tolist()
+    }
+
+
+def _by_content(table: FrameTable, sent: Told) -> dict[int, Instant]:
+    """Instant of a hand-over -> that at which a frame with the same set-point followed."""
+    handed_at, raw = sent["command_handed_at"], sent["command_raw"]
+    found: dict[int, Instant] = {}
+    for row in table:
+        set_point = int.from_bytes(bytes(row["data"]).ljust(8, b"\0")[2:4], "little", signed=True)
+        until = int(np.searchsorted(handed_at, row["at"] + ON_BUS_EARLY, side="right"))
+        for place in range(until - 1, max(-1, until - 1 - COMMAND_WITHIN_CYCLES), -1):
+            if raw[place] == set_point:
+                found.setdefault(int(handed_at[place]), Instant(int(row["at"])))
+                break
+    return found
+
+
+def _frame(row: np.void) -> Frame:
+    data = bytes(row["data"]).ljust(8, b"\0")
+    return Frame(int(row["can_id"]), data[: int(row["length"])])

@@ -1,0 +1,103 @@
+"""A whole run of a bench in simulated time, in this process, with the taps in it and its rows kept."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from drivers.errors import BenchError
+from drivers.link import BusLink, StampSource
+from hil import bench, world
+from hil.bench import run_bench
+from hil.configuration.config import BenchConfig
+from hil.recording.recorder import MemoryRecorder
+from hil.recording.recording_plan import RecordingPlan
+from hil.recording.records import ROW, ROW_DTYPE, Rows, store_record
+from hil.samples import CycleRecord
+from hil.terminal.progress import no_progress
+from hil.world import World, WorldPlan
+from tests.truth.taps import HostTap, TapLog, tap_drives
+from virtual_bus.servo import SimulatedServo
+
+
+@dataclass(frozen=True, slots=True)
+class TappedRun:
+    """What a run said, and what happened."""
+
+    rows: Rows
+    """(n,) as recorded, all axes."""
+    log: TapLog
+    ended_by: str
+    """The error that ended it before its time; empty if none did."""
+
+
+class RowsRecorder(MemoryRecorder):
+    """Keeps the rows as a recording would have them."""
+
+    def __init__(self, plan: RecordingPlan) -> None:
+        super().__init__(plan.review, plan.seed)
+        self._kept = bytearray()
+        self._row = bytearray(ROW.size)
+
+    def record(self, record: CycleRecord) -> None:
+        store_record(self._row, 0, record)
+        self._kept += self._row
+        super().record(record)
+
+    def fault_block(self, length: int, block: bytes) -> None:
+        """The faults are known to the plan; nothing of them is asked."""
+
+    def rows(self) -> Rows:
+        """(n,) of ROW_DTYPE."""
+        return np.frombuffer(bytes(self._kept), ROW_DTYPE)
+
+
+def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) -> TappedRun:
+    """Run ``config`` on its simulated bus. ``clock_starts_at_us``: 1013h of every drive at power-on."""
+    log = TapLog()
+    recorders: list[RowsRecorder] = []
+
+    def start_recording(plan: RecordingPlan) -> RowsRecorder:
+        recorders.append(RowsRecorder(plan))
+        return recorders[-1]
+
+    @contextmanager
+    def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
+        drives = [device for device in devices if isinstance(device, SimulatedServo)]
+        with world.open_world(plan, tap_drives(drives, log, clock_starts_at_us)) as made:
+            yield _tapped(made, log)
+
+    ended_by = ""
+    with (
+        patch.object(bench, "open_world", open_world),
+        patch.object(bench, "start_recording", start_recording),
+    ):
+        try:
+            run_bench(
+                config,
+                bus_spec="simulated",
+                time=None,
+                seed=None,
+                record=None,
+                view=False,
+                progress=no_progress,
+                privileged=False,
+            )
+        except BenchError as error:
+            if not recorders:
+                raise
+            ended_by = str(error)
+    return TappedRun(recorders[0].rows(), log, ended_by)
+
+
+def _tapped(made: World, log: TapLog) -> World:
+    """``made`` with a monitor on its segment and a tap in front of the loop's port."""
+    if made.further:
+        raise ValueError("the taps watch one segment")
+    bus: Any = made.link.bus
+    log.watch(getattr(bus, "inner", bus).segment)
+    bus.frame_port = HostTap(bus.frame_port, log, made.clock.now)
+    return replace(made, link=BusLink(bus, made.clock, StampSource.MONOTONIC, made.link.name))

@@ -1,0 +1,86 @@
+"""Rows of runs on a hub are what a third client heard; and what it heard is judged rightly."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.pdo_plans import torque_plan
+from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
+from tests.truth.hub_run import run_beside_a_listener
+from tests.truth.hub_truth import OutOfOrder, Spacings, hub_truth, sync_spacings
+from tests.truth.plans import Plan
+from tests.truth.rows import LOST, TOLD_DTYPE, Told
+
+CYCLES = 2_000
+PERIOD = Duration(NS_PER_MS)
+PLAN = torque_plan(1, device_stamp=True)
+NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
+
+
+@pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize("axes", [1, 3])
+def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, tmp_path: Path) -> None:
+    found = run_beside_a_listener(Plan("hub", axes=axes), CYCLES, tmp_path)
+
+    assert found.status == 0, found.said
+    assert found.readings.rows == axes * CYCLES
+    assert found.readings.misjudged == {}
+    assert (found.readings.unaccounted, found.readings.echo_wrong) == (0, 0)
+    assert (found.negative_delays, found.readings.bound_broken) == (0, 0)
+    assert (found.spacings.handed, found.spacings.too_early) == (0, 0)
+
+
+def frames(*syncs_us: int) -> FrameTable:
+    """SYNCs that end at these instants, and after each the TPDOs of node 1."""
+    rows = []
+    for sync_us in syncs_us:
+        ids = (0x080, *(pdo.cob_id for pdo in PLAN.tpdos))
+        rows += [((sync_us + 100 * place) * NS_PER_US, can_id, 8, b"") for place, can_id in enumerate(ids)]
+    return np.array(rows, FRAME_DTYPE)
+
+
+def told(*handed_us: int) -> Told:
+    rows = np.zeros(len(handed_us), TOLD_DTYPE)
+    rows["fate"], rows["sync_handed_at"] = LOST, np.array(handed_us) * NS_PER_US
+    rows["command_handed_at"], rows["command_raw"] = rows["sync_handed_at"], range(len(handed_us))
+    return rows
+
+
+def test_the_last_sync_belongs_to_the_last_row() -> None:
+    truth = hub_truth(frames(0, 1000, 2050), told(950, 2000), PLAN, NO_COMMANDS)
+
+    assert [sync.handed_at // NS_PER_US for sync in truth.syncs] == [0, 950, 2000]
+    assert [sync.on_bus_at for sync in truth.syncs] == [0, 1000 * NS_PER_US, 2050 * NS_PER_US]
+    answers = [sync.reading.heard.at for sync in truth.syncs if sync.reading is not None]
+    assert answers == [sync.on_bus_at for sync in truth.syncs]
+
+
+def test_spacings_are_counted_with_their_cause() -> None:
+    rows = told(0, 1000, 1400, 2500, 4000)
+    truth = hub_truth(frames(50, 1050, 1450, 3900, 3990), rows, PLAN, NO_COMMANDS)
+
+    assert sync_spacings(truth, rows, PERIOD) == Spacings(handed=1, on_bus=2, held_up=1, too_early=1)
+
+
+def test_an_order_that_does_not_tell_is_refused() -> None:
+    heard = frames(0, 1000, 2000)
+    with pytest.raises(OutOfOrder, match="4 SYNCs handed over, 3 on the bus"):
+        hub_truth(heard, told(0, 1000, 2000, 3000), PLAN, NO_COMMANDS)
+    with pytest.raises(OutOfOrder, match="long before or after"):
+        hub_truth(heard, told(0, 1000, 300_000), PLAN, NO_COMMANDS)
+    with pytest.raises(OutOfOrder, match="3 SYNCs and 2 frames"):
+        hub_truth(heard[:-1], told(0, 1000, 2000), PLAN, NO_COMMANDS)
+
+
+def test_commands_are_known_by_their_set_points() -> None:
+    rows = told(0, 1000, 2000, 3000)
+    rows["command_raw"][3] = rows["command_raw"][2]
+    heard = np.array(
+        [(at * NS_PER_US, 0x201, 4, bytes((0, 0, raw))) for at, raw in ((84, 0), (2684, 2))], FRAME_DTYPE
+    )
+    truth = hub_truth(frames(50, 1050, 2050, 3050), rows, PLAN, heard)
+
+    acts_at = {at // NS_PER_US: command.acts_at for at, command in truth.commands.items()}
+    assert acts_at == {0: 84 * NS_PER_US, 1000: None}  # the third and the fourth are alike

@@ -1,0 +1,21 @@
+"""Every row of short runs is what happened, as taps outside the bench have seen it.
+
+``python -m tests.benchmarks.bench_truth`` runs all plans, and each for longer.
+"""
+
+import pytest
+
+from tests.truth.plans import PLANS, SHORT
+from tests.truth.runner import run_plan
+
+CYCLES = 1_300
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_what_a_run_tells_is_what_happened(name: str) -> None:
+    plan = next(plan for plan in PLANS if plan.name == name)
+    outcome = run_plan(plan, CYCLES)
+    if outcome.skipped:
+        pytest.skip(outcome.skipped)
+    assert outcome.readings.rows >= CYCLES
+    assert outcome.broken() == []
