@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -191,7 +191,7 @@ class FolderRecorder:
             raise self._failure(f"the logger ended with status {self._logger.returncode}")
 
     def close(self, outcome: RunOutcome) -> Summary:
-        answer = self._finish(json.dumps(_outcome_json(outcome)))
+        answer = self._finish(json.dumps(asdict(outcome)))
         for ring in self._rings:
             ring.close()
         return Summary.from_json(json.loads(answer.splitlines()[-1]))
@@ -275,14 +275,3 @@ def _make_folder(folder: Path) -> None:
         raise BadInput(
             "--record", "", str(folder), "a new or empty folder", "a recording is never overwritten"
         )
-
-
-def _outcome_json(outcome: RunOutcome) -> dict[str, object]:
-    return {
-        "bus_load_percent": outcome.bus_load_percent,
-        "realtime_factor": outcome.realtime_factor,
-        "completed": outcome.completed,
-        "reason": outcome.reason,
-        "network_notes": list(outcome.network_notes),
-        "load_machine": outcome.load_machine,
-    }
