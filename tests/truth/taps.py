@@ -10,7 +10,7 @@ traced back to its SYNC by identity. Only damaged data would break the chain, an
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from drivers.frame_port import FramePort
 from drivers.timebase import Instant
@@ -142,9 +142,11 @@ class HostTap(FramePort):
         self._inner = inner
         self._log = log
         self._now = now
-        for name in ("echoes", "came_own"):
-            if hasattr(inner, name):
-                setattr(self, name, getattr(inner, name))
+        self.echoes, self.needs_watching = inner.echoes, inner.needs_watching
+
+    def __getattr__(self, name: str) -> Any:
+        """What the bus itself asks of its port."""
+        return getattr(self._inner, name)
 
     def receive(self, until: Instant) -> Frame | None:
         inner = self._inner
