@@ -252,6 +252,18 @@ def test_no_more_is_held_than_there_is_room_for() -> None:
     assert len(gateway.wake(Instant(10 * NS_PER_S))) == HELD_MAX
 
 
+def test_every_frame_passes_once_the_plan_has_ended() -> None:
+    loss = IndependentLoss(selection=at_drive(), probability=1.0)
+    injection = Injection(FaultPlan((loss,)), 1)
+    gateway = injection.wrap(SimulatedServo(1, LING))
+    gateway.start(Instant(0))
+    gateway.receive(Frame(0, b"\x01\x00"), Instant(1))
+    injection.start(Instant(1))
+    assert gateway.receive(Frame(SYNC), Instant(2)) == []
+    injection.stop()
+    assert [frame.can_id for frame in gateway.receive(Frame(SYNC), Instant(3))] == [TPDO1, TPDO2]
+
+
 def test_a_drive_to_which_nothing_happens_has_no_gateway() -> None:
     plan = FaultPlan((replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, nodes=(2,))),))
     servo = SimulatedServo(1, LING)
