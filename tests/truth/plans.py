@@ -62,7 +62,7 @@ def _delay(least_us: int, most_us: int | None = None, *more: str) -> str:
 
 def _late(least_us: int, most_us: int | None = None) -> str:
     """Of the host, in one cycle of fifty."""
-    return _fault("host_stall", "probability = 0.02", _span("late", least_us, most_us))
+    return _fault("host_stall", "probability_per_s = 20.0", _span("late", least_us, most_us))
 
 
 def _step(step_us: int, *more: str) -> str:
