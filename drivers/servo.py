@@ -15,7 +15,7 @@ from drivers.drive_setup import (
 )
 from drivers.drive_watch import DriveWatch
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
-from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.mode_control import MODE_BITS, ModeControl
 from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
@@ -25,7 +25,7 @@ from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.profile402 import DriveCommand, Mode, State, state_of
-from drivers.readings import DemandChange, ReadingAssembler, Seen
+from drivers.readings import ReadingAssembler, Seen
 from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.supervision import CommandSupervision, end_heartbeat
@@ -33,6 +33,9 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
+OLDER_WORDS_LIMIT: Final = Duration(50 * NS_PER_MS)
+"""A statusword that is told by PDO is not longer on its way than this; if it was lost, its event timer repeats
+it."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
 _CONNECT_TRY_S: Final = 0.1
@@ -148,7 +151,17 @@ class ServoDrive(Drive):
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
+        self._await_older_words(deadline)
         self._watch.begin()
+
+    def _await_older_words(self, deadline: Instant) -> None:
+        """Let the statuswords of the way here come in: a slow PDO would tell later that the drive fell back."""
+        status = None if self.plan is None else self.plan.tpdo_with(Object.STATUSWORD)
+        if status is None or status.synchronous:
+            return
+        until = min(deadline, self.network.deadline_after(OLDER_WORDS_LIMIT))
+        while state_of(self._told.by_pdo) is not State.OPERATION_ENABLED and self.network.pump_one(until):
+            pass
 
     def disable(self, deadline: Instant) -> None:
         """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""

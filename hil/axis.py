@@ -143,6 +143,7 @@ class Axis:
         mark = self.parts.syncs.marks[-1]
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
+        self._drive.take_demand_changes()
         for reading in readings:
             self._readings += 1
             if reading.device_time_ns is not None:
@@ -173,6 +174,11 @@ class Axis:
         if readings:
             for reading in readings:
                 self._take(reading)
+        clock = self._by_stamp.clock
+        for change in self._drive.take_demand_changes():
+            if clock.ready:
+                at = clock.place(change.device_time_ns)
+                self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
         for readback in self._drive.take_readbacks():
             placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
             behind = self._readings - readback.readings

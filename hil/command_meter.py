@@ -5,15 +5,16 @@
     0x6074             1           1              3          told with the reading of that SYNC
     fate                2: lost, as the drive never followed it; 3: acts after s2, by s3
 
-0x6074 tells which command is in force when a SYNC ends. A command that equals the one before or after it
-cannot be told from that, and one that was replaced before the next telling is not seen at all: both are *not
+0x6074 tells which command is in force when a SYNC ends; a drive that tells it at every change, with a stamp, tells
+when the command began to act. A command that equals the one before or after it
+cannot be told from that; and one that was replaced before the next telling is not seen at all: both are *not
 identifiable*, and counted apart from those that were lost.
 """
 
 from typing import Final
 
 from drivers.exchange import SentCommand
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
 from hil.samples import CommandFate, Sending
 
 FOLLOWED_MAX: Final = 128
@@ -79,10 +80,11 @@ class CommandMeter:
             newest.acts_after = sync_at
         if acting is self._acting:
             return
-        if len(equal) > 1 or (self._acting is not None and self._acting.sent.raw == demand_raw):
-            acting.fate = CommandFate.NOT_IDENTIFIABLE
-        else:
-            self._note_acting(acting, sync_at)
+        if acting.fate is not CommandFate.ACTING:
+            if len(equal) > 1 or (self._acting is not None and self._acting.sent.raw == demand_raw):
+                acting.fate = CommandFate.NOT_IDENTIFIABLE
+            else:
+                self._note_acting(acting, sync_at)
         for older in candidates:
             if older is acting:
                 break
@@ -90,6 +92,15 @@ class CommandMeter:
                 seen_off = older.acts_after is not None and older.sent.raw != demand_raw
                 older.fate = CommandFate.LOST if seen_off else CommandFate.NOT_IDENTIFIABLE
         self._acting = acting
+
+    def changed(self, demand_raw: int, at: Instant, error: Duration) -> None:
+        """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``."""
+        self._telling = True
+        equal = [one for one in self._candidates(Instant(at + error)) if one.sent.raw == demand_raw]
+        if len(equal) == 1 and equal[0] is not self._acting:
+            command = equal[0]
+            command.fate = CommandFate.ACTING
+            command.acts_after, command.acts_by = Instant(at - error), Instant(at + error)
 
     def outcome(self, sequence: int, now: int) -> Sending | None:
         """What became of the command of cycle ``sequence``, seen from cycle ``now``; None while it is open.
