@@ -79,7 +79,7 @@ class DriveSettings:
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""
     demand_changes: bool = False
-    """Have the torque demand told whenever it changes, with the drive's stamp: when a command begins to act."""
+    """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""

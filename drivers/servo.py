@@ -34,8 +34,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
 OLDER_WORDS_LIMIT: Final = Duration(50 * NS_PER_MS)
-"""A statusword that is told by PDO is not longer on its way than this; if it was lost, its event timer repeats
-it."""
+"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
 _CONNECT_TRY_S: Final = 0.1
@@ -155,7 +154,7 @@ class ServoDrive(Drive):
         self._watch.begin()
 
     def _await_older_words(self, deadline: Instant) -> None:
-        """Let the statuswords of the way here come in: a slow PDO would tell later that the drive fell back."""
+        """Let the statuswords of the way here come in: a slow PDO would tell later that it fell back."""
         status = None if self.plan is None else self.plan.tpdo_with(Object.STATUSWORD)
         if status is None or status.synchronous:
             return

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, Drive, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.timebase import Duration, Instant
 from hil.attribution import HELD_MAX, REVOKED, OrderAttribution, StampAttribution
 from hil.command_meter import CommandMeter
@@ -174,19 +174,13 @@ class Axis:
         if readings:
             for reading in readings:
                 self._take(reading)
-        clock = self._by_stamp.clock
+        readbacks = self._drive.take_readbacks()
         for change in self._drive.take_demand_changes():
-            if clock.ready:
-                at = clock.place(change.device_time_ns)
-                self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
-        for readback in self._drive.take_readbacks():
-            placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
-            behind = self._readings - readback.readings
-            # Half a period after the reading it would come after that of the next SYNC, whose own was lost.
-            if placed is not None and 0 <= behind < READINGS_REMEMBERED:
-                sync_at, received_at = placed
-                if 0 <= readback.received_at - received_at < self._half_period:
-                    self._commands.told(readback.demand_raw, sync_at)
+            while readbacks and readbacks[0].received_at < change.received_at:
+                self._take_readback(readbacks.pop(0))
+            self._take_change(change)
+        for readback in readbacks:
+            self._take_readback(readback)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
         """Whether nothing more is to be expected before the decision of this cycle.
@@ -260,6 +254,25 @@ class Axis:
         self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
         self._receive(sample)
         self._fresh = True
+
+    def _take_readback(self, readback: Readback) -> None:
+        """The torque demand at a SYNC: it goes with the last reading, if it came within half a period of it.
+
+        Later it would be that of the next SYNC, whose reading was lost.
+        """
+        behind = self._readings - readback.readings
+        placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
+        if placed is not None and 0 <= behind < READINGS_REMEMBERED:
+            sync_at, received_at = placed
+            if 0 <= readback.received_at - received_at < self._half_period:
+                self._commands.told(readback.demand_raw, sync_at)
+
+    def _take_change(self, change: DemandChange) -> None:
+        """The torque demand when it changed."""
+        clock = self._by_stamp.clock
+        if clock.ready:
+            at = clock.place(change.device_time_ns)
+            self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
 
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""

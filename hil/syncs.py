@@ -78,13 +78,13 @@ class SyncLog:
     def _end_doubt(self) -> None:
         """Fewer echoes came than SYNCs were handed over, and what has not come by now never will.
 
-        A bus keeps the order of one identifier. So if the last echo came as soon after the last SYNC as echoes
-        do, it is that SYNC's: one that was stuck before it would have been followed by it.
+        A bus keeps the order of one identifier. So if the last echo came as soon after the last SYNC as
+        echoes do, it is that SYNC's: one that was stuck before it would have been followed by it.
         """
         pending, instants = self._pending, self._instants
         newest = pending[-1]
         if instants[-1] - newest.handed_at < self._period // 4:
-            for mark in pending[-len(instants) :]:
+            for mark in pending:
                 mark.sure = True
         pending.clear()
         instants.clear()
