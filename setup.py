@@ -25,7 +25,9 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below("drivers", "exchange frame_port frame_pump link message_port nmt readings servo setpoint"),
+    *_below(
+        "drivers", "exchange frame_port frame_pump link message_port nmt readings servo setpoint timebase"
+    ),
     *_below("hil", "axis clock_map compensation controllers delay loop safety samples scenario ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
