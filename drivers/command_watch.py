@@ -38,7 +38,7 @@ class CommandWatch:
     def told(self, raw: int) -> None:
         """The drive told its demand, or its torque."""
         margin = self._margin
-        if any(-margin <= raw - command <= margin for command in self._recent):
+        if any(-margin <= raw - command <= margin for command in reversed(self._recent)):
             self._followed = self._sent
         elif self._sent - self._followed >= self._half:
             self.follows = False

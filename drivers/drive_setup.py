@@ -78,6 +78,8 @@ class DriveSettings:
     command_timeout_ms: int | None = None
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""
+    demand_changes: bool = False
+    """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""
@@ -369,6 +371,7 @@ def _standard_plan(objects: RemoteObjects, settings: DriveSettings, features: Fe
         position_every_cycles=settings.position_every_cycles,
         status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
         coherent=settings.coherent,
+        demand_changes=settings.demand_changes and all(features),
     )
 
 

@@ -44,6 +44,16 @@ class Readback(NamedTuple):
     if no frame was lost or overtaken on the way."""
 
 
+class DemandChange(NamedTuple):
+    """A torque demand 6074h that a drive told when it changed: when a command began to act."""
+
+    demand_raw: int
+    """In the unit of 0x6071."""
+    device_time_ns: int
+    """On the drive's clock, as in a reading."""
+    received_at: Instant
+
+
 class SentCommand:
     """A set-point that was handed to the bus, and what the bus told of it since."""
 
@@ -84,6 +94,10 @@ class Drive:
     def take_readbacks(self) -> list[Readback]:
         """The read-backs since the last call, oldest first; always empty for a drive that tells none."""
         raise NotImplementedError
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """The changes of the torque demand since the last call, oldest first; empty where none are told."""
+        return []
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point; None if it had expired and was not sent."""

@@ -1,9 +1,9 @@
 """TPDOs of one drive made into readings in SI units."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
 from drivers.command_watch import CommandWatch
-from drivers.exchange import Readback, Reading
+from drivers.exchange import DemandChange, Readback, Reading
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
 from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
@@ -20,26 +20,18 @@ NEVER_TOLD: Final = Instant(-1)
 _NAN: Final = float("nan")
 
 
-class DemandChange(NamedTuple):
-    """A torque demand 6074h that a drive told when it changed: when a command began to act."""
-
-    demand_raw: int
-    """In the unit of 0x6071."""
-    device_time_ns: int
-    """On the drive's clock, as in a reading."""
-    received_at: Instant
-
-
 class Seen:
     """The last statusword that a drive told, by whatever way it came."""
 
-    __slots__ = ("at", "statusword")
+    __slots__ = ("at", "by_pdo", "statusword")
 
     def __init__(self) -> None:
         self.statusword = -1
         """0x6041, raw; -1 before the first."""
         self.at = NEVER_TOLD
         """When it came."""
+        self.by_pdo = -1
+        """The last one that came by PDO."""
 
     def take(self, statusword: int, at: Instant) -> None:
         """The drive told its statusword."""
@@ -314,6 +306,7 @@ class _Inlet:
             return
         if self._status >= 0:
             self._told.take(fields[self._status], at)
+            self._told.by_pdo = fields[self._status]
         if self._torque >= 0:
             assembler.torque_told(fields[self._torque], at)
         if self._position >= 0:

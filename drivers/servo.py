@@ -15,7 +15,7 @@ from drivers.drive_setup import (
 )
 from drivers.drive_watch import DriveWatch
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
-from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.mode_control import MODE_BITS, ModeControl
 from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
@@ -25,7 +25,7 @@ from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.profile402 import DriveCommand, Mode, State, state_of
-from drivers.readings import DemandChange, ReadingAssembler, Seen
+from drivers.readings import ReadingAssembler, Seen
 from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.supervision import CommandSupervision, end_heartbeat
@@ -33,6 +33,8 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
+OLDER_WORDS_LIMIT: Final = Duration(50 * NS_PER_MS)
+"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
 _CONNECT_TRY_S: Final = 0.1
@@ -84,7 +86,9 @@ class ServoDrive(Drive):
         self._consumer_entry = 0
         self._beats = True
         self._watch = DriveWatch(self.control, self.status, self._told)
-        self._supervision = CommandSupervision(self.objects)
+        self.supervision = CommandSupervision(self.objects)
+        """Ended by whatever stops the drive. Where several are let go one after the other, end that of all
+        first: the timers of the last run out meanwhile."""
 
     # ---- set-up ---------------------------------------------------------------------------------------
 
@@ -131,7 +135,7 @@ class ServoDrive(Drive):
         self.control.controlword = NONE_SENT
         self.plan = plan
         self._watch.configure(beats.produced, plan, settings.drive_heartbeat_timeout_ms)
-        self._supervision.configure(settings, plan, self._assembler)
+        self.supervision.configure(settings, plan, self._assembler)
         self.motion = Motion(self.control, self.modes, scaling)
         self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
         self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
@@ -146,11 +150,21 @@ class ServoDrive(Drive):
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
+        self._await_older_words(deadline)
         self._watch.begin()
+
+    def _await_older_words(self, deadline: Instant) -> None:
+        """Let the statuswords of the way here come in: a slow PDO would tell later that it fell back."""
+        status = None if self.plan is None else self.plan.tpdo_with(Object.STATUSWORD)
+        if status is None or status.synchronous:
+            return
+        until = min(deadline, self.network.deadline_after(OLDER_WORDS_LIMIT))
+        while state_of(self._told.by_pdo) is not State.OPERATION_ENABLED and self.network.pump_one(until):
+            pass
 
     def disable(self, deadline: Instant) -> None:
         """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""
-        self._supervision.end()
+        self.supervision.end()
         self._stop_following()
         if self.control.read_state() is State.OPERATION_ENABLED:
             self.control.command(DriveCommand.DISABLE_OPERATION)
@@ -165,7 +179,7 @@ class ServoDrive(Drive):
         self.control.command_by_pdo(DriveCommand.QUICK_STOP)
         if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
             self.control.command(DriveCommand.QUICK_STOP)
-        self._supervision.end()
+        self.supervision.end()
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
         state = self.control.await_state(
             lambda now: now not in moving and self._at_rest(), deadline, "come to rest", faults=False
@@ -186,11 +200,8 @@ class ServoDrive(Drive):
         deadline = self.network.deadline_after(limit)
         failure = self._try_to_stop(deadline)
         if failure is not None:
-            return Release(
-                False,
-                self.state,
-                f"{failure}{end_heartbeat(self.network, watched=bool(self._consumer_entry))}",
-            )
+            done = end_heartbeat(self.network, watched=bool(self._consumer_entry))
+            return Release(False, self.state, f"{failure}; {done}")
         try:
             self._leave()
         except PeerFault as error:
@@ -238,19 +249,19 @@ class ServoDrive(Drive):
         if self._expired(command.expires_at):
             return None
         sent = self._configured().send_torque(command.torque_nm, command.sequence)
-        self._supervision.sent(sent.raw)
+        self.supervision.sent(sent.raw)
         return sent
 
     def check(self) -> None:
         """As :meth:`drivers.drive_watch.DriveWatch.check`; DriveInFault too if it follows no command."""
         self._watch.check()
-        if not self._supervision.follows:
+        if not self.supervision.follows:
             self._watch.active = False
             raise DriveInFault(f"{self.control.title} follows no command any more", self.control.evidence())
 
     def supervise_commands(self) -> str:
         """As :meth:`drivers.supervision.CommandSupervision.begin`, called right before the first cycle."""
-        return self._supervision.begin(self.modes.mode)
+        return self.supervision.begin(self.modes.mode)
 
     @property
     def enabled(self) -> bool:

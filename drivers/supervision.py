@@ -109,10 +109,10 @@ def end_heartbeat(network: CanopenNetwork, *, watched: bool) -> str:
     ``watched``: the drive has an entry in 1016h for the host.
     """
     if not watched:
-        return "; it does not watch the host's heartbeat: stop it by hand"
+        return "it does not watch the host's heartbeat: stop it by hand"
     with suppress(BusDown):
         network.produce_heartbeat(Duration(0))
-    return f"; the host's heartbeat ended: each drive on {network.link.name} that watches it (1016h) stops"
+    return f"the host's heartbeat ended: each drive on {network.link.name} that watches it (1016h) stops"
 
 
 def _rest_text(settings: DriveSettings) -> str:

@@ -7,30 +7,30 @@ whose end on the bus lies there is the one it answers:
     stamps         :d1        :d2                   : d4            d3 was lost
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
-The bench sends no SYNC within half a period of another, so a stamp within a quarter of a period of a SYNC
+The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one
 can be that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never
-negative but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus
-without echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of
+negative but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a
+bus without echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of
 the SYNC behind its echo cannot be told from the offset of the clock.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked
-uncertain. It is settled when :data:`AGREEING` of them lie on one line on which each has a SYNC of its own and came no
-sooner than a frame can. Of several such lines, whole periods apart, the one is taken that needs least to have
-happened: no step rather than a step, the same smallest delay rather than another, and no readings lost.
+uncertain. It is settled when :data:`AGREEING` of them lie on one line on which each has a SYNC of its own and
+came no sooner than a frame can. Of several such lines, whole periods apart, the one is taken that needs least
+to have happened: no step rather than a step, the same smallest delay rather than another, and no losses.
 
 A drive without a clock is placed by order alone (:class:`OrderAttribution`).
 """
 
 from collections import deque
 from collections.abc import Callable
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from drivers.exchange import Reading
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.clock_map import ClockMap
-from hil.samples import Sample
+from hil.samples import Observation, Sample
 from hil.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 ECHO_ERROR: Final = {
@@ -51,6 +51,8 @@ AGREEING_SPREAD: Final = 32
 REVOKED: Final = 12
 """Where delays spread, a reading after a step lies on a SYNC that has none yet about every second time:
 twelve in a row are one chance in four thousand."""
+HELD_MAX: Final = 64
+"""Cycles for which a row waits for the answer to a question: longer than one stays open."""
 SUSPECTS_MAX: Final = 48
 """After so many it is settled for the clock as it was."""
 STEP_COST: Final = 3
@@ -83,15 +85,12 @@ class Health:
         "placed",
         "steps",
         "two_stamps",
-        "uncertain",
         "unmatched",
     )
 
     def __init__(self) -> None:
         self.placed = 0
         """Readings placed."""
-        self.uncertain = 0
-        """Of those: which SYNC they answer is not decided by the data."""
         self.duplicates = 0
         """Readings that came twice."""
         self.unmatched = 0
@@ -108,26 +107,52 @@ class Health:
         """Largest error bound of a reading placed for certain."""
 
 
-class Attribution(Protocol):
-    """Places readings of one axis."""
+class Question:
+    """What is held back while it is open which SYNCs the last readings answer.
 
-    health: Health
+    A reading that comes meanwhile is marked uncertain at first. With the answer its mark is taken back, or
+    stays; the rows of a run wait for that (:attr:`HELD_MAX` cycles at most).
+    """
 
-    def place(self, reading: Reading) -> Sample | None:
-        """The reading as a sample; None for a duplicate, or one that answers no SYNC of a cycle."""
-        ...
+    __slots__ = ("_amended", "cleared", "open")
+
+    def __init__(self) -> None:
+        self.open = False
+        self.cleared = False
+        """Whether a question ended without leaving a reading uncertain, since this was last set back."""
+        self._amended: dict[int, tuple[bool, int]] = {}
+
+    def amend(self, sequence: int, certain: bool, error_ns: int) -> None:
+        """What the row of a cycle is to say after all."""
+        self._amended[sequence] = (certain, error_ns)
+
+    def withdraw(self, sequence: int) -> None:
+        """The row stays as it is."""
+        self._amended.pop(sequence, None)
+
+    def applied(self, observation: Observation) -> Observation:
+        """The observation with what became known since; it is then forgotten."""
+        amended = self._amended.pop(observation.sequence, None)
+        if amended is None:
+            return observation
+        certain, error_ns = amended
+        if isinstance(observation, Sample):
+            return observation._replace(certain=certain, sampled_at_error_ns=error_ns)
+        return observation._replace(certain=certain)
 
 
 class _Suspect:
     """A reading that came while it is open whether the clock was set."""
 
-    __slots__ = ("device_ns", "received_at", "second")
+    __slots__ = ("device_ns", "guess", "received_at", "second")
 
     def __init__(self, device_ns: int, received_at: Instant, second: bool) -> None:
         self.device_ns = device_ns
         self.received_at = received_at
         self.second = second
         """Whether it lies on a SYNC that has another stamp already."""
+        self.guess = SURPLUS
+        """The cycle in which it was placed, uncertain."""
 
 
 class _Line(NamedTuple):
@@ -176,6 +201,7 @@ class StampAttribution:
     ) -> None:
         """``transit``: the shortest time that a reading's frame takes on the wire. ``tell``: takes events."""
         self.health = Health()
+        self.question = Question()
         self.clock = clock
         self.doubtful_error_ns = REMEMBERED * period
         """Of a reading of uncertain place: any SYNC that is remembered may be its own."""
@@ -204,8 +230,8 @@ class StampAttribution:
         """Whether a suspect would have come before its SYNC, which no network can do."""
         self._delays = _DelayWindow()
         self._recent: deque[SyncMark] = deque(maxlen=REVOKED)
-        self.revoked: set[int] = set()
-        """Cycles whose readings were placed as certain just before a question came up that touches them."""
+        self._revoked: list[tuple[SyncMark, int]] = []
+        """Placements and their stamps that the open question touches."""
 
     @property
     def spread(self) -> bool:
@@ -243,6 +269,7 @@ class StampAttribution:
         free = fits and known is None
         if free and self._usual(mark, reading.received_at - mark.on_bus_at):
             if self._suspects:
+                self._exonerate_free()
                 self._acquit()
             self._twice = 0
             return self._matched(reading, device_ns, mark, at, lateness, match_ns)
@@ -274,15 +301,11 @@ class StampAttribution:
         if mark.sequence == SURPLUS:
             health.unmatched += 1
             return None
-        certain = mark.sure
         health.placed += 1
-        if certain:
-            self._judge(reading.received_at - sampled_at, error_ns)
-        else:
-            health.uncertain += 1
+        self._judge(reading.received_at - sampled_at, error_ns)
         self._delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, certain)
+        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""
@@ -325,13 +348,38 @@ class StampAttribution:
 
     # ---- clocks that were set -----------------------------------------------------------------------------
 
+    def _exonerate_free(self) -> None:
+        """The clock is as it was: suspects alone on a SYNC of their own are certain after all."""
+        guesses = [suspect.guess for suspect in self._suspects]
+        proved = 0
+        match_ns = self._match_ns + self.clock.error_ns
+        for suspect in self._suspects:
+            at = self.clock.place(suspect.device_ns)
+            mark = self._syncs.nearest(at)
+            if mark is None or mark.on_bus_at is None or abs(at - mark.on_bus_at) > match_ns:
+                continue
+            if mark.sequence == suspect.guess and guesses.count(suspect.guess) == 1:
+                self._answer(mark, suspect.device_ns)
+                self.question.amend(suspect.guess, True, 2 * match_ns)
+                proved += 1
+        self.question.cleared = proved == len(guesses)
+
     def _acquit(self) -> None:
         """The clock is as it was: a second stamp for a SYNC has no explanation then."""
         for suspect in self._suspects:
             if suspect.second:
                 self.health.two_stamps += 1
+        for mark, stamp in self._revoked:
+            self.question.withdraw(mark.sequence)
+            self._stamps.setdefault(mark.number, stamp)
+        self._close()
+
+    def _close(self) -> None:
+        """The question is answered."""
         self._suspects.clear()
+        self._revoked.clear()
         self._early = False
+        self.question.open = False
 
     def _suspect(
         self,
@@ -355,15 +403,20 @@ class StampAttribution:
             self._note_lateness(min(lateness, self._quarter))
         self._early = self._early or at > reading.received_at - self._transit + self._match_ns
         suspects.append(_Suspect(device_ns, reading.received_at, second))
+        self.question.open = True
         guess = self._guess(reading, free)
+        if guess is not None:
+            suspects[-1].guess = guess.sequence
         self._settle()
         return guess
 
     def _revoke(self) -> None:
         """The last placements may have been wrong already: their SYNCs are free again."""
         for mark in self._recent:
-            self.revoked.add(mark.sequence)
-            self._stamps.pop(mark.number, None)
+            stamp = self._stamps.pop(mark.number, None)
+            if stamp is not None:
+                self._revoked.append((mark, stamp))
+                self.question.amend(mark.sequence, False, self.doubtful_error_ns)
         self._recent.clear()
 
     def _guess(self, reading: Reading, free: SyncMark | None) -> Sample | None:
@@ -384,7 +437,6 @@ class StampAttribution:
         mark = free if free is not None and free in open_marks else open_marks[-1]
         assert mark.on_bus_at is not None
         self.health.placed += 1
-        self.health.uncertain += 1
         return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 
     def _settle(self) -> None:
@@ -414,16 +466,28 @@ class StampAttribution:
             self.clock.start_anew(sorted(pairs), self._variance)
             self._late_ns = 0.0
             self.health.steps += 1
-            self._suspects.clear()
-            self._early = False
+        else:
+            self._delays = _DelayWindow()
+        self._exonerate(last, line)
+        if line.steps:
+            self._close()
         else:
             self._acquit()
-            self._delays = _DelayWindow()
         self._twice = 0
         for suspect, mark in zip(last, line.marks, strict=True):
             self._answer(mark, suspect.device_ns)
             assert mark.on_bus_at is not None
             self._delays.add(suspect.received_at - mark.on_bus_at)
+
+    def _exonerate(self, last: list[_Suspect], line: _Line) -> None:
+        """Suspects that had been placed where the answer puts them are certain after all."""
+        guesses = [suspect.guess for suspect in self._suspects]
+        proved = 0
+        for suspect, mark in zip(last, line.marks, strict=True):
+            if suspect.guess == mark.sequence and guesses.count(suspect.guess) == 1:
+                self.question.amend(suspect.guess, True, 2 * (self._match_ns + self.clock.error_ns))
+                proved += 1
+        self.question.cleared = proved == len(guesses) and not (line.steps and self._revoked)
 
     def _lines(self, last: list[_Suspect]) -> list[_Line]:
         """Every way to place these suspects on SYNCs."""
@@ -508,6 +572,7 @@ class OrderAttribution:
 
     def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
         self.health = Health()
+        self.question = Question()
         self.wants_probe = False
         """Whether the next SYNC is to go out a quarter of a period late."""
         self._syncs = syncs
@@ -523,6 +588,8 @@ class OrderAttribution:
         self._beyond = False
         self._usual_ns = 0.0
         self._next_probe = 0
+        self._unsure: list[int] = []
+        """Cycles whose readings wait for the end of the probe."""
 
     def learn(self, reading: Reading, mark: SyncMark) -> None:
         """Take a reading that can only answer the SYNC of ``mark``."""
@@ -554,18 +621,20 @@ class OrderAttribution:
             self._conclude(age)
         elif not self._sure and self._probe < mark.number and mark.number >= self._next_probe:
             self.wants_probe = True
-        certain = self._sure and mark.sure
         self._usual_ns += (age - self._usual_ns) / 4.0
+        self.question.open = not (self._sure or self._beyond)
         health = self.health
         health.placed += 1
-        error_ns = self._error_ns
-        if not certain:
-            health.uncertain += 1
-            error_ns += received_at - self._oldest_at(mark)
-        elif age < self._transit - error_ns:
-            health.below_transit += 1
+        if not self._sure:
+            if not self._beyond:
+                self._unsure.append(mark.sequence)
+            error_ns = self._error_ns + received_at - self._oldest_at(mark)
+        else:
+            error_ns = self._error_ns
+            if age < self._transit - error_ns:
+                health.below_transit += 1
         health.error_ns_max = max(health.error_ns_max, error_ns)
-        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, certain)
+        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:
         first = self._syncs.marks[0].on_bus_at
@@ -577,6 +646,10 @@ class OrderAttribution:
             self._find_beyond(self._probe)
             return
         self._sure = True
+        for sequence in self._unsure:
+            self.question.amend(sequence, True, self._error_ns)
+        self._unsure.clear()
+        self.question.cleared = not self._beyond
         if self._beyond:
             self._beyond = False
             self._tell("its readings answer the SYNC before them again")
@@ -584,6 +657,8 @@ class OrderAttribution:
     def _find_beyond(self, number: int) -> None:
         """A reading has come later than the SYNC after its own; ``number``: of the SYNC of now."""
         self._sure = False
+        self.question.open = False
+        self._unsure.clear()
         self.wants_probe = False
         self._next_probe = number + PROBE_AGAIN_AFTER
         if not self._beyond:

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, Drive, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.timebase import Duration, Instant
-from hil.attribution import REVOKED, OrderAttribution, StampAttribution
+from hil.attribution import HELD_MAX, REVOKED, OrderAttribution, StampAttribution
 from hil.command_meter import CommandMeter
 from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Observation, Sample, Sending, StateEstimate
+from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile
 from hil.syncs import SyncLog, SyncMark
 
@@ -114,7 +114,10 @@ class Axis:
         self._estimate = parts.compensator.estimate
         self._by_stamp = parts.by_stamp
         self._by_order = parts.by_order
+        self._questions = (parts.by_stamp.question, parts.by_order.question)
         self._commands = parts.commands
+        self.uncertain = 0
+        """Rows marked uncertain."""
         self._decisions: list[Decision] = []
         """Of the cycles whose readings' fates are open, the oldest first."""
         self._settled: list[Decision] = []
@@ -140,6 +143,7 @@ class Axis:
         mark = self.parts.syncs.marks[-1]
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
+        self._drive.take_demand_changes()
         for reading in readings:
             self._readings += 1
             if reading.device_time_ns is not None:
@@ -170,14 +174,13 @@ class Axis:
         if readings:
             for reading in readings:
                 self._take(reading)
-        for readback in self._drive.take_readbacks():
-            placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
-            behind = self._readings - readback.readings
-            # Half a period after the reading it would come after that of the next SYNC, whose own was lost.
-            if placed is not None and 0 <= behind < READINGS_REMEMBERED:
-                sync_at, received_at = placed
-                if 0 <= readback.received_at - received_at < self._half_period:
-                    self._commands.told(readback.demand_raw, sync_at)
+        readbacks = self._drive.take_readbacks()
+        for change in self._drive.take_demand_changes():
+            while readbacks and readbacks[0].received_at < change.received_at:
+                self._take_readback(readbacks.pop(0))
+            self._take_change(change)
+        for readback in readbacks:
+            self._take_readback(readback)
 
     def has_expected(self, sequence: int, decide_after: Duration) -> bool:
         """Whether nothing more is to be expected before the decision of this cycle.
@@ -217,7 +220,7 @@ class Axis:
         settled = self._settled
         while settled:
             decision = settled[0]
-            if self._by_stamp.spread and now - decision.tick.sequence <= REVOKED:
+            if now - decision.tick.sequence <= self._hold_cycles():
                 return
             sending = None
             if decision.sent is not None:
@@ -240,6 +243,10 @@ class Axis:
         sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
         place = (self._readings - 1) % READINGS_REMEMBERED
         self._placed[place] = None
+        for question in self._questions:
+            if question.cleared:
+                question.cleared = False
+                self.meter.forget_doubt()
         if sample is None or not self.meter.arrived(sample):
             return
         if sample.certain:
@@ -247,6 +254,31 @@ class Axis:
         self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
         self._receive(sample)
         self._fresh = True
+
+    def _take_readback(self, readback: Readback) -> None:
+        """The torque demand at a SYNC: it goes with the last reading, if it came within half a period of it.
+
+        Later it would be that of the next SYNC, whose reading was lost.
+        """
+        behind = self._readings - readback.readings
+        placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
+        if placed is not None and 0 <= behind < READINGS_REMEMBERED:
+            sync_at, received_at = placed
+            if 0 <= readback.received_at - received_at < self._half_period:
+                self._commands.told(readback.demand_raw, sync_at)
+
+    def _take_change(self, change: DemandChange) -> None:
+        """The torque demand when it changed."""
+        clock = self._by_stamp.clock
+        if clock.ready:
+            at = clock.place(change.device_time_ns)
+            self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
+
+    def _hold_cycles(self) -> int:
+        """How long a row waits, in cycles, for what may still become known of its reading."""
+        if any(question.open for question in self._questions):
+            return HELD_MAX
+        return REVOKED if self._by_stamp.spread else 0
 
     def _hold(self, fate: Fate) -> None:
         decision = self._decisions.pop(0)
@@ -257,10 +289,11 @@ class Axis:
         tick, fate, mark = decision.tick, decision.fate, decision.mark
         assert fate is not None
         clock = self._by_stamp.clock
-        observation = fate.observation
-        if tick.sequence in self._by_stamp.revoked:
-            self._by_stamp.revoked.discard(tick.sequence)
-            observation = _revoked(observation, self._by_stamp.doubtful_error_ns)
+        observation = self._by_order.question.applied(self._by_stamp.question.applied(fate.observation))
+        lost = isinstance(observation, Dropout) and observation.cause is DropoutCause.LOST
+        if (mark is not None and not mark.sure) or (lost and self.meter.doubts(tick.sequence)):
+            observation = observation._replace(certain=False)
+        self.uncertain += not observation.certain
         self._record(
             CycleRecord(
                 tick.sequence,
@@ -289,10 +322,3 @@ class Axis:
     def _check(self, reason: str | None) -> None:
         if reason is not None:
             raise LimitExceeded(f"{self.parts.name}: {reason}", remedy="the drive is being brought to rest")
-
-
-def _revoked(observation: Observation, error_ns: int) -> Observation:
-    """A placement that turned out to be uncertain."""
-    if isinstance(observation, Sample):
-        return observation._replace(certain=False, sampled_at_error_ns=error_ns)
-    return observation._replace(certain=False)

@@ -365,6 +365,9 @@ class _Run:
         if self._world.faults is not None:
             self._world.faults.stop()
         for drive in self._drives:
+            # Of all of them, before the first is let go: the others' commands cease meanwhile.
+            drive.supervision.end()
+        for drive in self._drives:
             release = drive.release()
             self._note_state(drive)
             if not release.at_rest:

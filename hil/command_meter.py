@@ -5,15 +5,15 @@
     0x6074             1           1              3          told with the reading of that SYNC
     fate                2: lost, as the drive never followed it; 3: acts after s2, by s3
 
-0x6074 tells which command is in force when a SYNC ends. A command that equals the one before or after it
-cannot be told from that, and one that was replaced before the next telling is not seen at all: both are *not
+0x6074 tells which command is in force when a SYNC ends; told at every change, with a stamp, it tells when the
+command began to act. A command that equals the one before or after it cannot be told from that; and one that was replaced before the next telling is not seen at all: both are *not
 identifiable*, and counted apart from those that were lost.
 """
 
 from typing import Final
 
 from drivers.exchange import SentCommand
-from drivers.timebase import Instant
+from drivers.timebase import Duration, Instant
 from hil.samples import CommandFate, Sending
 
 FOLLOWED_MAX: Final = 128
@@ -52,6 +52,7 @@ class CommandMeter:
         self._followed: list[_Followed] = []
         """In the order of sending, from the oldest whose fate was not asked for."""
         self._acting: _Followed | None = None
+        self._told_raw: int | None = None
         self._telling = False
 
     def sent(self, command: SentCommand) -> None:
@@ -64,6 +65,7 @@ class CommandMeter:
     def told(self, demand_raw: int, sync_at: Instant) -> None:
         """The drive followed ``demand_raw`` when the SYNC of ``sync_at`` ended; in order of SYNCs."""
         self._telling = True
+        before, self._told_raw = self._told_raw, demand_raw
         candidates = self._candidates(sync_at)
         if not candidates:
             return
@@ -79,15 +81,32 @@ class CommandMeter:
             newest.acts_after = sync_at
         if acting is self._acting:
             return
-        if len(equal) > 1 or (self._acting is not None and self._acting.sent.raw == demand_raw):
-            acting.fate = CommandFate.NOT_IDENTIFIABLE
-        else:
-            self._note_acting(acting, sync_at)
+        if acting.fate is not CommandFate.ACTING:
+            last_raw = before if self._acting is None else self._acting.sent.raw
+            if len(equal) > 1 or last_raw is None or last_raw == demand_raw:
+                acting.fate = CommandFate.NOT_IDENTIFIABLE
+            else:
+                self._note_acting(acting, sync_at)
+        self._replace(acting, candidates)
+
+    def changed(self, demand_raw: int, at: Instant, error: Duration) -> None:
+        """The drive began to follow ``demand_raw`` at ``at``, which is right within ``error``."""
+        self._telling = True
+        candidates = self._candidates(Instant(at + error))
+        equal = [one for one in candidates if one.sent.raw == demand_raw]
+        if len(equal) == 1 and equal[0] is not self._acting:
+            command = equal[0]
+            command.fate = CommandFate.ACTING
+            command.acts_after, command.acts_by = Instant(at - error), Instant(at + error)
+            self._replace(command, candidates)
+
+    def _replace(self, acting: _Followed, candidates: list[_Followed]) -> None:
+        """The drive follows ``acting`` now: what it did not follow of the older ones was lost, if it was seen."""
         for older in candidates:
             if older is acting:
                 break
             if older.fate is None:
-                seen_off = older.acts_after is not None and older.sent.raw != demand_raw
+                seen_off = older.acts_after is not None and older.sent.raw != acting.sent.raw
                 older.fate = CommandFate.LOST if seen_off else CommandFate.NOT_IDENTIFIABLE
         self._acting = acting
 

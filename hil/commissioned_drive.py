@@ -1,7 +1,7 @@
 """A drive run by what commissioning found: its settings written first, its signs turned if need be."""
 
 from drivers.errors import PeerFault
-from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.objects import SettingRefused
 from drivers.sdo import object_name
 from drivers.servo import ServoDrive
@@ -64,6 +64,10 @@ class TurnedDrive(Drive):
     def take_readbacks(self) -> list[Readback]:
         """As the drive counts, like the raw value of a sent command."""
         return self._drive.take_readbacks()
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """As the drive counts, like a read-back."""
+        return self._drive.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point, as the drive counts."""

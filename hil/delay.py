@@ -53,7 +53,7 @@ class DelayMeter:
         self._outstanding: list[_Outstanding] = []
         self._newest = 0
         self._typical_ns = 0.0
-        self._doubt_first = self._doubt_last = -horizon - 1
+        self._doubt_first = self._doubt_last = -2 * horizon
         """First and last cycle of the latest readings in a row whose place is uncertain."""
         self.unmatched = 0
         """Readings whose cycle had its fate already: later than the horizon, or the second of their SYNC."""
@@ -132,10 +132,16 @@ class DelayMeter:
         return None
 
     def _lost(self, place: _Outstanding) -> Fate:
-        sequence, near = place.sequence, self._horizon
-        # A reading of uncertain place may have been this one's.
-        certain = not self._doubt_first - near <= sequence <= self._doubt_last + near
-        return Fate(sequence, Dropout(sequence, place.due_at, DropoutCause.LOST, certain), None)
+        return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, True), None)
+
+    def doubts(self, sequence: int) -> bool:
+        """Whether a reading of uncertain place may have been that of cycle ``sequence``."""
+        near = self._horizon
+        return self._doubt_first - near <= sequence <= self._doubt_last + near
+
+    def forget_doubt(self) -> None:
+        """The last readings of uncertain place were where they had been placed."""
+        self._doubt_first = self._doubt_last = -2 * self._horizon
 
     def _note_doubt(self, sequence: int) -> None:
         if sequence > self._doubt_last + self._horizon:

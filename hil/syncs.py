@@ -69,13 +69,25 @@ class SyncLog:
         mark = self._remember(sequence, at)
         if self._echoed:
             if self._instants:
-                # The doubt is over: what has not come by now was lost in front of the bus.
-                self._pending.clear()
-                self._instants.clear()
+                self._end_doubt()
             self._pending.append(mark)
         else:
             self._put_on_bus(mark, Instant(at + self._latency))
         return mark
+
+    def _end_doubt(self) -> None:
+        """Fewer echoes came than SYNCs were handed over, and what has not come by now never will.
+
+        A bus keeps the order of one identifier. So if the last echo came as soon after the last SYNC as
+        echoes do, it is that SYNC's: one that was stuck before it would have been followed by it.
+        """
+        pending, instants = self._pending, self._instants
+        newest = pending[-1]
+        if instants[-1] - newest.handed_at < self._period // 4:
+            for mark in pending:
+                mark.sure = True
+        pending.clear()
+        instants.clear()
 
     def heard(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC that this host did not hand over ended on the bus."""

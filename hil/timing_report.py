@@ -52,7 +52,7 @@ def _axis_report(axis: Axis) -> Report:
     found: Report = {
         "placed": stamped.placed + ordered.placed,
         "by_order": ordered.placed,
-        "uncertain": stamped.uncertain + ordered.uncertain,
+        "uncertain": axis.uncertain,
         "duplicates": stamped.duplicates + ordered.duplicates,
         "unmatched": stamped.unmatched + ordered.unmatched + parts.meter.unmatched,
         "error_us_max": max(stamped.error_ns_max, ordered.error_ns_max) / NS_PER_US,

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Final
 
 from drivers.errors import PeerFault
-from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.profile402 import Mode
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Instant
@@ -77,6 +77,10 @@ class DrivePort(Drive):
         """The torque that the drive told last, N m, and when; its sign put right."""
         torque_nm, at = self.drive.torque_shown
         return torque_nm * self.torque_sign, at
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """As the drive counts, like a read-back."""
+        return self.drive.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point."""

@@ -86,6 +86,9 @@ class Loop(Section):
     position_every_cycles: int = Field(default=1, ge=1, le=240)
     """How often torque, position and torque demand come: with every reading, or once in so many cycles, so
     that three drives fit a bus. The position is carried along by the speed in between."""
+    command_readback: Literal["sync", "event"] = "sync"
+    """How the drive tells which command it follows, 6074h: with the SYNCs, so that a command is known to act
+    between two of them; or at every change, stamped, at the cost of one frame a cycle."""
     sync: Literal["own", "kernel", "foreign"] = "own"
     """Who makes the SYNC: this process at each tick, the bus's own cyclic sender on its behalf (SocketCAN's
     broadcast manager), or a drive or another master, whose SYNC the loop then follows."""

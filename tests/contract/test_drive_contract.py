@@ -18,7 +18,13 @@ from drivers.profile402 import State
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.fault_injection.fault_plan import FaultPlan, FrameClass, IndependentLoss, Selection
+from virtual_bus.fault_injection.fault_plan import (
+    Direction,
+    FaultPlan,
+    FrameClass,
+    IndependentLoss,
+    Selection,
+)
 from virtual_bus.fault_injection.faulty_bus import FaultyBus
 from virtual_bus.faults import FaultInjector
 from virtual_bus.hosting import attach_to_segment
@@ -53,6 +59,7 @@ SETTINGS = DriveSettings(
 @dataclass
 class Bench:
     timeline: Timeline
+    segment: Segment
     bus: can.BusABC
     device: SimulatedServo
     network: CanopenNetwork
@@ -99,7 +106,7 @@ def make_bench(plan: FaultPlan | None = None, seed: int = 0) -> Bench:
         faulty.start(clock.now())
         bus = faulty
     network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, "simulated"), clock)
-    return Bench(timeline, bus, device, network, ServoDrive(network, 1, "axis1"))
+    return Bench(timeline, segment, bus, device, network, ServoDrive(network, 1, "axis1"))
 
 
 @pytest.fixture
@@ -278,3 +285,31 @@ def test_a_fault_is_noticed_in_the_cycle_in_which_it_comes(bench: Bench) -> None
     with pytest.raises(DriveInFault, match="2310h"):
         bench.run(20, 0.1)
     assert bench.network.clock.now() - began < 3 * PERIOD
+
+
+def test_a_drive_that_nothing_stops_stops_by_the_end_of_the_heartbeat() -> None:
+    """Every SDO and RPDO to the first of two drives is lost. The second is let go in order all the same."""
+    to_the_first = Selection(
+        directions=(Direction.HOST_TO_DRIVE,), frames=(0x601, 0x201), from_ns=Duration(NS_PER_S)
+    )
+    bench = make_bench(FaultPlan((IndependentLoss(selection=to_the_first, probability=1.0),)))
+    attach_to_segment(SimulatedServo(2, MOTOR, DriveParameters(), 2), bench.segment, bench.timeline)
+    other = ServoDrive(bench.network, 2, "axis2")
+    other.connect(bench.soon())
+    other.configure(SETTINGS)
+    bench.enable()
+    other.enable(bench.soon())
+    bench.run(300, 0.3)
+    bench.network.pump(Instant(NS_PER_S))
+    assert bench.device.drive_state is State.OPERATION_ENABLED
+
+    released = bench.drive.release(Duration(NS_PER_S // 2))
+    assert not released.at_rest
+    assert "the host's heartbeat ended: each drive on simulated that watches it (1016h)" in released.evidence
+    assert not bench.network.produces_heartbeat
+    ended = other.release()
+    assert ended.at_rest, ended
+    bench.network.pump(bench.soon(0.4))
+    assert bench.device.drive_state is not State.OPERATION_ENABLED
+    assert abs(bench.device.drive.firmware.speed_rad_s) < 1.0
+    bench.bus.shutdown()

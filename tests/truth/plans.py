@@ -63,8 +63,8 @@ def _delay(least_us: int, most_us: int | None = None, *more: str) -> str:
 
 
 def _late(least_us: int, most_us: int | None = None) -> str:
-    """Of the host, in one cycle of fifty."""
-    return _fault("host_stall", "probability = 0.02", _span("late", least_us, most_us))
+    """Of the host, in one cycle of some fifty."""
+    return _fault("host_stall", "every_s = 0.0473", _span("late", least_us, most_us))
 
 
 def _step(step_us: int, *more: str) -> str:
@@ -168,11 +168,11 @@ PLANS: Final = (
     Plan("readings lost at the drive", _fault("loss", "probability = 0.1", _IN, _BEHIND)),
     # commands
     Plan("commands", commands=True, command_delay_us=10),
-    Plan("commands, three axes", commands=True, axes=3, command_delay_us=10),
+    Plan("commands, three axes", commands=True, axes=3, period_us=2000, command_delay_us=10),
     Plan("commands lost and late", COMMANDS_LATE, commands=True),
     Plan("commands behind the echo", COMMANDS_LATE_BEHIND, commands=True),
     Plan("commands, on_sync", COMMANDS_LATE, commands=True, actuation="on_sync"),
-    Plan("commands lost and late, 3 axes", COMMANDS_LATE, commands=True, axes=3),
+    Plan("commands lost and late, 3 axes", COMMANDS_LATE, commands=True, axes=3, period_us=2000),
 )
 
 SHORT: Final = (

@@ -124,7 +124,7 @@ def _tables(plan: Plan, cycles: int) -> dict[str, Any]:
     The speed never stands still, so that two readings mixed differ.
     """
     names = [f"axis{number}" for number in range(1, plan.axes + 1)]
-    sparse = plan.axes > 1 or not (plan.stamps or _lacks_is_known())
+    sparse = (plan.axes > 1 and not plan.commands) or not (plan.stamps or _lacks_is_known())
     tables: dict[str, Any] = {
         "bench": {"name": "truth", "duration_s": cycles * plan.period_us * 1e-6, "seed": SEED},
         "loop": {
@@ -132,6 +132,7 @@ def _tables(plan: Plan, cycles: int) -> dict[str, Any]:
             "deadline_us": plan.deadline_us,
             "actuation": plan.actuation,
             "position_every_cycles": DENSE_BUS_EVERY if sparse else 1,
+            "command_readback": "event" if plan.commands else "sync",
         },
         "drive": {name: _drive(plan, number) for number, name in enumerate(names)},
         "reference": {name: [_reference(plan)] for name in names},

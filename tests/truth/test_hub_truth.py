@@ -14,6 +14,8 @@ from tests.truth.plans import Plan
 from tests.truth.rows import LOST, TOLD_DTYPE, Told
 
 CYCLES = 2_000
+UNCERTAIN_MAX = 0.01
+"""A run that is in doubt everywhere would tell nothing wrong, and nothing at all."""
 PERIOD = Duration(NS_PER_MS)
 PLAN = torque_plan(1, device_stamp=True)
 NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
@@ -27,6 +29,7 @@ def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, tmp_path: Path) -
     assert found.status == 0, found.said
     assert found.readings.rows == axes * CYCLES
     assert found.readings.misjudged == {}
+    assert found.readings.uncertain <= UNCERTAIN_MAX * found.readings.rows
     assert (found.readings.unaccounted, found.readings.echo_wrong) == (0, 0)
     assert (found.negative_delays, found.readings.bound_broken) == (0, 0)
     assert (found.spacings.handed, found.spacings.too_early) == (0, 0)

@@ -155,7 +155,7 @@ def play(network: Network, cycles: int, seed: int = 1) -> Outcome:
     while due:
         heappop(due)[2]()
     for truth in placed:
-        if truth.sample.sequence in by_stamp.revoked:
-            error_ns = by_stamp.doubtful_error_ns
-            truth.sample = truth.sample._replace(certain=False, sampled_at_error_ns=error_ns)
+        amended = by_order.question.applied(by_stamp.question.applied(truth.sample))
+        assert isinstance(amended, Sample)
+        truth.sample = amended
     return Outcome(placed, by_stamp, by_order, told)

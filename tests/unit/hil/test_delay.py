@@ -133,8 +133,16 @@ def test_a_loss_near_a_reading_of_uncertain_place_is_uncertain_too() -> None:
     for number in range(1, 30):
         if number not in (4, 14):
             meter.arrived(sample(number, 100, certain=number != 15))
-    fates = {fate.sequence: fate.observation for fate in meter.settle_all()}
-    assert [fates[number].certain for number in (4, 14, 15, 20)] == [True, False, False, True]
+    assert [meter.doubts(number) for number in (4, 11, 12, 14, 18, 19)] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    meter.forget_doubt()
+    assert not meter.doubts(14)
 
 
 def test_a_certain_reading_takes_the_place_of_an_uncertain_one() -> None:

@@ -83,7 +83,7 @@ def run(
     injection = Injection(plan, seed, log, error_frames=True)
     host = SimulatedBus("host", segment=segment, receive_own_messages=True)
     if injection.fates is not None:
-        host.host_port.put_before(injection.fates, Direction.HOST_TO_DRIVE)
+        host.frame_port.put_before(injection.fates, Direction.HOST_TO_DRIVE)
     host.port.on_sent = lambda frame, at: seen.echoes.append(at) if frame.can_id == SYNC else None
 
     def tap(frame: Frame, at: Instant) -> None:
@@ -100,13 +100,13 @@ def run(
         servo = SimulatedServo(node, LING, DriveParameters(clock_offset_us=0))
         attached = attach_to_segment(injection.wrap(servo), segment, timeline, f"node {node}")
         injection.on_start(attached.wake_now)
-    host.host_port.transmit(Frame(0, b"\x01\x00"))
+    host.frame_port.transmit(Frame(0, b"\x01\x00"))
     timeline.run_until(Instant(5 * NS_PER_MS))
     if injection.fates is not None:
         injection.fates.start(timeline.now)
     injection.start(timeline.now)
     for _ in range(cycles):
-        host.host_port.transmit(Frame(SYNC))
+        host.frame_port.transmit(Frame(SYNC))
         timeline.run_until(Instant(timeline.now + period_us * NS_PER_US))
     seen.log = [entry_line(entry) for entry in log.entries()]
     host.shutdown()
@@ -250,6 +250,18 @@ def test_no_more_is_held_than_there_is_room_for() -> None:
         assert gateway.receive(Frame(SYNC), Instant(n + 2)) == []
     assert gateway.overflow == HELD_MAX, "two TPDOs a SYNC"
     assert len(gateway.wake(Instant(10 * NS_PER_S))) == HELD_MAX
+
+
+def test_every_frame_passes_once_the_plan_has_ended() -> None:
+    loss = IndependentLoss(selection=at_drive(), probability=1.0)
+    injection = Injection(FaultPlan((loss,)), 1)
+    gateway = injection.wrap(SimulatedServo(1, LING))
+    gateway.start(Instant(0))
+    gateway.receive(Frame(0, b"\x01\x00"), Instant(1))
+    injection.start(Instant(1))
+    assert gateway.receive(Frame(SYNC), Instant(2)) == []
+    injection.stop()
+    assert [frame.can_id for frame in gateway.receive(Frame(SYNC), Instant(3))] == [TPDO1, TPDO2]
 
 
 def test_a_drive_to_which_nothing_happens_has_no_gateway() -> None:

@@ -145,6 +145,16 @@ def test_commands_faster_than_the_inhibit_time_are_told_once_with_the_latest() -
     assert bench.demands() == [(10, first_us), (30, first_us + 2_000)]
 
 
+def test_a_demand_that_the_drive_changes_by_itself_is_told_too() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, DEMAND, STAMP)
+    bench.torque(500)
+    bench.wait_ms(30)
+    bench.told.clear()
+    bench.set(Object.CONTROLWORD, "H", 0x00)
+    assert bench.demands() == [(0, bench.now_us)]
+
+
 def test_nothing_is_told_once_the_tpdo_is_off_or_mapped_anew() -> None:
     bench = TellingBench()
     bench.map_tpdo(3, DEMAND, STAMP)
