@@ -117,11 +117,11 @@ def controller(drive: DriveConfig, period_s: float) -> Controller:
     )
 
 
-def compensator(drive: DriveConfig) -> Compensator:
+def compensator(drive: DriveConfig, period: Duration) -> Compensator:
     """The delay compensator of one axis."""
     wanted = drive.compensator
     if isinstance(wanted, StampCompensator):
-        return Stamp(Duration(wanted.delay_us * NS_PER_US))
+        return Stamp(Duration(wanted.delay_us * NS_PER_US), period)
     return Arrival()
 
 
@@ -163,7 +163,7 @@ def axis(
         name=name,
         drive=drive,
         controller=own_controller or controller(wanted, period_s),
-        compensator=compensator(wanted),
+        compensator=compensator(wanted, timing.period),
         guard=SafetyGuard(limits, period_s),
         reference=speed_profile(config.reference.get(name, ())),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),

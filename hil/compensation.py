@@ -15,9 +15,6 @@ from hil.samples import Sample, StateEstimate
 AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
 """What is assumed before the first sample: the loop starts with the drive at rest."""
 
-MATCH_TOLERANCE: Final = Duration(20_000)
-"""A sample this much too young still counts as being of the agreed age, ns: stamps and map are no finer."""
-
 
 class Compensator(Protocol):
     """Turns samples of varying age, some missing, into the state that a command is based on."""
@@ -59,10 +56,15 @@ class Stamp:
     less; then the loop sees one constant delay. As the input is held between
     cycles, its age runs from ``delay`` to ``delay`` plus one period, and grows by
     a period for each sample missing at its time.
+
+    Drives sample at SYNCs, and act at SYNCs (``actuation = "on_sync"``); so ``delay`` is a whole number of
+    periods, and is rounded to one: a sample of a SYNC that came late is no other sample. Its age is ``delay``
+    but for the lateness of the two SYNCs on the bus, and for what a drive takes from a SYNC to acting, which
+    is not measured.
     """
 
-    def __init__(self, delay: Duration) -> None:
-        self._delay = delay
+    def __init__(self, delay: Duration, period: Duration) -> None:
+        self._youngest = Duration(delay - period // 2)
         self._waiting: deque[StateEstimate] = deque()
         self._held = AT_REST
 
@@ -76,7 +78,7 @@ class Stamp:
             waiting.append(estimate)
 
     def estimate(self, apply_at: Instant) -> StateEstimate:
-        ripe_at = apply_at - self._delay + MATCH_TOLERANCE
+        ripe_at = apply_at - self._youngest
         waiting = self._waiting
         while waiting and waiting[0].valid_at <= ripe_at:
             ripe = waiting.popleft()

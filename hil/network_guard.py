@@ -13,7 +13,7 @@ from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive, StampCompensator, StateFeedbackController
-from hil.configuration.network_file import Network
+from hil.configuration.network_file import Network, commands_unknown
 from hil.configuration.speed_controller_file import MadeFor, Plant
 from hil.samples import CycleRecord, Sample
 
@@ -60,12 +60,17 @@ def static_faults(
 
     ``replaced``: axes whose controller is not the bench's.
     """
+    held = {
+        axis: wanted
+        for axis in config.axes
+        if axis not in replaced and (wanted := made_for(config.drive[axis])) is not None
+    }
     found: list[BadInput] = []
-    for axis in config.axes:
+    if held:
+        unknown = [commands_unknown(network, source) for source, network in networks.items()]
+        found += [fault for fault in unknown if fault is not None]
+    for axis, wanted in held.items():
         drive = config.drive[axis]
-        wanted = made_for(drive)
-        if wanted is None or axis in replaced:
-            continue
         key = f"drive.{axis}.controller.made_for"
         found += [
             BadInput(config.source, *fault, REMEDY) for fault in _bench_faults(config, drive, wanted, key)

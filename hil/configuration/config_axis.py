@@ -70,7 +70,11 @@ class ArrivalCompensator(Section):
 
 
 class StampCompensator(Section):
-    """A reading is used when it is exactly ``delay_us`` old, [Ling2012] 2.3."""
+    """A reading acts when it is exactly ``delay_us`` old, [Ling2012] 2.3.
+
+    Drives sample at SYNCs; with ``loop.actuation = "on_sync"``, without which this is refused, they act at
+    SYNCs too. So ``delay_us`` is a whole number of periods.
+    """
 
     kind: Literal["stamp"]
     delay_us: int = Field(gt=0, description="the age at which a reading acts, us")

@@ -27,7 +27,7 @@ def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
     """Every value that does not agree with another one; empty for a bench that can be run."""
     errors = [
         BadInput(source, key, value, expected, remedy)
-        for check in (_nodes, _segments, _times, _bus, _background, _limits, _profiles, _load_machine)
+        for check in _CHECKS
         for key, value, expected, remedy in check(config)
     ]
     try:
@@ -85,11 +85,28 @@ def _times(config: BenchConfig) -> Iterator[Fault]:
             yield f"drive.{axis}.heartbeat_timeout_ms", drive.heartbeat_timeout_ms, expected, remedy
     if config.bench.duration_s * 1e6 < loop.period_us:
         yield "bench.duration_s", config.bench.duration_s, "at least one loop.period_us", ""
+
+
+def _postponed(config: BenchConfig) -> Iterator[Fault]:
+    """A command that acts whenever it arrives acts on a sample of any age: stamp needs fixed instants."""
+    period_us = config.loop.period_us
+    horizon_us = config.loop.horizon_periods * period_us
     for axis in config.axes:
         compensator = config.drive[axis].compensator
-        if isinstance(compensator, StampCompensator) and compensator.delay_us > horizon_us:
+        if not isinstance(compensator, StampCompensator):
+            continue
+        key, delay_us = f"drive.{axis}.compensator", compensator.delay_us
+        if config.loop.actuation == "on_arrival":
+            expected = 'arrival while loop.actuation = "on_arrival": commands act at no fixed instants then'
+            yield f"{key}.kind", compensator.kind, expected, 'loop.actuation = "on_sync"'
+        if delay_us > horizon_us:
             expected = f"at most horizon_periods * period_us = {horizon_us}"
-            yield f"drive.{axis}.compensator.delay_us", compensator.delay_us, expected, ""
+            yield f"{key}.delay_us", delay_us, expected, ""
+        if delay_us % period_us:
+            expected = f"a whole number of periods of {period_us} us: drives sample and act at SYNCs"
+            whole_us = delay_us // period_us * period_us
+            nearest_us = f"{whole_us} or {whole_us + period_us}" if whole_us else f"{period_us}"
+            yield f"{key}.delay_us", delay_us, expected, nearest_us
 
 
 def _bus(config: BenchConfig) -> Iterator[Fault]:
@@ -228,3 +245,6 @@ def _demands(axis: str, drive: Drive, config: BenchConfig) -> Iterator[Fault]:
                 f"at most drive.{axis}.limits.torque_max_nm = {drive.limits.torque_max_nm:g} in magnitude"
             )
             yield f"load.{axis}[{index}].torque_nm", step.torque_nm, expected, "no command could hold it"
+
+
+_CHECKS = (_nodes, _segments, _times, _postponed, _bus, _background, _limits, _profiles, _load_machine)

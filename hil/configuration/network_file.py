@@ -123,6 +123,20 @@ def load_network(path: Path, option: str = "--network") -> Network:
     return found
 
 
+def commands_unknown(network: Network, source: str) -> BadInput | None:
+    """Why nothing can be certified on ``network``, the one of ``source``; None if something can."""
+    if network.commands != "not measured":
+        return None
+    return BadInput(
+        source,
+        "network.commands",
+        network.commands,
+        "measured or stated: losses and delays of the commands are part of the loop",
+        "measure with a drive that tells 6074h, or state command_losses_in_a_row_max and a delay_max_us that "
+        'holds to the actuator, with commands = "stated"',
+    )
+
+
 def network_text(network: Network) -> str:
     """The file of ``network``."""
     return toml_text({"network": network.model_dump(mode="json", exclude_none=True)})

@@ -3,7 +3,8 @@
 A sample takes 4 ms to the host; five of every six set-points are lost on the way to the drive. As the
 feedback is static, a lost set-point is to the loop what a lost sample is, [Ling2012] (2.11), but
 all readings come, so that the recording shows what the motor really does. The drive's current loops
-are as slow as the paper's, R/L. The strategy history needs packets that carry six samples, which a
+are as slow as the paper's, R/L. Samples act at SYNCs where they are postponed, so the agreed 64 ms become 70,
+the first SYNC at which a sample is as old. The strategy history needs packets that carry six samples, which a
 PDO of eight bytes cannot; without loss, stamp is the same thing, and runs in its place.
 """
 
@@ -39,6 +40,8 @@ from hil.terminal.progress import no_progress
 
 CAREFUL_RAD_S, EAGER_RAD_S = 60.0, 200.0
 """Crossings of the two PI controllers of Case 2, both well damped without sampling."""
+ACTS_AT_AGE_S = math.ceil(DELAY_S / PERIOD_S) * PERIOD_S
+"""Of postponed samples."""
 LOAD_AT_S = 3.0
 """Of Case 3, when the start is over; 0.5 s in the paper, where it is not (Case 1)."""
 _BANDS = (0.05, 0.02)
@@ -100,6 +103,7 @@ def bench_tables(variant: Variant) -> dict[str, Any]:
             "decide_after_us": round(1e6 * variant.delay_s) + 600,
             "deadline_us": us,
             "horizon_periods": 20,
+            "actuation": "on_sync" if variant.waits else "on_arrival",
         },
         "drive": {
             "axis1": {
@@ -129,7 +133,7 @@ def bench_tables(variant: Variant) -> dict[str, Any]:
 
 
 def _compensator(variant: Variant) -> dict[str, Any]:
-    return {"kind": "stamp", "delay_us": round(1e6 * DELAY_S)} if variant.waits else {"kind": "arrival"}
+    return {"kind": "stamp", "delay_us": round(1e6 * ACTS_AT_AGE_S)} if variant.waits else {"kind": "arrival"}
 
 
 def _controller(variant: Variant) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def draw_comparison(runs: Sequence[PaperRun], path: Path) -> None:
     shown = [run for run in runs if run.case == "case2" or (run.case == "case1" and run.variant == "stamp")]
     for run in shown:
         speed_rpm = (SPEED_RAD_S - run.error_rad_s) / RAD_S_PER_RPM
-        label = _LABELS[run.variant] if run.case == "case2" else "robust controller, 64 ms, 5 of 6 lost"
+        label = _LABELS[run.variant] if run.case == "case2" else "robust controller, stamp, 5 of 6 lost"
         axis.plot(run.time_s, speed_rpm, label=label, linewidth=1.0)
     axis.set(xlabel="s", ylabel="speed, r/min", xlim=(0.0, 1.5))
     _finish(axis)

@@ -1,6 +1,7 @@
 """``hil design speed``: the best speed feedback for a delay, a measured network, or a wanted gain."""
 
 import json
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 
 _LOSSES_MAX = 50
+_WHOLE = 1e-6
+"""Part of a period by which an age may exceed a whole number of them and still count as one."""
 _ARRIVE_EARLIER = "or, in a bench, a later loop.decide_after_us: readings are then used in their own cycle"
 
 
@@ -174,9 +177,11 @@ def speed(
 def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
     from design.errors import UnsuitableNetwork
     from design.held_loop import SampledNetwork, Strategy
-    from hil.configuration.network_file import load_network
+    from hil.configuration.network_file import commands_unknown, load_network
 
     found = load_network(path)
+    if (unknown := commands_unknown(found, str(path))) is not None:
+        raise unknown
     wanted = Strategy(strategy.value)
     tau_s, most = found.delay_max_s * (1.0 + 0.01 * margin_percent), found.losses_max + extra
     if most > _LOSSES_MAX:
@@ -187,6 +192,9 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
             str(path), "network.losses_in_a_row_max", most, f"at most {_LOSSES_MAX} in all", remedy
         )
     agreed_s = 0.0 if wanted is Strategy.ARRIVAL else (most + 1) * found.period_s + tau_s
+    if wanted is Strategy.STAMP:
+        # A bench with this strategy acts at SYNCs only.
+        agreed_s = math.ceil(agreed_s / found.period_s - _WHOLE) * found.period_s
     try:
         return SampledNetwork(wanted, found.period_s, most, tau_s, agreed_s)
     except UnsuitableNetwork as error:

@@ -302,6 +302,25 @@ def test_a_network_written_by_hand_is_enough(tmp_path: Path) -> None:
     assert found["sampled"]["certified"] is True
 
 
+def test_nothing_is_designed_where_the_way_of_the_commands_is_not_known(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text(HAND_WRITTEN + 'commands = "not measured"\n')
+    status, _, err = _run("design", "speed", MOTOR, "--network", str(network))
+    assert status == 2
+    assert "network.commands" in err
+    assert 'commands = "stated"' in err
+
+
+def test_stamp_is_designed_for_whole_periods(tmp_path: Path) -> None:
+    network = tmp_path / "n.toml"
+    network.write_text(HAND_WRITTEN)
+    found = _json(
+        "design", "speed", MOTOR, "--network", str(network), "--feedback", "speed", "--strategy", "stamp"
+    )
+    # one loss and 1 ms of delay at 2 ms: 5 ms, so the third SYNC
+    assert found["sampled"]["agreed_delay_s"] == pytest.approx(0.006)
+
+
 def test_the_sampled_loop_itself_is_made_best(tmp_path: Path) -> None:
     network, out = tmp_path / "n.toml", tmp_path / "k.toml"
     network.write_text(HAND_WRITTEN)

@@ -30,6 +30,8 @@ class Plan:
     drift_ppm: float = 0.0
     """Of the first drive; the second drifts the other way, the third not at all."""
     actuation: str = "on_arrival"
+    acts_at_age_us: int | None = None
+    """With the compensator ``stamp``, at this age of the reading."""
     clock_starts_at_us: int | None = None
     """1013h of every drive at power-on; None: drawn from the seed."""
     decides: bool = True

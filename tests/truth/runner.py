@@ -146,10 +146,12 @@ def _drive(plan: Plan, number: int) -> dict[str, Any]:
     simulation: dict[str, Any] = {"clock_drift_ppm": plan.drift_ppm * (1, -1, 0)[number]}
     if not plan.stamps and _lacks_is_known():
         simulation["lacks"] = ["1013"]
+    age_us = plan.acts_at_age_us
     return {
         "node": number + 1,
         "motor": "motors/ling2012.toml",
         "simulation": simulation,
+        "compensator": {"kind": "arrival"} if age_us is None else {"kind": "stamp", "delay_us": age_us},
         "limits": {"speed_max_rpm": 2500.0, "torque_max_nm": 2.0, "dropouts_consecutive_max": 1_000_000},
         "controller": {"kind": "pid", "proportional_nm_s_rad": 0.01},
     }

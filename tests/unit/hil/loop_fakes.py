@@ -1,6 +1,7 @@
 """A master and drives on a made-up bus, for the tests of axis and loop: time is a number they own."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
@@ -178,8 +179,13 @@ def make_axis(
     return Axis(0, parts, PERIOD, records.append)
 
 
-def make_loop(bus: FakeBus, axes: list[Axis], stall: Callable[[Instant], Duration] | None = None) -> Loop:
+def make_loop(
+    bus: FakeBus,
+    axes: list[Axis],
+    stall: Callable[[Instant], Duration] | None = None,
+    actuation: Actuation = Actuation.ON_ARRIVAL,
+) -> Loop:
     """A loop whose SYNC log hears the bus's echoes; the axes share the log of the first."""
     log = axes[0].parts.syncs
     bus.on_sync_echo = log.came
-    return Loop(bus, bus, axes, [log], TIMING, stall=stall)
+    return Loop(bus, bus, axes, [log], replace(TIMING, actuation=actuation), stall=stall)

@@ -235,7 +235,6 @@ def test_an_unknown_kind_lists_the_known(kind: Any) -> None:
         (("drive", "axis1", "limits", "torque_max_nm"), 6.1, "at most 5.996 N m"),
         (("drive", "axis1", "limits", "speed_max_rpm"), 5100.0, "at most 5067 r/min"),
         (("drive", "axis1", "limits", "speed_max_rpm"), 1500.0, "less than drive.axis1.limits.speed_max_rpm"),
-        (("drive", "axis1", "compensator"), {"kind": "stamp", "delay_us": 20_001}, "20000"),
         (("loop", "decide_after_us"), 1000, "less than loop.period_us = 1000"),
         (("loop", "deadline_us"), 20_001, "at most horizon_periods * period_us = 20000"),
         (("host", "heartbeat_timeout_ms"), 50, "more than host.heartbeat_ms = 50"),
@@ -248,6 +247,32 @@ def test_an_unknown_kind_lists_the_known(kind: Any) -> None:
 )
 def test_values_that_do_not_go_together(path: tuple[str | int, ...], value: Any, expected: str) -> None:
     assert expected in only_error_of(edited(*path, value=value)).expected
+
+
+@pytest.mark.parametrize(
+    ("actuation", "delay_us", "key", "expected", "remedy"),
+    [
+        ("on_arrival", 3_000, "kind", "commands act at no fixed instants", 'loop.actuation = "on_sync"'),
+        ("on_sync", 21_000, "delay_us", "at most horizon_periods * period_us = 20000", ""),
+        ("on_sync", 3_240, "delay_us", "a whole number of periods of 1000 us", "3000 or 4000"),
+        ("on_sync", 240, "delay_us", "a whole number of periods of 1000 us", "1000"),
+    ],
+)
+def test_stamp_needs_instants_that_are_fixed(
+    actuation: str, delay_us: int, key: str, expected: str, remedy: str
+) -> None:
+    raw = edited("drive", "axis1", "compensator", value={"kind": "stamp", "delay_us": delay_us})
+    raw["loop"]["actuation"] = actuation
+    error = only_error_of(raw)
+    assert error.key == f"drive.axis1.compensator.{key}"
+    assert expected in error.expected
+    assert error.remedy == remedy
+
+
+def test_stamp_at_whole_periods_on_sync_is_accepted() -> None:
+    raw = edited("drive", "axis1", "compensator", value={"kind": "stamp", "delay_us": 20_000})
+    raw["loop"]["actuation"] = "on_sync"
+    assert load(raw).drive["axis1"].compensator.kind == "stamp"
 
 
 def test_limits_at_the_motors_own_are_accepted() -> None:

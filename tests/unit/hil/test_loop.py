@@ -9,7 +9,7 @@ from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.compensation import Stamp
-from hil.loop import CALIBRATION_SYNCS, LoopOutcome
+from hil.loop import CALIBRATION_SYNCS, Actuation, LoopOutcome
 from hil.safety import SafetyLimits
 from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import PERIOD, FakeBus, FakeDrive, make_axis, make_loop
@@ -46,8 +46,9 @@ def run(
     records: list[CycleRecord] = []
     drive = FakeDrive(lambda sequence: 250_000)
     bus = FakeBus([drive])
-    compensator = Stamp(Duration(stamp_delay)) if stamp_delay else None
-    loop = make_loop(bus, [make_axis(drive, records, compensator, limits)], stall)
+    compensator = Stamp(Duration(stamp_delay), Duration(PERIOD)) if stamp_delay else None
+    actuation = Actuation.ON_SYNC if stamp_delay else Actuation.ON_ARRIVAL
+    loop = make_loop(bus, [make_axis(drive, records, compensator, limits)], stall, actuation)
     loop.calibrate()
     drive.delay = lambda sequence: delay(sequence - CALIBRATION_SYNCS)
     bus.oversleep = oversleep
@@ -115,8 +116,7 @@ def test_stamp_makes_a_varying_delay_constant() -> None:
     delays = [200_000, 900_000, 1_100_000, 450_000]
     _, records, _ = run(lambda cycle: delays[cycle % 4], 80, stamp_delay=2 * NS_PER_MS)
     ages = {command_of(record).effective_at - estimate_of(record).valid_at for record in records[20:]}
-    assert min(ages) >= 2 * NS_PER_MS - 20_000
-    assert max(ages) < 3 * NS_PER_MS
+    assert ages == {2 * NS_PER_MS}
 
 
 def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:

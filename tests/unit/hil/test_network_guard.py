@@ -39,10 +39,10 @@ MADE_FOR: dict[str, Any] = {
 }
 
 
-def bench(made_for: dict[str, Any], **drive: Any) -> BenchConfig:
+def bench(made_for: dict[str, Any], actuation: str = "on_arrival", **drive: Any) -> BenchConfig:
     tables: dict[str, Any] = {
         "bench": {"name": "x", "duration_s": 1.0},
-        "loop": {"period_us": 2000},
+        "loop": {"period_us": 2000, "actuation": actuation},
         "drive": {
             "axis1": {
                 "node": 1,
@@ -123,11 +123,11 @@ def test_readings_lost_by_stopping_do_not_count() -> None:
 
 def test_the_controller_brings_its_compensator() -> None:
     assert bench(MADE_FOR).drive["axis1"].compensator.kind == "arrival"
-    stamp = MADE_FOR | {"strategy": "stamp", "agreed_delay_us": 9_000}
-    found = bench(stamp).drive["axis1"].compensator
+    stamp = bench(MADE_FOR | {"strategy": "stamp", "agreed_delay_us": 10_000}, "on_sync")
+    found = stamp.drive["axis1"].compensator
     assert found.kind == "stamp"
-    assert found.delay_us == 9_000
-    assert static_faults(bench(stamp), {}) == []
+    assert found.delay_us == 10_000
+    assert static_faults(stamp, {}) == []
 
 
 def test_history_needs_packets_that_the_bus_does_not_carry() -> None:
@@ -155,7 +155,7 @@ def test_another_period_or_motor_is_a_fault(change: dict[str, Any], key: str) ->
 
 
 def test_another_compensator_is_a_fault() -> None:
-    config = bench(MADE_FOR, compensator={"kind": "stamp", "delay_us": 3000})
+    config = bench(MADE_FOR, "on_sync", compensator={"kind": "stamp", "delay_us": 4000})
     (fault,) = static_faults(config, {})
     assert fault.key.endswith("strategy")
     assert static_faults(config, {}, {"axis1"}) == []
@@ -175,6 +175,15 @@ def test_a_worse_measured_network_is_a_fault(change: dict[str, int], key: str) -
     network = Network.model_validate(wanted)
     (fault,) = static_faults(bench(MADE_FOR), {"n.toml": network})
     assert (fault.source, fault.key) == ("n.toml", key)
+
+
+def test_nothing_is_held_against_a_network_whose_commands_are_not_measured() -> None:
+    network = Network(period_us=2000, losses_in_a_row_max=0, delay_max_us=300, commands="not measured")
+    (fault,) = static_faults(bench(MADE_FOR), {"n.toml": network})
+    assert (fault.source, fault.key, fault.value) == ("n.toml", "network.commands", "not measured")
+    assert "6074h" in fault.remedy
+    assert 'commands = "stated"' in fault.remedy
+    assert static_faults(bench(MADE_FOR), {"n.toml": network}, {"axis1"}) == []
 
 
 def test_what_a_constant_delay_allows() -> None:

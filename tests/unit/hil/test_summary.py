@@ -119,7 +119,7 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     page = verdict_markdown(plan, summary_with())
     assert page.startswith("# synthetic · FAIL")
     assert "| delay p99 [us] | 900 | 800 | **broken** |" in page
-    assert "| dropouts [%] | 3 | 10 | kept |" in page
-    assert "6 of 400 readings (1.5 %): 3 lost, 2 late, 1 stale" in page
+    assert "| dropouts [%] | 4 | 10 | kept |" in page
+    assert "8 of 400 readings (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
     assert "controller `pid`" in page
     assert verdict_markdown(plan, None).startswith("# synthetic · running")
