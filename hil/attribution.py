@@ -30,7 +30,7 @@ from drivers.exchange import Reading
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.clock_map import ClockMap
-from hil.samples import Observation, Sample
+from hil.samples import Observation, Sample, new_sample
 from hil.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 ECHO_ERROR: Final = {
@@ -305,7 +305,7 @@ class StampAttribution:
         self._judge(reading.received_at - sampled_at, error_ns)
         self._delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
+        return new_sample(mark.sequence, reading, sampled_at, error_ns, True)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""
@@ -437,7 +437,7 @@ class StampAttribution:
         mark = free if free is not None and free in open_marks else open_marks[-1]
         assert mark.on_bus_at is not None
         self.health.placed += 1
-        return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
+        return new_sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""
@@ -634,7 +634,7 @@ class OrderAttribution:
             if age < self._transit - error_ns:
                 health.below_transit += 1
         health.error_ns_max = max(health.error_ns_max, error_ns)
-        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
+        return new_sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:
         first = self._syncs.marks[0].on_bus_at

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, new_command
 from drivers.timebase import Duration, Instant
 from hil.attribution import HELD_MAX, REVOKED, OrderAttribution, StampAttribution
 from hil.command_meter import CommandMeter
@@ -13,7 +13,7 @@ from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
+from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate, new_record
 from hil.scenario import LoadProfile, SpeedProfile
 from hil.syncs import SyncLog, SyncMark
 
@@ -201,7 +201,7 @@ class Axis:
         estimate = self._estimate(apply_at)
         demand_nm = self._output(estimate, decision.reference_rad_s)
         torque_nm = parts.guard.limit(demand_nm)
-        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        command = new_command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
         self._drive.check()
@@ -295,7 +295,7 @@ class Axis:
             observation = observation._replace(certain=False)
         self.uncertain += not observation.certain
         self._record(
-            CycleRecord(
+            new_record(
                 tick.sequence,
                 self._number,
                 tick.due_at,
