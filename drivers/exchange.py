@@ -8,8 +8,8 @@ from mypy_extensions import mypyc_attr
 from drivers.timebase import Instant
 
 _new: Final = tuple.__new__
-"""A named tuple's own constructor is interpreted. The functions that use this stand beside their types, with all
-fields named, so that a field is added in one place."""
+"""A named tuple's own constructor is interpreted. The functions that use this stand beside their types, with
+all fields named, so that a field is added in one place."""
 
 
 class Reading(NamedTuple):

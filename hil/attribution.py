@@ -7,11 +7,11 @@ whose end on the bus lies there is the one it answers:
     stamps         :d1        :d2                   : d4            d3 was lost
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
-The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one
-can be that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never
-negative but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a
-bus without echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of
-the SYNC behind its echo cannot be told from the offset of the clock.
+The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one can be
+that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never negative but
+for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus without
+echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of the SYNC
+behind its echo cannot be told from the offset of the clock.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked

@@ -6,8 +6,9 @@
     fate                2: lost, as the drive never followed it; 3: acts after s2, by s3
 
 0x6074 tells which command is in force when a SYNC ends; told at every change, with a stamp, it tells when the
-command began to act. A command that equals the one before or after it cannot be told from that; and one that was replaced before the next telling is not seen at all: both are *not
-identifiable*, and counted apart from those that were lost.
+command began to act. A command that equals the one before or after it cannot be told from that; and one that
+was replaced before the next telling is not seen at all: both are *not identifiable*, and counted apart from
+those that were lost.
 """
 
 from typing import Final
@@ -101,7 +102,7 @@ class CommandMeter:
             self._replace(command, candidates)
 
     def _replace(self, acting: _Followed, candidates: list[_Followed]) -> None:
-        """The drive follows ``acting`` now: what it did not follow of the older ones was lost, if it was seen."""
+        """The drive follows ``acting`` now; older ones that it was seen not to follow were lost."""
         for older in candidates:
             if older is acting:
                 break
