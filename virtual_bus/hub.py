@@ -44,7 +44,7 @@ class HubBus(can.BusABC):
 
         ``bitrate`` in bit/s; None joins at whatever the hub runs at, and starts it at 1 Mbit/s.
         ``batches``: take several frames at one read, which is cheaper, and for who waits on :meth:`fileno`
-        wrong, as only the first of them shows there; own frames may then come 0.5 ms late.
+        wrong, as only the first of them shows there; own frames may then come 0.35 ms late.
         Raises can.CanInitializationError for a bad name, another bit rate than the hub's, and
         a hub that does not start or answer.
         """

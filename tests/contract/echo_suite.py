@@ -64,7 +64,7 @@ class EchoSuite:
         return witness
 
     def take(self, port: FramePort, count: int, clock: Clock) -> list[Seen]:
-        seen = []
+        seen: list[Seen] = []
         for _ in range(count):
             frame = port.receive(Instant(clock.now() + PATIENCE_NS))
             assert frame is not None, f"only {seen} of {count} frames came"

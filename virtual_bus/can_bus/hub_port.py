@@ -17,9 +17,11 @@ from virtual_bus.can_bus.hub_control import HubStatus, Request, decode_status, e
 from virtual_bus.can_bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
-    Received,
-    decode_batch,
+    Record,
     encode_frame,
+    frame_of,
+    is_own,
+    split_batch,
 )
 from virtual_bus.frame import Frame
 
@@ -46,7 +48,7 @@ class HubPort(FramePort):
         self._socket = connection
         self._open = True
         self._now = clock.now
-        self._kept: deque[Received] = deque()
+        self._kept: deque[Record] = deque()
         self._answers: deque[HubStatus] = deque()
         # select, as poll and epoll wait by the millisecond; poll where there is nothing to wait for, as it
         # takes half the time. An exception for an empty socket would take three times that.
@@ -63,8 +65,10 @@ class HubPort(FramePort):
             if not self._wait(until):
                 return None
             self._take_in()
-        frame, self.came_at, self.came_own = kept.popleft()
-        return frame
+        at, can_id, flags, dlc, data = kept.popleft()
+        self.came_at = Instant(at)
+        self.came_own = is_own(flags)
+        return frame_of(can_id, flags, dlc, data)
 
     def transmit(self, frame: Frame) -> None:
         """Hand ``frame`` to the hub. Raises can.CanOperationError if the queue is full or the broker gone."""
@@ -127,9 +131,13 @@ class HubPort(FramePort):
             self._note(packet)
             return
         filters = self.filters
-        for received in decode_batch(packet):
-            if filters is None or accepts(filters, received.frame):
-                self._kept.append(received)
+        if filters is None:
+            self._kept.extend(split_batch(packet))
+            return
+        for record in split_batch(packet):
+            _, can_id, flags, dlc, data = record
+            if accepts(filters, frame_of(can_id, flags, dlc, data)):
+                self._kept.append(record)
 
     def _note(self, packet: bytes) -> None:
         """Take in what the broker tells of this client's controller."""

@@ -27,7 +27,6 @@ class DeafPort(FramePort):
 
     def __init__(self, inner: FramePort, every: int) -> None:
         super().__init__()
-        self.transmit = inner.transmit  # type: ignore[method-assign]
         self._inner, self._every, self._count = inner, every, 0
 
     def receive(self, until: Instant) -> Frame | None:
@@ -37,6 +36,9 @@ class DeafPort(FramePort):
                 self.came_at = self._inner.came_at
                 break
         return frame
+
+    def transmit(self, frame: Frame) -> None:
+        self._inner.transmit(frame)
 
 
 class Bench:

@@ -1,4 +1,4 @@
-"""The link over an ordinary python-can bus: stamps, taps and failures; and over a frame port: echoes."""
+"""The link over an ordinary python-can bus: stamps, taps, failures. (Over a frame port: test_frame_pump.)"""
 
 from collections import deque
 from typing import Any
@@ -7,6 +7,7 @@ import can
 import pytest
 
 from drivers.errors import BusDown
+from drivers.frame_port import EchoBasis
 from drivers.link import BusLink, StampSource
 from drivers.timebase import NS_PER_S, Instant, wall_clock_offset
 
@@ -128,4 +129,21 @@ def test_failures_of_the_bus_are_one_error(failure: Exception) -> None:
         link.recv(Instant(0))
     with pytest.raises(BusDown, match="send on messages; gone"):
         link.send(0x80, b"")
+    bus.shutdown()
+
+
+def test_a_plain_bus_claims_no_echoes_whatever_its_messages_say() -> None:
+    """python-can's SocketCAN bus calls every frame on a virtual interface its own."""
+    bus, _, link = make(StampSource.MONOTONIC)
+    bus.inbox.append(message(is_rx=False))
+    assert link.echoes is EchoBasis.NONE
+    assert link.recv(Instant(0)) == (0x181, b"\x01", 0)
+    assert (link.received_frames, link.echoed_frames, link.last_own) == (1, 0, False)
+    bus.shutdown()
+
+
+@pytest.mark.parametrize("stamps", list(StampSource))
+def test_a_plain_bus_needs_watching_where_it_stamps_at_receipt(stamps: StampSource) -> None:
+    bus, _, link = make(stamps)
+    assert link.needs_watching is (stamps is StampSource.RECEIPT)
     bus.shutdown()

@@ -12,7 +12,8 @@ from virtual_bus.can_bus.hub_protocol import (
     ECHO_HELD_NS,
     FRAME_BYTES,
     PACKET_BYTES_MAX,
-    decode_batch,
+    Received,
+    decode_frame,
     encode_frame,
 )
 from virtual_bus.frame import Frame
@@ -54,8 +55,12 @@ def ends() -> Iterator[Ends]:
     ends.close()
 
 
+def frames_in(packet: bytes) -> list[Received]:
+    return [decode_frame(packet[start : start + FRAME_BYTES]) for start in range(0, len(packet), FRAME_BYTES)]
+
+
 def ids(packet: bytes) -> list[int]:
-    return [received.frame.can_id for received in decode_batch(packet)]
+    return [received.frame.can_id for received in frames_in(packet)]
 
 
 def test_frames_that_wait_go_in_as_few_packets_as_they_fit(ends: Ends) -> None:
@@ -96,7 +101,7 @@ def test_an_echo_waits_for_the_frame_that_answers_it(ends: Ends) -> None:
     assert ends.client.due == 201_000
     ends.client.flush()
     (packet,) = ends.packets()
-    echo, answer = decode_batch(packet)
+    echo, answer = frames_in(packet)
     assert (echo.frame.can_id, echo.at, echo.own) == (0x080, 1_000, True)
     assert (answer.frame.can_id, answer.at, answer.own) == (0x181, 201_000, False)
     assert ends.client.due == NEVER
@@ -121,9 +126,9 @@ def test_what_a_full_socket_does_not_take_is_sent_later_in_its_order(ends: Ends)
     assert ends.client.due == NEVER
     stamps = []
     while ends.client.outbox:
-        stamps += [received.at for packet in ends.packets() for received in decode_batch(packet)]
+        stamps += [received.at for packet in ends.packets() for received in frames_in(packet)]
         ends.client.flush()
-    stamps += [received.at for packet in ends.packets() for received in decode_batch(packet)]
+    stamps += [received.at for packet in ends.packets() for received in frames_in(packet)]
     assert stamps == list(range(count))
     assert not ends.client.full
 
