@@ -13,7 +13,7 @@ from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
 from hil.recording.records import ROW, ROW_DTYPE, row_fields
 from hil.recording.ring import RingReader, RingWriter
 from hil.recording.side_rows import FRAME, FRAME_DTYPE
-from hil.samples import CycleRecord, Sample, StateEstimate
+from hil.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
 
 _BATCH, _BATCHES = 1_000, 200
 _CAPACITY = 1 << 10
@@ -52,14 +52,17 @@ def _record() -> CycleRecord:
         axis=0,
         due_at=at,
         woke_at=at,
-        sync_sent_at=at,
-        observation=Sample(1, Reading(1, 1.0, 2.0, 3.0, 0x1637, 1_000, at), at, 5_000),
+        sync_handed_at=at,
+        sync_on_bus_at=at,
+        observation=Sample(1, Reading(2.0, 1_000, at, 1.0, at, 3.0, at, 0x1637, at), at, 5_000, True),
         delay=Duration(500_000),
         estimate=StateEstimate(1.0, 2.0, 3.0, at, 1),
         reference_rad_s=157.0,
         load_torque_nm=0.6,
         command=Command(1, 0.6, at, at),
-        command_sent_at=at,
+        sending=Sending(600, at, at, CommandFate.ACTING, at, at),
+        clock_offset_ns=Duration(123_456),
+        clock_error_ns=Duration(1_200),
     )
 
 
