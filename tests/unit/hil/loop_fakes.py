@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
@@ -62,7 +63,8 @@ class FakeDrive(Drive):
         self.has_clock = True
 
     def take_readings(self) -> list[Reading]:
-        readings, self.readings = self.readings, []
+        readings = list(self.readings)
+        self.readings.clear()
         return readings
 
     def take_readbacks(self) -> list[Readback]:
@@ -113,9 +115,7 @@ class FakeBus(Master):
                 continue
             stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
             reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
-            self.call_at(
-                reading.received_at, lambda drive=drive, reading=reading: drive.readings.append(reading)
-            )  # type: ignore[misc]
+            self.call_at(reading.received_at, partial(drive.readings.append, reading))
         return self.at
 
     def _echo(self, at: Instant) -> None:

@@ -12,6 +12,8 @@ from hil.samples import CommandFate, Sending
 HORIZON = 20
 PERIOD = NS_PER_MS
 HANDED, ON_BUS = 250_000, 340_000
+AT_REST = 20_000
+"""What the drive follows before the first command."""
 
 
 def sync_at(number: int) -> Instant:
@@ -32,8 +34,8 @@ def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[S
     waiting = list(range(len(raws)))
     for number in range(len(raws) + HORIZON + 1):
         in_force = [n for n, since in enumerate(acting) if since is not None and since <= number]
-        if number % every == 0 and in_force:
-            meter.told(raws[max(in_force)], sync_at(number))
+        if number % every == 0:
+            meter.told(raws[max(in_force)] if in_force else AT_REST, sync_at(number))
         if number < len(raws):
             meter.sent(command(number, raws[number]))
         while waiting:
