@@ -141,12 +141,16 @@ class ReadingAssembler:
 
     def take_readbacks(self) -> list[Readback]:
         """The torque demands told with a SYNC since the last call, oldest first."""
-        taken, self._readbacks = self._readbacks, []
+        taken = self._readbacks
+        if taken:
+            self._readbacks = []
         return taken
 
     def take_demand_changes(self) -> list[DemandChange]:
         """The torque demands told on change since the last call, oldest first."""
-        taken, self._changes = self._changes, []
+        taken = self._changes
+        if taken:
+            self._changes = []
         return taken
 
     @property
