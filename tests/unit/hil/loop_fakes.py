@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
@@ -61,6 +62,10 @@ class FakeDrive(Drive):
         self.fault = ""
         self.has_clock = True
 
+    def deliver(self, reading: Reading) -> None:
+        """A reading has come."""
+        self.readings.append(reading)
+
     def take_readings(self) -> list[Reading]:
         readings, self.readings = self.readings, []
         return readings
@@ -113,9 +118,7 @@ class FakeBus(Master):
                 continue
             stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
             reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
-            self.call_at(
-                reading.received_at, lambda drive=drive, reading=reading: drive.readings.append(reading)
-            )  # type: ignore[misc]
+            self.call_at(reading.received_at, partial(drive.deliver, reading))
         return self.at
 
     def _echo(self, at: Instant) -> None:

@@ -169,5 +169,5 @@ def test_an_echo_nobody_asked_for_is_surplus() -> None:
 def test_without_echoes_the_hand_over_stands_for_the_bus() -> None:
     log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.NONE)
     mark = log.handed(1, Instant(0))
-    assert mark.on_bus_at == SYNC_LATENCY
+    assert mark.on_bus_at == Instant(SYNC_LATENCY)
     assert log.may_hand_over(Instant(1))

@@ -134,7 +134,7 @@ def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:
     }
     assert causes == dict.fromkeys((10, 11, 12), DropoutCause.MISSED)
     missed = records[10]
-    assert missed.woke_at is missed.sync_handed_at is missed.sync_on_bus_at is missed.command is None
+    assert (missed.woke_at, missed.sync_handed_at, missed.sync_on_bus_at, missed.command) == (None,) * 4
 
 
 @pytest.mark.parametrize("late_us", [0, 300, 499, 501, 900, 1400, 1501, 2300])
