@@ -1,11 +1,15 @@
 """What passes between a drive and a loop in one cycle, in SI units, and who they are to each other."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Instant
+
+_new: Final = tuple.__new__
+"""A named tuple's own constructor is interpreted. The functions that use this stand beside their types, with
+all fields named, so that a field is added in one place."""
 
 
 class Reading(NamedTuple):
@@ -33,6 +37,34 @@ class Reading(NamedTuple):
     status_told_at: Instant
 
 
+def new_reading(
+    velocity_rad_s: float,
+    device_time_ns: int | None,
+    received_at: Instant,
+    position_rad: float,
+    position_told_at: Instant,
+    torque_nm: float,
+    torque_told_at: Instant,
+    statusword: int,
+    status_told_at: Instant,
+) -> Reading:
+    """A :class:`Reading`, in a third of the time that its own constructor takes where this is compiled."""
+    return _new(
+        Reading,
+        (
+            velocity_rad_s,
+            device_time_ns,
+            received_at,
+            position_rad,
+            position_told_at,
+            torque_nm,
+            torque_told_at,
+            statusword,
+            status_told_at,
+        ),
+    )
+
+
 class Readback(NamedTuple):
     """The torque demand 0x6074 as a drive told it: which command it was following at a SYNC."""
 
@@ -42,6 +74,11 @@ class Readback(NamedTuple):
     readings: int
     """How many readings of this drive were complete when it came: it goes with the SYNC of the last of them,
     if no frame was lost or overtaken on the way."""
+
+
+def new_readback(demand_raw: int, received_at: Instant, readings: int) -> Readback:
+    """As :func:`new_reading`."""
+    return _new(Readback, (demand_raw, received_at, readings))
 
 
 class DemandChange(NamedTuple):
@@ -81,6 +118,11 @@ class Command(NamedTuple):
     """When it is meant to act on the drive."""
     expires_at: Instant
     """After this it must not be sent."""
+
+
+def new_command(sequence: int, torque_nm: float, effective_at: Instant, expires_at: Instant) -> Command:
+    """As :func:`new_reading`."""
+    return _new(Command, (sequence, torque_nm, effective_at, expires_at))
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

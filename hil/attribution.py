@@ -7,11 +7,11 @@ whose end on the bus lies there is the one it answers:
     stamps         :d1        :d2                   : d4            d3 was lost
     lateness       0          0                     +              d4: the SYNC came late to the drive
 
-The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one
-can be that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never
-negative but for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a
-bus without echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of
-the SYNC behind its echo cannot be told from the offset of the clock.
+The bench sends no SYNC within half a period of another; so a stamp within a quarter of a period of one can be
+that one's only. *Lateness* is the stamp's instant minus that of the SYNC on the bus. It is never negative but
+for the errors of stamp and map; a positive one is what the SYNC took behind its echo, or, on a bus without
+echoes, what it waited in front of the bus. The smallest lateness counts as none: a constant delay of the SYNC
+behind its echo cannot be told from the offset of the clock.
 
 Where a stamp lies off all SYNCs, or on one that has another stamp, or where the delay leaves what it was by
 more than half a period, the drive's clock may have been set. While that is open, readings are marked
@@ -30,7 +30,7 @@ from drivers.exchange import Reading
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.clock_map import ClockMap
-from hil.samples import Observation, Sample
+from hil.samples import Observation, Sample, new_sample
 from hil.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 ECHO_ERROR: Final = {
@@ -305,7 +305,7 @@ class StampAttribution:
         self._judge(reading.received_at - sampled_at, error_ns)
         self._delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
+        return new_sample(mark.sequence, reading, sampled_at, error_ns, True)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""
@@ -437,7 +437,7 @@ class StampAttribution:
         mark = free if free is not None and free in open_marks else open_marks[-1]
         assert mark.on_bus_at is not None
         self.health.placed += 1
-        return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
+        return new_sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""
@@ -634,7 +634,7 @@ class OrderAttribution:
             if age < self._transit - error_ns:
                 health.below_transit += 1
         health.error_ns_max = max(health.error_ns_max, error_ns)
-        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
+        return new_sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:
         first = self._syncs.marks[0].on_bus_at

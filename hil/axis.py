@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, new_command
 from drivers.timebase import Duration, Instant
 from hil.attribution import HELD_MAX, REVOKED, OrderAttribution, StampAttribution
 from hil.command_meter import CommandMeter
@@ -13,7 +13,7 @@ from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
+from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate, new_record
 from hil.scenario import LoadProfile, SpeedProfile
 from hil.syncs import SyncLog, SyncMark
 
@@ -114,7 +114,6 @@ class Axis:
         self._estimate = parts.compensator.estimate
         self._by_stamp = parts.by_stamp
         self._by_order = parts.by_order
-        self._questions = (parts.by_stamp.question, parts.by_order.question)
         self._commands = parts.commands
         self.uncertain = 0
         """Rows marked uncertain."""
@@ -170,10 +169,11 @@ class Axis:
 
     def collect(self) -> None:
         """Take in what has arrived."""
-        readings = self._drive.take_readings()
-        if readings:
-            for reading in readings:
-                self._take(reading)
+        for reading in self._drive.take_readings():
+            self._take(reading)
+
+    def _collect_demands(self) -> None:
+        """Take in what the drive told of its torque demand."""
         readbacks = self._drive.take_readbacks()
         for change in self._drive.take_demand_changes():
             while readbacks and readbacks[0].received_at < change.received_at:
@@ -201,7 +201,7 @@ class Axis:
         estimate = self._estimate(apply_at)
         demand_nm = self._output(estimate, decision.reference_rad_s)
         torque_nm = parts.guard.limit(demand_nm)
-        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        command = new_command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
         self._drive.check()
@@ -215,6 +215,7 @@ class Axis:
 
     def settle(self, now: int) -> None:
         """Record the cycles of which everything is known in cycle ``now``."""
+        self._collect_demands()
         for fate in self.meter.settle():
             self._hold(fate)
         settled = self._settled
@@ -243,10 +244,10 @@ class Axis:
         sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
         place = (self._readings - 1) % READINGS_REMEMBERED
         self._placed[place] = None
-        for question in self._questions:
-            if question.cleared:
-                question.cleared = False
-                self.meter.forget_doubt()
+        question = self._by_stamp.question if by_stamp else self._by_order.question
+        if question.cleared:
+            question.cleared = False
+            self.meter.forget_doubt()
         if sample is None or not self.meter.arrived(sample):
             return
         if sample.certain:
@@ -276,7 +277,7 @@ class Axis:
 
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""
-        if any(question.open for question in self._questions):
+        if self._by_stamp.question.open or self._by_order.question.open:
             return HELD_MAX
         return REVOKED if self._by_stamp.spread else 0
 
@@ -295,7 +296,7 @@ class Axis:
             observation = observation._replace(certain=False)
         self.uncertain += not observation.certain
         self._record(
-            CycleRecord(
+            new_record(
                 tick.sequence,
                 self._number,
                 tick.due_at,

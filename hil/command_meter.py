@@ -6,15 +6,16 @@
     fate                2: lost, as the drive never followed it; 3: acts after s2, by s3
 
 0x6074 tells which command is in force when a SYNC ends; told at every change, with a stamp, it tells when the
-command began to act. A command that equals the one before or after it cannot be told from that; and one that was replaced before the next telling is not seen at all: both are *not
-identifiable*, and counted apart from those that were lost.
+command began to act. A command that equals the one before or after it cannot be told from that; and one that
+was replaced before the next telling is not seen at all: both are *not identifiable*, and counted apart from
+those that were lost.
 """
 
 from typing import Final
 
 from drivers.exchange import SentCommand
 from drivers.timebase import Duration, Instant
-from hil.samples import CommandFate, Sending
+from hil.samples import CommandFate, Sending, new_sending
 
 FOLLOWED_MAX: Final = 128
 """Commands followed at a time: more than any horizon."""
@@ -101,7 +102,7 @@ class CommandMeter:
             self._replace(command, candidates)
 
     def _replace(self, acting: _Followed, candidates: list[_Followed]) -> None:
-        """The drive follows ``acting`` now: what it did not follow of the older ones was lost, if it was seen."""
+        """The drive follows ``acting`` now; older ones that it was seen not to follow were lost."""
         for older in candidates:
             if older is acting:
                 break
@@ -128,7 +129,7 @@ class CommandMeter:
             fate = CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
         del followed[0]
         sent = first.sent
-        return Sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
+        return new_sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
 
     def _candidates(self, sync_at: Instant) -> list[_Followed]:
         """The commands that may act at ``sync_at`` in place of the one that acted before, oldest first."""

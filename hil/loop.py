@@ -22,7 +22,7 @@ from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
 from hil.syncs import SyncLog
-from hil.ticker import next_due
+from hil.ticker import ticks_missed
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
@@ -160,15 +160,14 @@ class Loop:
         period = self._timing.period
         self._network.rest(due)
         woke_at = self._wake()
-        late = next_due(due, period, woke_at)
-        for _ in range(min(late.missed, planned - self._number)):
-            self._miss(due, None)
-            due = Instant(due + period)
-        if self._number >= planned:
-            return due
-        if late.at > woke_at:
-            # The tick for which the host came too late is over; this one is still to come.
-            return late.at
+        missed = ticks_missed(due, period, woke_at)
+        if missed:
+            for _ in range(min(missed, planned - self._number)):
+                self._miss(due, None)
+                due = Instant(due + period)
+            if self._number >= planned or due > woke_at:
+                # The next tick is still to come.
+                return due
         if self._may_hand_over(due):
             self._cycle(due, woke_at)
         else:
@@ -221,7 +220,9 @@ class Loop:
     def _cycle(self, due: Instant, woke_at: Instant) -> None:
         axes = self._axes
         self._number += 1
-        probe = any(axis.wants_probe for axis in axes)
+        probe = False
+        for axis in axes:
+            probe = probe or axis.wants_probe
         if probe:
             self._network.pump(Instant(due + self._timing.period // 4))
         self._send_sync(self._number)

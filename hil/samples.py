@@ -5,10 +5,13 @@ to build, which counts in a loop that runs many times faster than real time.
 """
 
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
+
+_new: Final = tuple.__new__
+"""As in :mod:`drivers.exchange`."""
 
 
 class DropoutCause(Enum):
@@ -38,6 +41,13 @@ class Sample(NamedTuple):
     """Whether the data decide which SYNC it answers."""
 
 
+def new_sample(
+    sequence: int, reading: Reading, sampled_at: Instant, sampled_at_error_ns: int, certain: bool
+) -> Sample:
+    """A :class:`Sample`; see :func:`drivers.exchange.new_reading`."""
+    return _new(Sample, (sequence, reading, sampled_at, sampled_at_error_ns, certain))
+
+
 class Dropout(NamedTuple):
     """A cycle without a usable reading."""
 
@@ -61,6 +71,13 @@ class StateEstimate(NamedTuple):
     valid_at: Instant
     sequence: int
     """The sample that it rests on; 0 before the first."""
+
+
+def new_estimate(
+    position_rad: float, velocity_rad_s: float, torque_nm: float, valid_at: Instant, sequence: int
+) -> StateEstimate:
+    """As :func:`new_sample`."""
+    return _new(StateEstimate, (position_rad, velocity_rad_s, torque_nm, valid_at, sequence))
 
 
 class CommandFate(Enum):
@@ -91,6 +108,18 @@ class Sending(NamedTuple):
     """The earliest instant known at which it acted."""
 
 
+def new_sending(
+    raw: int,
+    handed_at: Instant,
+    on_bus_at: Instant | None,
+    fate: CommandFate,
+    acts_after: Instant | None,
+    acts_by: Instant | None,
+) -> Sending:
+    """As :func:`new_sample`."""
+    return _new(Sending, (raw, handed_at, on_bus_at, fate, acts_after, acts_by))
+
+
 class CycleRecord(NamedTuple):
     """Everything about one planned cycle of one axis: what came of its SYNC, and what was done in it."""
 
@@ -118,3 +147,43 @@ class CycleRecord(NamedTuple):
     clock_offset_ns: int | None
     """Host minus drive, by the map of the drive's clock; None for a drive without one."""
     clock_error_ns: int | None
+
+
+def new_record(
+    sequence: int,
+    axis: int,
+    due_at: Instant,
+    woke_at: Instant | None,
+    sync_handed_at: Instant | None,
+    sync_on_bus_at: Instant | None,
+    observation: Observation,
+    delay: Duration | None,
+    estimate: StateEstimate | None,
+    reference_rad_s: float,
+    load_torque_nm: float,
+    command: Command | None,
+    sending: Sending | None,
+    clock_offset_ns: int | None,
+    clock_error_ns: int | None,
+) -> CycleRecord:
+    """As :func:`new_sample`."""
+    return _new(
+        CycleRecord,
+        (
+            sequence,
+            axis,
+            due_at,
+            woke_at,
+            sync_handed_at,
+            sync_on_bus_at,
+            observation,
+            delay,
+            estimate,
+            reference_rad_s,
+            load_torque_nm,
+            command,
+            sending,
+            clock_offset_ns,
+            clock_error_ns,
+        ),
+    )

@@ -9,23 +9,10 @@ closer than half a period to the next one, and tell the drive a false time: the 
 made up for.
 """
 
-from typing import NamedTuple
-
 from drivers.timebase import Duration, Instant
 
 
-class Due(NamedTuple):
-    """The tick to be served next."""
-
-    at: Instant
-    missed: int
-    """Ticks of the grid skipped before it."""
-
-
-def next_due(due_at: Instant, period: Duration, now: Instant) -> Due:
-    """The first tick from ``due_at`` on that is no more than half a period over at ``now``."""
+def ticks_missed(due_at: Instant, period: Duration, now: Instant) -> int:
+    """How many ticks, from the one at ``due_at`` on, are more than half a period over at ``now``."""
     late = now - due_at - period // 2
-    if late <= 0:
-        return Due(due_at, 0)
-    missed = -(-late // period)
-    return Due(Instant(due_at + missed * period), missed)
+    return -(-late // period) if late > 0 else 0

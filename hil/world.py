@@ -67,8 +67,8 @@ class WorldFaults:
         """``parts``: of each segment."""
         self._parts = parts
         self.wrap = parts[0][0].wrap
-        self.host_stall: Callable[[Instant], Duration] = parts[0][0].host_stall
-        """For how long the host, which should act at an instant, sleeps instead."""
+        self.host_stall = parts[0][0].host_stall if parts[0][0].stalls_host else None
+        """For how long the host, which should act at an instant, sleeps instead; None if it never does."""
 
     def start(self, now: Instant) -> None:
         """Time zero of the plan is ``now``."""

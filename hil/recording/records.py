@@ -102,7 +102,6 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_IDENTIFIABLE,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
-_COMMAND_FATE_OF: Final = {fate: place for place, fate in enumerate(COMMAND_FATES)}
 _NO_READING: Final = (math.nan, NOTHING, NOTHING, math.nan, NOTHING, math.nan, NOTHING, NOTHING, NOTHING)
 _NO_ESTIMATE: Final = (math.nan, math.nan, math.nan, NOTHING, NOTHING)
 _NO_COMMAND: Final = (math.nan, NOTHING, NOTHING)
@@ -150,7 +149,7 @@ def row_fields(record: CycleRecord) -> tuple[object, ...]:
             raw,
             sent_at,
             NOTHING if sent_on_bus_at is None else sent_on_bus_at,
-            _COMMAND_FATE_OF[command_fate],
+            _place_of(command_fate),
             NOTHING if after is None else after,
             NOTHING if by is None else by,
         )
@@ -177,9 +176,41 @@ def row_fields(record: CycleRecord) -> tuple[object, ...]:
     )
 
 
+def _place_of(fate: CommandFate) -> int:
+    """In :data:`COMMAND_FATES`; the hash of an enum's member is interpreted."""
+    if fate is CommandFate.ACTING:
+        return 1
+    if fate is CommandFate.NOT_IDENTIFIABLE:
+        return 3
+    return 2 if fate is CommandFate.LOST else 0
+
+
 def store_record(memory: Any, place: int, record: CycleRecord) -> None:
-    """Pack ``record`` into ``memory`` from byte ``place`` on."""
-    _pack_into(memory, place, *row_fields(record))
+    """Pack ``record`` into ``memory`` from byte ``place`` on: :func:`row_fields` without the tuples."""
+    observed, estimate, command, sending = record[6], record[8], record[11], record[12]
+    if not isinstance(observed, Sample) or estimate is None or command is None or sending is None:
+        _pack_into(memory, place, *row_fields(record))
+        return
+    sequence, axis, due_at, woke_at, handed_at, on_bus_at = record[:6]
+    _, reading, sampled_at, error, certain = observed
+    speed, stamp, received, position, position_at, torque, torque_at, status, status_at = reading
+    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
+    _, torque_nm, effective_at, expires_at = command
+    raw, sent_at, sent_on_bus_at, command_fate, after, by = sending
+    clock_offset, clock_error = record[13], record[14]
+    # fmt: off
+    _pack_into(
+        memory, place,
+        sequence, axis, due_at, woke_at, handed_at, NOTHING if on_bus_at is None else on_bus_at,
+        FATE_SAMPLE, certain, sampled_at, error,
+        speed, NOTHING if stamp is None else stamp, received, position, position_at, torque, torque_at,
+        status, status_at, record[7], at_rad, at_rad_s, at_nm, valid_at, rests_on, record[9], record[10],
+        torque_nm, effective_at, expires_at, raw, sent_at,
+        NOTHING if sent_on_bus_at is None else sent_on_bus_at, _place_of(command_fate),
+        NOTHING if after is None else after, NOTHING if by is None else by,
+        NOTHING if clock_offset is None else clock_offset, NOTHING if clock_error is None else clock_error,
+    )
+    # fmt: on
 
 
 def record_of(row: np.void) -> CycleRecord:

@@ -83,6 +83,11 @@ class Injection:
             return None
         return FaultInjector(plan, self._seed, f"{self._link}/drive {node}", log=self.log, node=node)
 
+    @property
+    def stalls_host(self) -> bool:
+        """Whether the plan says when the host is late."""
+        return self._stalls is not None
+
     def host_stall(self, now: Instant) -> Duration:
         """For how long the host, which should act at ``now``, sleeps instead. To be asked once an action."""
         return Duration(0) if self._stalls is None else self._stalls.stall(now)

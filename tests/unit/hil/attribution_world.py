@@ -8,11 +8,12 @@ network  brings the answer after ``delay(n)``, or twice, or not at all
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from heapq import heappop, heappush
 from itertools import count
 
 from drivers.frame_port import EchoBasis
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_S, Instant
 from hil.attribution import OrderAttribution, StampAttribution
 from hil.clock_map import ClockMap
 from hil.samples import Sample
@@ -87,75 +88,87 @@ class Outcome:
         ]
 
 
+class _World:
+    """One run of a network."""
+
+    def __init__(self, network: Network, seed: int) -> None:
+        self.network = network
+        self.choices = random.Random(seed)
+        self.log = log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+        self.told: list[str] = []
+        self.by_stamp = StampAttribution(log, ClockMap(), PERIOD, TRANSIT, self.told.append)
+        self.by_order = OrderAttribution(log, PERIOD, TRANSIT, self.told.append)
+        self.placed: list[Truth] = []
+        self._offset = 777_000_123
+        self._order = count()
+        self._due: list[tuple[int, int, Callable[[], None]]] = []
+
+    def calibrate(self) -> int:
+        """SYNCs far apart, answered at once; the instant of the last."""
+        at = 0
+        for _ in range(CALIBRATION):
+            at += CALIBRATION_PERIODS * PERIOD
+            mark = self.log.handed(0, Instant(at))
+            on_bus = at + SYNC_LATENCY
+            self.log.came(Instant(on_bus))
+            reading = reading_at(Instant(on_bus + 240_000), self._stamp(on_bus))
+            (self.by_stamp if self.network.has_clock else self.by_order).learn(reading, mark)
+        return at
+
+    def cycle(self, number: int, due: int) -> None:
+        """Hand over the SYNC that is due, late as the host is, or for a probe."""
+        handed = due + self.network.lateness(number, self.choices)
+        self.run_until(handed)
+        probes = self.by_order.wants_probe
+        if probes:
+            handed = max(handed, due + PERIOD // 4)
+            self.run_until(handed)
+        self._send_sync(number, handed)
+        if probes:
+            self.by_order.probed(self.log.marks[-1])
+
+    def run_until(self, at: int) -> None:
+        """Let everything happen that falls due."""
+        while self._due and self._due[0][0] <= at:
+            heappop(self._due)[2]()
+
+    def _send_sync(self, number: int, handed: int) -> None:
+        network, choices = self.network, self.choices
+        self.log.handed(number, Instant(handed))
+        on_bus = Instant(handed + SYNC_LATENCY)
+        self._call_at(on_bus, lambda: self.log.came(on_bus))
+        self._offset += network.steps.get(number, 0)
+        sampled = on_bus + network.sync_delay(number, choices)
+        shown = self._stamp(sampled)
+        delay, again = network.delay(number, choices), network.duplicate(number, choices)
+        if delay is None:
+            return
+        for arrival in [sampled + delay] if again is None else [sampled + delay, sampled + delay + again]:
+            self._call_at(arrival, partial(self._receive, number, sampled, shown, arrival))
+
+    def _receive(self, sequence: int, sampled: int, shown: int | None, received: int) -> None:
+        reading = reading_at(Instant(received), shown)
+        sample = self.by_stamp.place(reading) if shown is not None else self.by_order.place(reading)
+        if sample is not None:
+            self.placed.append(Truth(sequence, sampled, sample))
+
+    def _call_at(self, at: int, what: Callable[[], None]) -> None:
+        heappush(self._due, (at, next(self._order), what))
+
+    def _stamp(self, at: int) -> int | None:
+        shown = at + self._offset + int(at * self.network.drift_ppm * 1e-6)
+        return shown // 1000 * 1000 if self.network.has_clock else None
+
+
 def play(network: Network, cycles: int, seed: int = 1) -> Outcome:
     """Calibrate in peace, then run ``cycles`` SYNCs through ``network``."""
-    choices = random.Random(seed)
-    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
-    told: list[str] = []
-    by_stamp = StampAttribution(log, ClockMap(), PERIOD, TRANSIT, told.append)
-    by_order = OrderAttribution(log, PERIOD, TRANSIT, told.append)
-    offset = 777_000_123
-
-    def stamp(at: int) -> int | None:
-        shown = at + offset + int(at * network.drift_ppm * 1e-6)
-        return shown // 1000 * 1000 if network.has_clock else None
-
-    at = 0
-    for _ in range(CALIBRATION):
-        at += CALIBRATION_PERIODS * PERIOD
-        mark = log.handed(0, Instant(at))
-        on_bus = at + SYNC_LATENCY
-        log.came(Instant(on_bus))
-        reading = reading_at(Instant(on_bus + 240_000), stamp(on_bus))
-        (by_stamp if network.has_clock else by_order).learn(reading, mark)
-    start = at + CALIBRATION_PERIODS * PERIOD
-    order = count()
-    due: list[tuple[int, int, Callable[[], None]]] = []
-    placed: list[Truth] = []
-
-    def receive(sequence: int, sampled: int, shown: int | None, received: int) -> None:
-        reading = reading_at(Instant(received), shown)
-        sample = by_stamp.place(reading) if shown is not None else by_order.place(reading)
-        if sample is not None:
-            placed.append(Truth(sequence, sampled, sample))
-
-    def sync(number: int, handed: int) -> None:
-        nonlocal offset
-        log.handed(number, Instant(handed))
-        on_bus = handed + SYNC_LATENCY
-        heappush(due, (on_bus, next(order), lambda: log.came(Instant(on_bus))))
-        offset += network.steps.get(number, 0)
-        sampled = on_bus + network.sync_delay(number, choices)
-        shown = stamp(sampled)
-        delay, again = network.delay(number, choices), network.duplicate(number, choices)
-        if delay is not None:
-            arrivals = [sampled + delay] if again is None else [sampled + delay, sampled + delay + again]
-            for arrival in arrivals:
-                heappush(
-                    due,
-                    (
-                        arrival,
-                        next(order),
-                        lambda arrival=arrival: receive(number, sampled, shown, arrival),  # type: ignore[misc]
-                    ),
-                )
-
+    world = _World(network, seed)
+    start = world.calibrate() + CALIBRATION_PERIODS * PERIOD
     for number in range(1, cycles + 1):
-        handed = start + number * PERIOD + network.lateness(number, choices)
-        while due and due[0][0] <= handed:
-            heappop(due)[2]()
-        probed = by_order.wants_probe
-        if probed:
-            handed = max(handed, start + number * PERIOD + PERIOD // 4)
-            while due and due[0][0] <= handed:
-                heappop(due)[2]()
-        sync(number, handed)
-        if probed:
-            by_order.probed(log.marks[-1])
-    while due:
-        heappop(due)[2]()
-    for truth in placed:
-        amended = by_order.question.applied(by_stamp.question.applied(truth.sample))
+        world.cycle(number, start + number * PERIOD)
+    world.run_until(start + 2 * cycles * PERIOD + NS_PER_S)
+    for truth in world.placed:
+        amended = world.by_order.question.applied(world.by_stamp.question.applied(truth.sample))
         assert isinstance(amended, Sample)
         truth.sample = amended
-    return Outcome(placed, by_stamp, by_order, told)
+    return Outcome(world.placed, world.by_stamp, world.by_order, world.told)

@@ -62,12 +62,9 @@ class FakeDrive(Drive):
         self.fault = ""
         self.has_clock = True
 
-    def deliver(self, reading: Reading) -> None:
-        """A reading has come."""
-        self.readings.append(reading)
-
     def take_readings(self) -> list[Reading]:
-        readings, self.readings = self.readings, []
+        readings = list(self.readings)
+        self.readings.clear()
         return readings
 
     def take_readbacks(self) -> list[Readback]:
@@ -118,7 +115,7 @@ class FakeBus(Master):
                 continue
             stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
             reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
-            self.call_at(reading.received_at, partial(drive.deliver, reading))
+            self.call_at(reading.received_at, partial(drive.readings.append, reading))
         return self.at
 
     def _echo(self, at: Instant) -> None:

@@ -9,7 +9,7 @@ from drivers.frame_port import EchoBasis
 from drivers.timebase import Instant
 from hil.syncs import SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
-from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY
+from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
 
 Delay = Callable[[int, random.Random], int | None]
 
@@ -91,8 +91,6 @@ def test_two_stamps_for_one_sync_are_an_alarm() -> None:
     place, log = outcome.by_stamp, outcome.by_stamp._syncs
     mark = log.marks[-5]
     assert mark.on_bus_at is not None
-    from tests.unit.hil.loop_fakes import reading_at
-
     stamp = mark.on_bus_at - place.clock.offset_ns + 2_000
     sample = place.place(reading_at(Instant(mark.on_bus_at + 300_000), stamp))
     assert sample is None or not sample.certain
@@ -138,11 +136,12 @@ def test_a_sync_that_never_came_to_the_bus_makes_the_next_echo_unsure() -> None:
     assert log.may_hand_over(Instant(2 * PERIOD))
     later = log.handed(3, Instant(2 * PERIOD))
     log.came(Instant(2 * PERIOD + SYNC_LATENCY))
-    assert (lost.on_bus_at, later.on_bus_at) == (None, 2 * PERIOD + SYNC_LATENCY)
-    assert not later.sure
+    assert [lost.on_bus_at, later.on_bus_at] == [None, 2 * PERIOD + SYNC_LATENCY]
+    assert not later.sure, "it may have been that of the first"
     next_mark = log.handed(4, Instant(3 * PERIOD))
     log.came(Instant(3 * PERIOD + SYNC_LATENCY))
     assert next_mark.sure
+    assert later.sure, "the other would have followed: a bus keeps the order"
 
 
 def test_two_echoes_of_two_syncs_are_told_apart_by_their_order() -> None:
@@ -151,7 +150,7 @@ def test_two_echoes_of_two_syncs_are_told_apart_by_their_order() -> None:
     second = log.handed(3, Instant(2 * PERIOD))
     log.came(Instant(2 * PERIOD + 10_000))
     log.came(Instant(2 * PERIOD + 60_000))
-    assert (first.on_bus_at, second.on_bus_at) == (2 * PERIOD + 10_000, 2 * PERIOD + 60_000)
+    assert [first.on_bus_at, second.on_bus_at] == [2 * PERIOD + 10_000, 2 * PERIOD + 60_000]
     assert first.sure
     assert second.sure
     assert log.crowded == 1
