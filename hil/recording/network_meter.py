@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,10 @@ class NetworkMeter:
         self._period_us = period_us
         self._reading, self._command = TimeHistogram(), TimeHistogram()
         self._action_least, self._action = TimeHistogram(), TimeHistogram()
+        self._stamped_least, self._stamped = TimeHistogram(), TimeHistogram()
+        """The same of the commands whose acting the drive has stamped."""
+        self._unstamped = np.zeros(axes, np.int64)
+        """Acting commands without such a stamp less those with one, by axis."""
         self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
         self._command_runs = np.zeros(_RUN_MAX + 1, np.int64)
         self._commands_open = [0] * axes
@@ -53,9 +58,14 @@ class NetworkMeter:
         self._reading.add(came["received_at"] - came["sampled_at"])
         on_bus = rows[rows["command_on_bus_at"] != NOTHING]
         self._command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
-        least, most = action_delays_ns(came, self._period_us * NS_PER_US)
+        acting = came[came["command_fate"] == _ACTING]
+        least, most = action_delays_ns(acting, self._period_us * NS_PER_US)
         self._action_least.add(least)
         self._action.add(most)
+        stamped = _stamped(acting)
+        self._stamped_least.add(least[stamped])
+        self._stamped.add(most[stamped])
+        np.add.at(self._unstamped, acting["axis"], np.where(stamped, -1, 1))
         fates = rows["command_fate"]
         self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
         for axis in range(len(self._open)):
@@ -72,7 +82,8 @@ class NetworkMeter:
         reading = _delays(self._reading)
         if reading is None:
             return None
-        action = _delays(self._action)
+        stamped = bool((self._unstamped <= 0).all())
+        action = _delays(self._stamped if stamped else self._action)
         acting, lost = (int(self._command_fates[place]) for place in (_ACTING, _LOST))
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
@@ -90,7 +101,7 @@ class NetworkMeter:
             losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
             reading_delay_us=reading,
             action_delay_us=action,
-            action_delay_least_us=_delays(self._action_least),
+            action_delay_least_us=_delays(self._stamped_least if stamped else self._action_least),
             command_delay_us=_delays(self._command),
             commands_acting=acting,
             commands_lost=lost,
@@ -120,6 +131,24 @@ def _closed(runs: NDArray[np.int64], still_open: list[int]) -> tuple[NDArray[np.
     for length in still_open:
         closed[min(length, _RUN_MAX)] += 1 if length else 0
     return closed, int(np.flatnonzero(closed)[-1]) if closed.any() else 0
+
+
+STAMPED_WITHIN: Final = 4
+"""Errors of the drive's clock: the interval in which a stamped command began to act is two of them long, and
+the error may have halved until the row was written."""
+
+
+def _stamped(acting: Rows) -> NDArray[np.bool_]:
+    """Which commands are known to act from then on because the drive has stamped it, (n,).
+
+    Of the others it is known between which SYNCs: that bounds their delay by a period, however short it was.
+    Where most were stamped, the others, whose frame was lost, are left out: of their delay that tells nothing.
+    """
+    error_ns = np.maximum(acting["clock_error_ns"], 0)
+    fine: NDArray[np.bool_] = (
+        acting["command_acts_by"] - acting["command_acts_after"] <= STAMPED_WITHIN * error_ns
+    )
+    return fine
 
 
 def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

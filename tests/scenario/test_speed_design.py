@@ -216,7 +216,8 @@ def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
     tables = read_toml(EXAMPLES / "network_designed.toml", "bench file")
     tables["bench"]["duration_s"] = 1.0
     tables["drive"]["axis1"] |= {"motor": MOTOR, "controller": str(controller)}
-    tables["faults"]["loss"][0]["probability"] = loss
+    # the readings alone: a statusword that was not told for long stops a run by itself
+    tables["faults"]["loss"][0] |= {"probability": loss, "frames": [0x181]}
     del tables["load"]
     return tables
 

@@ -78,6 +78,11 @@ def test_equal_commands_cannot_be_told_apart() -> None:
     assert fates(settled)[4] is CommandFate.ACTING
 
 
+def test_a_first_command_that_equals_what_was_in_force_cannot_be_told_either() -> None:
+    told = fates(play([AT_REST, 2, 3], [1, 2, 3]))
+    assert told == [CommandFate.NOT_IDENTIFIABLE, CommandFate.ACTING, CommandFate.ACTING]
+
+
 def test_a_drive_that_tells_nothing_leaves_it_unmeasured() -> None:
     meter = CommandMeter(HORIZON)
     meter.sent(command(0, 5))

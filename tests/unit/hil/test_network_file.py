@@ -113,6 +113,31 @@ def test_a_reading_that_misses_the_decision_acts_a_cycle_later() -> None:
     assert found.reading_delay_us.max == 600.0
 
 
+def stamped(rows: Rows) -> Rows:
+    """The drive has told when each command began to act: 590 us after the sample, right within 2 us."""
+    rows["clock_error_ns"] = 2_000
+    rows["command_acts_after"] = rows["sampled_at"] + 588_000
+    rows["command_acts_by"] = rows["sampled_at"] + 592_000
+    return rows
+
+
+@pytest.mark.parametrize(("told_by_sync", "delay_max_us"), [(0, 592), (4, 592), (5, 600)])
+def test_where_most_commands_were_stamped_the_others_say_nothing_of_the_delay(
+    told_by_sync: int, delay_max_us: int
+) -> None:
+    rows = stamped(rows_of([0, 0, 0, 0]))
+    loose = rows_of([0] * told_by_sync, first=4)
+    loose["clock_error_ns"] = 2_000
+    found = measured(rows, loose[:1], loose[1:])
+    assert found.commands_acting == 4 + told_by_sync
+    assert found.delay_max_us == delay_max_us
+
+
+def test_an_axis_without_stamps_counts_with_its_bounds() -> None:
+    found = measured(np.concatenate([stamped(rows_of([0, 0, 0])), rows_of([0, 0], axis=1)]), axes=2)
+    assert found.delay_max_us == 600
+
+
 def test_what_is_written_is_read_back_and_can_be_injected_again(tmp_path: Path) -> None:
     found = measured(rows_of([0, LOST, 0, 0]))
     path = tmp_path / "network.toml"
