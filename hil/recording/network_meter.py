@@ -159,6 +159,7 @@ class NetworkKeeper:
 
 
 def delays_of(times: TimeHistogram) -> Delays | None:
+    """Quantiles, us; None of no times."""
     quantiles = [times.quantile_ns(share) for share in (0.5, 0.99, 0.999)]
     p50, p99, p999 = (None if value is None else value / NS_PER_US for value in quantiles)
     largest = times.largest_ns
@@ -168,6 +169,7 @@ def delays_of(times: TimeHistogram) -> Delays | None:
 
 
 def histogram_of(times: TimeHistogram) -> DelayHistogram | None:
+    """A hundred bars from 0 up, without empty ones at the ends; None of no times."""
     largest = times.largest_ns
     if largest is None:
         return None
