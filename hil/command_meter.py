@@ -104,7 +104,7 @@ class CommandMeter:
             self._replace(command, candidates)
 
     def _follows_in_order(self, demand_raw: int, sync_at: Instant) -> bool:
-        """The usual case, without a detour: the command after the one that acted is the newest, and acts now."""
+        """The usual case, without a detour: the newest command follows the one that acted, and acts now."""
         followed, acting = self._followed, self._acting
         last = len(followed) - 1
         while last >= 0 and not followed[last].was_there(sync_at):
