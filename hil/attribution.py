@@ -170,11 +170,11 @@ class _Line(NamedTuple):
 class _DelayWindow:
     """Smallest and largest delay of the last readings."""
 
-    __slots__ = ("_count", "_high", "_low", "high", "low")
+    __slots__ = ("_count", "_high", "_low", "_seen", "high", "low")
 
     def __init__(self) -> None:
         self.low = self.high = self._low = self._high = -1
-        self._count = 0
+        self._count = self._seen = 0
 
     def add(self, delay: int) -> None:
         if self._count == 0:
@@ -184,8 +184,17 @@ class _DelayWindow:
             self.low = delay
         self.high = max(self.high, delay)
         self._count += 1
+        self._seen = min(self._seen + 1, DELAYS_WATCHED)
         if self._count == DELAYS_WATCHED // 2:
             self.low, self.high, self._count = self._low, self._high, 0
+
+    def slack(self) -> int:
+        """How far beyond what was seen the next delay of the same network may well lie.
+
+        Of n values drawn evenly the smallest is an (n+1)-th of their spread above the least possible one on
+        the average, and hardly ever four times that.
+        """
+        return 4 * (self.high - self.low) // max(self._seen, 1)
 
 
 class StampAttribution:
@@ -277,8 +286,8 @@ class StampAttribution:
 
     def _usual(self, mark: SyncMark, delay: int) -> bool:
         """Whether a reading on a free SYNC raises no question, and answers the one that may be open."""
-        low, high, half = self._delays.low, self._delays.high, self._half
-        if not low - half <= delay <= high + half:
+        bearable = self._half + self._delays.slack()
+        if not self._delays.low - bearable <= delay <= self._delays.high + bearable:
             return False
         if not self._suspects:
             return True
@@ -531,17 +540,35 @@ class StampAttribution:
             used.add(mark.number)
             marks.append(mark)
             smallest = delay if smallest < 0 else min(smallest, delay)
-        steps = abs(self.clock.place(origin_ns) - origin_at) > self._match_ns + self.clock.error_ns
+        unmoved_at = self.clock.place(origin_ns)
+        steps = abs(unmoved_at - origin_at) > self._match_ns + self.clock.error_ns
+        if steps and self._revoked:
+            unmoved = self._syncs.nearest(unmoved_at)
+            if unmoved is not None and not self._agrees(used, first.number - unmoved.number):
+                return None
         lost = self._lost_before(min(used))
         if steps:
             cost = STEP_COST + min(max(0, lost - self._twice), LOSS_COST_MAX)
         else:
             cost = min(lost + self._twice, LOSS_COST_MAX)
         change = abs(smallest - self._delays.low)
-        if change > self._half:
+        if change > self._half + self._delays.slack():
             # The smallest of many delays that spread is sooner believed than losses.
             cost += DELAY_COST + (LOSS_COST_MAX + 1 if self.spread else 0)
         return _Line(cost, change, tuple(marks), steps)
+
+    def _agrees(self, used: set[int], moved: int) -> bool:
+        """Whether the readings before the suspects can be placed as well, if the clock was set among them.
+
+        Those since then lie ``moved`` SYNCs from where they were placed; no two may lie on one SYNC.
+        """
+        numbers = [mark.number for mark, _ in self._revoked]
+        for split in range(len(numbers) + 1):
+            placed = numbers[:split] + [number + moved for number in numbers[split:]]
+            taken = used.union(placed)
+            if len(taken) == len(used) + len(placed) and not taken.intersection(self._stamps):
+                return True
+        return False
 
     def _lost_before(self, number: int) -> int:
         """SYNCs of cycles after the last certainly answered one and before ``number``."""

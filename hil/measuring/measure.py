@@ -227,7 +227,7 @@ class _Measurement:
                 *stages.command_stages(rows, probe.sent, changes, probe.computation_ns, echoes, why_not),
             ],
             losses={way: losses_of(outcomes) for way, outcomes in ways.items()},
-            uncertain=axis.parts.by_stamp.health.uncertain + axis.parts.by_order.health.uncertain,
+            uncertain=axis.uncertain,
             clock=ClockFigures.of(axis),
             notes=subject.notes,
         )
