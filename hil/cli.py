@@ -19,6 +19,7 @@ from hil.terminal.eds import eds
 from hil.terminal.exit_status import complain, reported_errors, status_of_run
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
+from hil.terminal.measure import measure
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -32,6 +33,7 @@ app = typer.Typer(
 app.command()(adapter)
 app.command()(scan)
 app.command()(simulate)
+app.command()(measure)
 app.command()(eds)
 app.command()(fault)
 app.command()(commission)

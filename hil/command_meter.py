@@ -67,6 +67,8 @@ class CommandMeter:
         """The drive followed ``demand_raw`` when the SYNC of ``sync_at`` ended; in order of SYNCs."""
         self._telling = True
         before, self._told_raw = self._told_raw, demand_raw
+        if self._follows_in_order(demand_raw, sync_at):
+            return
         candidates = self._candidates(sync_at)
         if not candidates:
             return
@@ -100,6 +102,21 @@ class CommandMeter:
             command.fate = CommandFate.ACTING
             command.acts_after, command.acts_by = Instant(at - error), Instant(at + error)
             self._replace(command, candidates)
+
+    def _follows_in_order(self, demand_raw: int, sync_at: Instant) -> bool:
+        """The usual case, without a detour: the newest command follows the one that acted, and acts now."""
+        followed, acting = self._followed, self._acting
+        last = len(followed) - 1
+        while last >= 0 and not followed[last].was_there(sync_at):
+            last -= 1
+        if last < 1 or acting is None or followed[last - 1] is not acting:
+            return False
+        newest = followed[last]
+        if newest.sent.raw != demand_raw or acting.sent.raw == demand_raw or newest.fate is not None:
+            return False
+        self._note_acting(newest, sync_at)
+        self._acting = newest
+        return True
 
     def _replace(self, acting: _Followed, candidates: list[_Followed]) -> None:
         """The drive follows ``acting`` now; older ones that it was seen not to follow were lost."""

@@ -1,11 +1,13 @@
-"""A CANopen master that writes into one node's dictionary only what its journal knows already."""
+"""A CANopen master that writes into a node's dictionary only what the node's journal knows already."""
 
 from typing import Final
 
 from drivers.errors import TransferAborted
+from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
 from drivers.sdo import PostedDownload
+from drivers.timebase import Clock
 from hil.commissioning.journal import Change, Journal, ObjectKey
 
 STORE_PARAMETERS: Final = 0x1010
@@ -22,18 +24,29 @@ SET_POINTS: Final = (
 
 
 class JournaledNetwork(CanopenNetwork):
-    """As its base; before each download to ``node`` the journal gets what the object holds."""
+    """As its base; before each download to a node its journal gets what the object holds.
 
-    journal: Journal | None = None
-    """None: nothing may be written to any node."""
-    putting_back = False
-    """What is written now is in the journal already."""
+    Nothing may be written to a node without one.
+    """
+
+    def __init__(self, link: BusLink, clock: Clock) -> None:
+        super().__init__(link, clock)
+        self.journals: dict[int, Journal] = {}
+        """By node."""
+        self.putting_back = False
+        """What is written now is in the journals already."""
+
+    @property
+    def journal(self) -> Journal | None:
+        """Of the first node, where there is but one."""
+        return next(iter(self.journals.values()), None)
 
     def begin_journal(self, journal: Journal) -> None:
-        """From now on writes are allowed. The set-points are noted at once."""
-        self.journal = journal
+        """From now on writes to its node are allowed. The set-points are noted at once."""
+        node = journal.contents.head.node
+        self.journals[node] = journal
         for index in SET_POINTS:
-            self._note(journal.contents.head.node, index, 0, None)
+            self._note(node, index, 0, None)
 
     def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
         self._note(node_id, index, sub, data)
@@ -44,12 +57,11 @@ class JournaledNetwork(CanopenNetwork):
         return super().post_download(node_id, index, sub, data)
 
     def _note(self, node_id: int, index: int, sub: int, data: bytes | None) -> None:
-        journal = self.journal
         if self.putting_back:
             return
+        journal = self.journals.get(node_id)
         if journal is None:
-            raise AssertionError(f"a write to {index:04X}h before there is a journal")
-        assert node_id == journal.contents.head.node, "only the node of the journal may be written to"
+            raise AssertionError(f"a write to {index:04X}h of node {node_id} before there is a journal")
         if index in COMMANDS:
             return
         try:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
+from drivers.drive_setup import PRODUCER_HEARTBEAT_TIME, Identity
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
 from drivers.network import CanopenNetwork
 from drivers.nmt import NmtCommand, NmtState
@@ -17,12 +18,14 @@ from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
 from drivers.profile402 import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.commissioning.journal import JournalContents, ObjectKey
+from hil.commissioning.journal import DriveMark, JournalContents, JournalHead, ObjectKey
 
 REST_LIMIT: Final = Duration(5 * NS_PER_S)
 _REST_COUNTS: Final = 3
 """Readings in a row without a change of position, 20 ms apart, that count as rest."""
 ERROR_HISTORY: Final = 0x1003
+_BEATS_HEARD: Final = 2.5
+"""Heartbeat periods in which one comes for certain, though one be lost."""
 _NOT_VALID: Final = 1 << 31
 _RECEIVE: Final = range(0x1400, 0x1600)
 _TRANSMIT: Final = range(0x1800, 0x1A00)
@@ -78,6 +81,27 @@ def restore(
     if state is not None and state in _NMT_OF_STATE:
         network.command(_NMT_OF_STATE[NmtState(state)], node)
     return result
+
+
+def head_of(objects: RemoteObjects, bus: str, identity: Identity) -> JournalHead:
+    """How a drive is found, for the head of its journal; waits for its heartbeat, if it sends one."""
+    mark = DriveMark(identity.vendor, identity.product, identity.serial)
+    errors = objects.read_if_there(ERROR_HISTORY, 0, "B")
+    return JournalHead(bus, objects.node_id, mark, _nmt_heard(objects), errors)
+
+
+def _nmt_heard(objects: RemoteObjects) -> int | None:
+    """The NMT state by the drive's heartbeat; None if it sends none."""
+    network = objects.network
+    try:
+        period_ms = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H")
+    except NoAnswer:
+        period_ms = None
+    if not period_ms:
+        return None
+    status = network.status(objects.node_id)
+    network.pump(network.deadline_after(Duration(round(_BEATS_HEARD * period_ms * NS_PER_MS))))
+    return None if status.state is None else int(status.state)
 
 
 def bring_to_rest(objects: RemoteObjects, limit: Duration = REST_LIMIT) -> None:

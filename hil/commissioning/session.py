@@ -54,7 +54,6 @@ class Findings:
     """What the steps learnt; None: not yet, or not to be had."""
 
     identity: Identity | None = None
-    nmt: int | None = None
     dump: dict[tuple[int, int], bytes] = field(default_factory=dict)
     told: Scaling | None = None
     """By the drive's own objects."""

@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from drivers.errors import NoAnswer, PeerFault
+from drivers.errors import PeerFault
 from drivers.objects402 import Object
 from drivers.profile402 import Mode, supported_mode_bit
 from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scaling_from
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
-from hil.commissioning.journal import DriveMark, Journal, JournalHead
+from hil.commissioning.journal import Journal
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.request import motion_limits
-from hil.commissioning.restore import ERROR_HISTORY
+from hil.commissioning.restore import head_of
 from hil.commissioning.session import Session
 from hil.commissioning.step import Step
 
@@ -77,7 +77,6 @@ class IdentityCheck(Step):
         outcome = Outcome()
         identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
         session.found.identity = identity
-        session.found.nmt = _nmt_heard(session)
         outcome.say(str(identity))
         outcome.figures = identity._asdict()
         dictionary = session.dictionary
@@ -97,25 +96,9 @@ class IdentityCheck(Step):
             if revision and identity.revision and revision != identity.revision:
                 outcome.say(f"revision {identity.revision:08X}h, the data sheet is for {revision:08X}h")
         if not session.request.dry_run:
-            mark = DriveMark(identity.vendor, identity.product, identity.serial)
-            errors = session.objects.read_if_there(ERROR_HISTORY, 0, "B")
-            head = JournalHead(session.request.bus, session.request.node, mark, session.found.nmt, errors)
+            head = head_of(session.objects, session.request.bus, identity)
             session.network.begin_journal(Journal(session.request.journal, head))
         return outcome
-
-
-def _nmt_heard(session: Session) -> int | None:
-    """The NMT state by the drive's heartbeat; None if it sends none."""
-    try:
-        period_ms = session.objects.read_if_there(0x1017, 0, "H")
-    except NoAnswer:
-        period_ms = None
-    if not period_ms:
-        return None
-    session.network.status(session.request.node)
-    session.wait(2.5e-3 * period_ms)
-    state = session.network.status(session.request.node).state
-    return None if state is None else int(state)
 
 
 class DumpStep(Step):

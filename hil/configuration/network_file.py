@@ -1,7 +1,8 @@
-"""Network files: what a network does to readings and commands, measured by ``hil run`` or written by hand.
+"""Network files: what a network does to readings and commands, measured by a command or written by hand.
 
-A run leaves one, ``network.toml``, in its folder; ``hil design speed --network`` designs for it, and
-``hil run --network`` holds a controller's own against it before anything moves.
+``hil run`` leaves one, ``network.toml``, in its folder, ``hil measure`` writes one that says how sure it is;
+``hil design speed --network`` designs for it, and ``hil run --network`` holds a controller's own against it
+before anything moves.
 """
 
 from pathlib import Path
@@ -31,6 +32,31 @@ class DelayHistogram(Section):
 
     edges_us: Annotated[tuple[float, ...], Field(strict=False, min_length=2)]
     counts: Annotated[tuple[int, ...], Field(strict=False, min_length=1)]
+
+
+class LossChain(Section):
+    """Losses as a fault plan's [[burst]] takes them; independent ones are those of ``loss_good`` alone."""
+
+    p_good_to_bad: float = Field(ge=0, le=1)
+    p_bad_to_good: float = Field(ge=0, le=1)
+    loss_bad: float = Field(ge=0, le=1)
+    loss_good: float = Field(ge=0, le=1)
+
+
+Percent = Annotated[float, Field(ge=0, le=100)]
+
+
+class Certainty(Section):
+    """``[network.certainty]``: what the figures are worth that rest on a sample, at ``confidence``."""
+
+    confidence: float = Field(gt=0, lt=1)
+    loss_percent: Annotated[tuple[Percent, Percent], Field(strict=False)]
+    """Where the true share of lost readings is."""
+    command_loss_percent: Annotated[tuple[Percent, Percent], Field(strict=False)] | None = None
+    reading_delay_share: float = Field(ge=0, le=1)
+    """Of all readings, those to come included: as many are delayed by no more than the largest delay seen."""
+    action_delay_share: float | None = Field(default=None, ge=0, le=1)
+    """The same from sample to actuation."""
 
 
 class Network(Section):
@@ -70,6 +96,12 @@ class Network(Section):
     """Of those of which it can be said."""
     histogram: DelayHistogram | None = None
     """Of the readings' delay."""
+    command_histogram: DelayHistogram | None = None
+    """Of the commands' delay, from handing over until its effect on the drive."""
+    reading_losses: LossChain | None = None
+    """None: not identifiable."""
+    command_losses: LossChain | None = None
+    certainty: Certainty | None = None
 
     @property
     def losses_max(self) -> int:

@@ -79,11 +79,11 @@ class NetworkMeter:
         """The network so far; None before the first reading."""
         runs, longest = _closed(self._runs, self._open)
         _, command_longest = _closed(self._command_runs, self._commands_open)
-        reading = _delays(self._reading)
+        reading = delays_of(self._reading)
         if reading is None:
             return None
         stamped = bool((self._unstamped <= 0).all())
-        action = _delays(self._stamped if stamped else self._action)
+        action = delays_of(self._stamped if stamped else self._action)
         acting, lost = (int(self._command_fates[place]) for place in (_ACTING, _LOST))
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
@@ -101,13 +101,13 @@ class NetworkMeter:
             losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
             reading_delay_us=reading,
             action_delay_us=action,
-            action_delay_least_us=_delays(self._stamped_least if stamped else self._action_least),
-            command_delay_us=_delays(self._command),
+            action_delay_least_us=delays_of(self._stamped_least if stamped else self._action_least),
+            command_delay_us=delays_of(self._command),
             commands_acting=acting,
             commands_lost=lost,
             commands_not_identifiable=int(self._command_fates[_NOT_IDENTIFIABLE]),
             command_loss_percent=100.0 * lost / (acting + lost) if acting + lost else None,
-            histogram=_histogram(self._reading),
+            histogram=histogram_of(self._reading),
         )
 
 
@@ -188,7 +188,8 @@ class NetworkKeeper:
             self._path.write_text(network_text(found), encoding="utf-8")
 
 
-def _delays(times: TimeHistogram) -> Delays | None:
+def delays_of(times: TimeHistogram) -> Delays | None:
+    """Quantiles, us; None of no times."""
     quantiles = [times.quantile_ns(share) for share in (0.5, 0.99, 0.999)]
     p50, p99, p999 = (None if value is None else value / NS_PER_US for value in quantiles)
     largest = times.largest_ns
@@ -197,7 +198,8 @@ def _delays(times: TimeHistogram) -> Delays | None:
     return Delays(p50=p50, p99=p99, p999=p999, max=largest / NS_PER_US)
 
 
-def _histogram(times: TimeHistogram) -> DelayHistogram | None:
+def histogram_of(times: TimeHistogram) -> DelayHistogram | None:
+    """A hundred bars from 0 up, without empty ones at the ends; None of no times."""
     largest = times.largest_ns
     if largest is None:
         return None

@@ -187,24 +187,38 @@ def _place_of(fate: CommandFate) -> int:
 
 def store_record(memory: Any, place: int, record: CycleRecord) -> None:
     """Pack ``record`` into ``memory`` from byte ``place`` on: :func:`row_fields` without the tuples."""
-    observed, estimate, command, sending = record[6], record[8], record[11], record[12]
+    (
+        sequence,
+        axis,
+        due_at,
+        woke_at,
+        handed_at,
+        on_bus_at,
+        observed,
+        delay,
+        estimate,
+        reference,
+        load,
+        command,
+        sending,
+        clock_offset,
+        clock_error,
+    ) = record
     if not isinstance(observed, Sample) or estimate is None or command is None or sending is None:
         _pack_into(memory, place, *row_fields(record))
         return
-    sequence, axis, due_at, woke_at, handed_at, on_bus_at = record[:6]
     _, reading, sampled_at, error, certain = observed
     speed, stamp, received, position, position_at, torque, torque_at, status, status_at = reading
     at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
     _, torque_nm, effective_at, expires_at = command
     raw, sent_at, sent_on_bus_at, command_fate, after, by = sending
-    clock_offset, clock_error = record[13], record[14]
     # fmt: off
     _pack_into(
         memory, place,
         sequence, axis, due_at, woke_at, handed_at, NOTHING if on_bus_at is None else on_bus_at,
         FATE_SAMPLE, certain, sampled_at, error,
         speed, NOTHING if stamp is None else stamp, received, position, position_at, torque, torque_at,
-        status, status_at, record[7], at_rad, at_rad_s, at_nm, valid_at, rests_on, record[9], record[10],
+        status, status_at, delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, reference, load,
         torque_nm, effective_at, expires_at, raw, sent_at,
         NOTHING if sent_on_bus_at is None else sent_on_bus_at, _place_of(command_fate),
         NOTHING if after is None else after, NOTHING if by is None else by,

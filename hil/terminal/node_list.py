@@ -23,6 +23,14 @@ def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     return found
 
 
+def drive_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
+    """As :func:`node_ids`, of devices that have one."""
+    found = node_ids(texts, option)
+    if UNCONFIGURED in found:
+        raise BadInput(option, "", "unconfigured", f"a node id 1..{NODE_MAX}", "hil scan --assign gives one")
+    return found
+
+
 def _range(text: str, option: str) -> range:
     if text in ("unconfigured", str(UNCONFIGURED)):
         return range(UNCONFIGURED, UNCONFIGURED + 1)

@@ -1,0 +1,1 @@
+"""Measuring a network: each stage of a cycle, the losses both ways, the drives' clocks."""

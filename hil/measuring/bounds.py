@@ -1,0 +1,59 @@
+"""How sure a figure is that rests on a sample: closed forms, at 95 % confidence throughout.
+
+Samples count as independent. Losses that come in bursts tell less than their number: see ``inflation``.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+from scipy.special import bdtr, betaincinv
+
+CONFIDENCE: Final = 0.95
+
+
+class Interval(NamedTuple):
+    """Where a value is, at :data:`CONFIDENCE`."""
+
+    low: float
+    high: float
+
+
+def clopper_pearson(events: float, trials: float, inflation: float = 1.0) -> Interval:
+    """The probability of an event of which ``events`` were seen in ``trials`` (Clopper and Pearson 1934).
+
+    It covers the true one at least as often as it says. ``inflation``: by how much the variance of the count
+    is larger than that of independent trials; the sample then counts as so many times smaller.
+    Error: ValueError for more events than trials, or no trials.
+    """
+    if not 0 <= events <= trials or trials <= 0:
+        raise ValueError(f"{events} events in {trials} trials")
+    half = (1.0 - CONFIDENCE) / 2.0
+    seen, missed = events / inflation, (trials - events) / inflation
+    low = float(betaincinv(seen, missed + 1.0, half)) if seen > 0.0 else 0.0
+    high = float(betaincinv(seen + 1.0, missed, 1.0 - half)) if missed > 0.0 else 1.0
+    return Interval(low, high)
+
+
+def share_within_largest(samples: int) -> float:
+    """The share of all values, seen or to come, that the largest of ``samples`` is not exceeded by.
+
+    All of n samples lie below the quantile q with probability q^n; so it is 0.05^(1/n), about 1 - 3/n.
+    """
+    return math.exp(math.log(1.0 - CONFIDENCE) / samples)
+
+
+def rank_above(share: float, samples: int) -> int | None:
+    """Which of ``samples`` values in rising order, counted from 1, the quantile ``share`` does not exceed.
+
+    The r-th is below the quantile if at least r values are: a binomial tail. None: too few samples.
+    """
+    if samples <= 0 or bdtr(samples - 1, samples, share) < CONFIDENCE:
+        return None
+    low, high = 1, samples
+    while low < high:
+        middle = (low + high) // 2
+        if bdtr(middle - 1, samples, share) >= CONFIDENCE:
+            high = middle
+        else:
+            low = middle + 1
+    return low

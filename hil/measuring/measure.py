@@ -1,0 +1,233 @@
+"""A whole measurement: from the first frame to the figures, and the drives back as they were found."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from drivers.errors import PeerFault
+from drivers.frame_port import EchoBasis
+from drivers.objects402 import Object
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from hil.axis import Axis
+from hil.commissioning.journal import Journal
+from hil.commissioning.journaled import JournaledNetwork
+from hil.commissioning.restore import head_of, restore
+from hil.connecting import connect
+from hil.loop import Loop, LoopOutcome
+from hil.machine.stopping import StopRequest
+from hil.measuring import stages
+from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
+from hil.measuring.loss_model import Outcomes, losses_of
+from hil.measuring.network import network_of
+from hil.measuring.probe import Change, acting
+from hil.measuring.request import MeasureRequest
+from hil.measuring.subject import Subject, affordable, timing_of
+from hil.recording.records import Rows
+from hil.segments import sync_log
+from hil.syncs import SyncLog
+from hil.terminal.progress import Progress
+from hil.timing_report import distrust
+from hil.world import World
+
+CONNECT_LIMIT_S: Final = 5.0
+ENABLE_LIMIT_S: Final = 2.0
+
+Say = Callable[[str], None]
+
+
+def measure(
+    request: MeasureRequest, world: World, stop: StopRequest, folder: Path, say: Say, progress: Progress
+) -> Measured:
+    """Measure. Whatever happens, the drives are brought to rest and put back before this returns.
+
+    ``folder``: for the journals, which are gone once all is put back; ``say``: takes what a user should know.
+    Raises BadInput for what the drives cannot do, PeerFault if bus or drives failed or are not as they
+    were, Interrupted for an end before the first cycle.
+    """
+    return _Measurement(request, world, stop, folder, say, progress).to_the_end()
+
+
+class _Measurement:
+    """One of them, in its world."""
+
+    def __init__(
+        self,
+        request: MeasureRequest,
+        world: World,
+        stop: StopRequest,
+        folder: Path,
+        say: Say,
+        progress: Progress,
+    ) -> None:
+        self._request = request
+        self._world = world
+        self._stop = stop
+        self._folder = folder
+        self._say = say
+        self._progress = progress
+        self._network = JournaledNetwork(world.link, world.clock)
+        self._subjects = [
+            Subject(ServoDrive(self._network, node), world.clock, request) for node in request.nodes
+        ]
+        self._axes: list[Axis] = []
+        self._timing = timing_of(request)
+
+    def to_the_end(self) -> Measured:
+        try:
+            outcome, syncs = self._run()
+        except BaseException:
+            self._leave()
+            raise
+        failures = self._leave()
+        if failures:
+            raise PeerFault("not everything is as it was", "; ".join(failures))
+        self._progress("evaluating", self._seconds(outcome.cycles))
+        return self._evaluated(outcome, syncs)
+
+    # ---- the run --------------------------------------------------------------------------------------
+
+    def _run(self) -> tuple[LoopOutcome, SyncLog]:
+        request, timing, world = self._request, self._timing, self._world
+        changes, every = affordable(request)
+        self._progress("connecting", 0.0)
+        for subject in self._subjects:
+            identity = connect(subject.drive, CONNECT_LIMIT_S, self._stop)
+            subject.identity = str(identity)
+            node = subject.drive.node_id
+            head = head_of(subject.drive.objects, request.bus, identity)
+            self._network.begin_journal(Journal(self._folder / f"node{node}.jsonl", head))
+        self._progress("configuring", 0.0)
+        for subject in self._subjects:
+            subject.configure(changes=changes, every=every)
+            self._stop.check()
+        syncs = sync_log(self._network, timing.sync_latency, timing.period)
+        self._axes = [subject.join(number, syncs, self._say) for number, subject in enumerate(self._subjects)]
+        stall = None if world.faults is None else world.faults.host_stall
+        loop = Loop(self._network.frame_pump, world.clock, self._axes, [syncs], timing, None, stall)
+        self._progress("calibrating", 0.0)
+        loop.calibrate()
+        self._stop.check()
+        if request.enable:
+            self._enable()
+        for subject in self._subjects:
+            subject.probe.begin()
+        duration = Duration(request.cycles * timing.period)
+        outcome = loop.run(
+            duration, self._stop, self._start, lambda done: self._progress("measuring", self._seconds(done))
+        )
+        return outcome, syncs
+
+    def _start(self, at: Instant) -> None:
+        if self._world.faults is not None:
+            self._world.faults.start(at)
+
+    def _enable(self) -> None:
+        self._progress("enabling", 0.0)
+        for subject in self._subjects:
+            drive = subject.drive
+            drive.enable(self._network.deadline_after(duration_s(ENABLE_LIMIT_S)))
+            subject.notes.append(f"commands are watched by {drive.supervise_commands()}")
+            self._stop.check()
+
+    def _seconds(self, cycles: int) -> float:
+        return cycles * self._timing.period / NS_PER_S
+
+    # ---- the way out ----------------------------------------------------------------------------------
+
+    def _leave(self) -> list[str]:
+        """Every way out leads through here: rest, everything put back. What failed, in words."""
+        self._progress("putting back", 0.0)
+        network, failures = self._network, []
+        if self._world.faults is not None:
+            self._world.faults.stop()
+        for subject in self._subjects:
+            if subject.configured:
+                release = subject.drive.release()
+                if not release.at_rest:
+                    failures.append(f"{subject.drive.name} is not confirmed at rest: {release.evidence}")
+        network.putting_back = True
+        for node, journal in network.journals.items():
+            try:
+                result = restore(network, journal.contents)
+            except PeerFault as error:
+                result = None
+                failures.append(str(error))
+            if result is not None and result.complete:
+                journal.note_restored()
+            else:
+                command = f"hil restore --bus {self._request.bus} --node {node} {journal.path}"
+                failures += [*(result.failures if result else []), command]
+            network.watch(node, Duration(0))
+            journal.close()
+        network.produce_heartbeat(Duration(0))
+        for text in failures:
+            self._say(text)
+        if not failures:
+            self._forget_journals()
+        if self._world.faults is not None:
+            self._world.faults.finish()
+        return failures
+
+    def _forget_journals(self) -> None:
+        for journal in self._network.journals.values():
+            journal.path.unlink()
+        with suppress(OSError):  # somebody else's files are in it, or it was never made
+            self._folder.rmdir()
+
+    # ---- what came of it ------------------------------------------------------------------------------
+
+    def _evaluated(self, outcome: LoopOutcome, syncs: SyncLog) -> Measured:
+        echoes = syncs.echoes
+        drives, all_rows, all_ways = [], [], []
+        for subject, axis in zip(self._subjects, self._axes, strict=True):
+            changes = acting(subject.probe.sent, subject.probe.changes)
+            rows = stages.refined(subject.rows, changes, subject.probe.sent)
+            ways = stages.ways(rows, echoes, acting=self._request.enable and subject.tells_demand)
+            drives.append(self._drive_figures(subject, axis, rows, ways, changes, echoes))
+            all_rows.append(rows)
+            all_ways.append(ways)
+        return Measured(
+            request=self._request,
+            cycles=outcome.cycles,
+            missed=outcome.cycles_missed,
+            interrupted=outcome.interrupted,
+            echoes=echoes,
+            host=stages.host_stages(all_rows[0], echoes),
+            drives=drives,
+            network=network_of(self._request.period_us, all_rows, all_ways),
+            distrust=distrust(self._axes, self._timing.period),
+        )
+
+    def _drive_figures(
+        self,
+        subject: Subject,
+        axis: Axis,
+        rows: Rows,
+        ways: dict[str, Outcomes],
+        changes: dict[int, Change],
+        echoes: EchoBasis,
+    ) -> MeasuredDrive:
+        probe, plan = subject.probe, subject.drive.plan
+        assert plan is not None
+        speed, command = plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE), plan.rpdo_with(Object.TARGET_TORQUE)
+        assert speed is not None
+        assert command is not None
+        why_not = stages.NO_DEMAND if self._request.enable else stages.NOT_ENABLED
+        return MeasuredDrive(
+            node=subject.drive.node_id,
+            identity=subject.identity,
+            speed_cob_id=speed.cob_id,
+            speed_bytes=speed.bits // 8,
+            command_cob_id=command.cob_id,
+            command_bytes=command.bits // 8,
+            stages=[
+                *stages.reading_stages(rows, probe.to_user_code_ns),
+                *stages.command_stages(rows, probe.sent, changes, probe.computation_ns, echoes, why_not),
+            ],
+            losses={way: losses_of(outcomes) for way, outcomes in ways.items()},
+            uncertain=axis.parts.by_stamp.health.uncertain + axis.parts.by_order.health.uncertain,
+            clock=ClockFigures.of(axis),
+            notes=subject.notes,
+        )

@@ -1,0 +1,108 @@
+"""Where the loop's own times are taken: around the drive, and at the beginning of a decision."""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
+from drivers.servo import ServoDrive
+from drivers.timebase import Clock, Instant
+from hil.clock_map import ClockMap
+from hil.compensation import Arrival
+from hil.samples import StateEstimate
+
+BEFORE_NS: Final = 2_000
+"""A demand that changed so shortly before its command was on the bus is its own: a stamp of 1013h is rounded
+down to a microsecond, and the map of the clock errs by as much. Longer before, it is another command's."""
+
+
+class Change(NamedTuple):
+    """A torque demand that a drive told when it changed, on the host's clock."""
+
+    demand_raw: int
+    at: Instant
+    error_ns: int
+    """Of the map of the drive's clock."""
+
+
+class ProbedDrive(Drive):
+    """The drive of an axis, with a note of when the loop took what came and sent what it decided."""
+
+    def __init__(self, drive: ServoDrive, clock: Clock) -> None:
+        self.drive = drive
+        self.map: ClockMap | None = None
+        """Of the drive's clock; None for a drive whose demand changes are not placed."""
+        self.to_user_code_ns: list[int] = []
+        """From the bus stamp of each reading until the loop has it."""
+        self.computation_ns: list[int] = []
+        """From the beginning of each decision until its command is handed over."""
+        self.sent: list[SentCommand] = []
+        """Every command; its echo may still come."""
+        self.changes: list[Change] = []
+        self.decision = DecisionProbe(clock)
+        self._now = clock.now
+
+    def begin(self) -> None:
+        """Forget what was before the first cycle."""
+        for told in (self.to_user_code_ns, self.computation_ns, self.sent, self.changes):
+            told.clear()
+        self.drive.take_demand_changes()
+
+    def take_readings(self) -> list[Reading]:
+        readings = self.drive.take_readings()
+        if readings:
+            now = self._now()
+            self.to_user_code_ns += [now - reading.received_at for reading in readings]
+        if self.map is not None and self.map.ready:
+            for raw, device_ns, _ in self.drive.take_demand_changes():
+                self.changes.append(Change(raw, self.map.place(device_ns), self.map.error_ns))
+        return readings
+
+    def take_readbacks(self) -> list[Readback]:
+        return self.drive.take_readbacks()
+
+    def write(self, command: Command) -> SentCommand | None:
+        sent = self.drive.write(command)
+        if sent is not None:
+            self.sent.append(sent)
+            self.computation_ns.append(sent.handed_at - self.decision.began_at)
+        return sent
+
+    def check(self) -> None:
+        self.drive.check()
+
+
+class DecisionProbe(Arrival):
+    """The newest sample at once, with a note of when it was asked for: a decision begins."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self.began_at = Instant(0)
+        self._now = clock.now
+
+    def estimate(self, apply_at: Instant) -> StateEstimate:
+        self.began_at = self._now()
+        return super().estimate(apply_at)
+
+
+def acting(sent: Sequence[SentCommand], changes: Sequence[Change]) -> dict[int, Change]:
+    """By cycle: when its command began to act.
+
+    A change belongs to the newest command of its value that was on its way then. Values come again only
+    after many cycles, see :class:`hil.measuring.excitation.Excitation`; a command late by as many is
+    taken for the later one. A value told twice for one command counts the first time.
+    """
+    by_value: dict[int, list[SentCommand]] = {}
+    for command in sent:
+        by_value.setdefault(command.raw, []).append(command)
+    found: dict[int, Change] = {}
+    for change in changes:
+        candidates = by_value.get(change.demand_raw, [])
+        place = bisect_right(candidates, change.at + BEFORE_NS + change.error_ns, key=_on_its_way)
+        if place:
+            found.setdefault(candidates[place - 1].sequence, change)
+    return found
+
+
+def _on_its_way(command: SentCommand) -> int:
+    return command.handed_at if command.on_bus_at is None else command.on_bus_at

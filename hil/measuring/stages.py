@@ -1,0 +1,211 @@
+"""The stages of a cycle as distributions, and the fates of frames on each way, from the rows of a run.
+
+tick   woke    SYNC            sampled   received  in the loop   decision    command         acting
+ |------|-------|--------------|---------|---------|.............|-----------|---------------|----------->
+ wake-up  SYNC on    sample     reception  to user               computation  command on     command
+ lateness the bus                          code                               the bus        acting
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.exchange import SentCommand
+from drivers.frame_port import EchoBasis
+from hil.figures.histogram import TimeHistogram
+from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
+from hil.measuring.probe import Change
+from hil.recording.network_meter import action_delays_ns
+from hil.recording.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from hil.samples import CommandFate, DropoutCause
+
+NO_ECHO: Final = "no echo of own frames on this bus"
+NOT_ENABLED: Final = "the drive is disabled: --enable"
+NO_CLOCK: Final = "the drive puts no stamp (1013h) beside its speed"
+NO_DEMAND: Final = "the drive does not tell its torque demand (6074h)"
+ECHOES: Final = {
+    EchoBasis.RECEIPT: "echo, stamped when this process received it",
+    EchoBasis.KERNEL: "echo with the kernel's stamp",
+    EchoBasis.HARDWARE: "echo with the adapter's stamp",
+    EchoBasis.BUS: "echo with the end of the frame",
+}
+_LOST: Final = 1 + CAUSES.index(DropoutCause.LOST)
+_MISSED: Final = 1 + CAUSES.index(DropoutCause.MISSED)
+_ACTING: Final = COMMAND_FATES.index(CommandFate.ACTING)
+_COMMAND_LOST: Final = COMMAND_FATES.index(CommandFate.LOST)
+
+Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One of them."""
+
+    key: str
+    title: str
+    times: TimeHistogram
+    """Empty: not measured."""
+    basis: str
+    """How it is known, or why it is not."""
+
+    @property
+    def measured(self) -> bool:
+        """There is at least one."""
+        return self.times.total > 0
+
+
+def stage(key: str, title: str, times_ns: Times | Sequence[int], basis: str) -> Stage:
+    """From all of its times."""
+    histogram = TimeHistogram()
+    histogram.add(np.asarray(times_ns, np.int64))
+    return Stage(key, title, histogram, basis)
+
+
+def host_stages(rows: Rows, echoes: EchoBasis) -> list[Stage]:
+    """Those of the host alone. ``rows``: of one axis."""
+    woke = rows[rows["woke_at"] != NOTHING]
+    on_bus = rows[(rows["sync_on_bus_at"] != NOTHING) & (echoes is not EchoBasis.NONE)]
+    return [
+        stage("wake_up", "wake-up lateness", woke["woke_at"] - woke["due_at"], "the host's clock"),
+        stage(
+            "sync_on_bus",
+            "SYNC on the bus",
+            on_bus["sync_on_bus_at"] - on_bus["sync_handed_at"],
+            ECHOES.get(echoes, NO_ECHO),
+        ),
+    ]
+
+
+def reading_stages(rows: Rows, to_user_code_ns: Sequence[int]) -> list[Stage]:
+    """From the SYNC on the bus until the loop has the reading, of one axis."""
+    came = rows[(rows["fate"] == FATE_SAMPLE) & (rows["certain"] == 1) & (rows["sync_on_bus_at"] != NOTHING)]
+    stamped = came[came["device_time_ns"] != NOTHING]
+    received = rows[(rows["delay_ns"] != NOTHING) & (rows["certain"] == 1)]
+    late = stamped["sampled_at"] - stamped["sync_on_bus_at"]
+    basis = "what varies of it, by the drive's stamp 1013h" if late.size else NO_CLOCK
+    by = "from the SYNC at the drive" if late.size else "from the SYNC on the bus"
+    return [
+        stage("sample", "sample", late, basis),
+        stage("reception", "reception", received["delay_ns"], f"{by} to the frame's bus stamp"),
+        stage("to_user_code", "reception to user code", to_user_code_ns, "the host's clock"),
+    ]
+
+
+def command_stages(
+    rows: Rows,
+    sent: Sequence[SentCommand],
+    changes: Mapping[int, Change],
+    computation_ns: Sequence[int],
+    echoes: EchoBasis,
+    why_not: str,
+) -> list[Stage]:
+    """From the decision until the command acts, of one axis.
+
+    ``changes``: by cycle, when its command began to act, see :func:`hil.measuring.probe.acting`; without any
+    the rows bracket it by SYNCs. ``why_not``: why it may not be measured at all.
+    """
+    echoed = [command for command in sent if command.on_bus_at is not None]
+    on_bus = [command.on_bus_at - command.handed_at for command in echoed if command.on_bus_at is not None]
+    stages = [
+        stage("computation", "computation", computation_ns, "the host's clock, this loop's decision"),
+        stage("command_on_bus", "command on the bus", on_bus, ECHOES.get(echoes, NO_ECHO)),
+    ]
+    since = "the command on the bus" if echoed else "handing the command over"
+    if changes:
+        there = {command.sequence: on_its_way(command) for command in sent}
+        acting = [change.at - there[sequence] for sequence, change in changes.items()]
+        basis = f"6074h and 1013h on change, from {since}"
+        stages.append(stage("command_acting", "command acting", acting, basis))
+    else:
+        least, most = _brackets(rows)
+        basis = f"6074h with the SYNC, from {since}" if most.size else why_not
+        if most.size:
+            stages.append(stage("command_acting_least", "command acting, at least", least, basis))
+        stages.append(
+            stage("command_acting", "command acting, at most" if most.size else "command acting", most, basis)
+        )
+    _, whole = action_delays_ns(rows[rows["fate"] == FATE_SAMPLE], _period_ns(rows))
+    basis = "the most that it may be" if whole.size else why_not
+    stages.append(stage("sample_to_acting", "sample to acting", whole, basis))
+    return stages
+
+
+def on_its_way(command: SentCommand) -> int:
+    """When it was on the bus, or at least handed over."""
+    return command.handed_at if command.on_bus_at is None else command.on_bus_at
+
+
+def refined(rows: Rows, changes: Mapping[int, Change], sent: Sequence[SentCommand]) -> Rows:
+    """The rows with what is known better: when a command acted, and that one acted which seemed lost.
+
+    A command whose fate was not identifiable stays so, though it is known to have acted: of those that did
+    not act there is no such telling, and the rate of losses would come out too small.
+    """
+    better = rows.copy()
+    place_of = {int(sequence): place for place, sequence in enumerate(better["sequence"])}
+    for command in sent:
+        if command.on_bus_at is not None:
+            better["command_on_bus_at"][place_of[command.sequence]] = command.on_bus_at
+    for sequence, change in changes.items():
+        place = place_of[sequence]
+        if better["command_fate"][place] in (_ACTING, _COMMAND_LOST):
+            better["command_fate"][place] = _ACTING
+            there = max(better["command_on_bus_at"][place], better["command_handed_at"][place])
+            better["command_acts_after"][place] = max(there, change.at - change.error_ns)
+            better["command_acts_by"][place] = max(there, change.at + change.error_ns)
+    return better
+
+
+def ways(rows: Rows, echoes: EchoBasis, *, acting: bool) -> dict[str, Outcomes]:
+    """What became of the frames of each cycle on each way; ``rows``: refined, of one axis.
+
+    A reading of uncertain place came all the same: which cycle lost its own then errs, how many did not.
+    ``acting``: whether the drive tells which command it follows.
+    """
+    echoed = echoes is not EchoBasis.NONE
+    handed, on_bus = rows["sync_handed_at"] != NOTHING, rows["sync_on_bus_at"] != NOTHING
+    sent, there = rows["command_handed_at"] != NOTHING, rows["command_on_bus_at"] != NOTHING
+    reading = _outcomes(rows["fate"] != _MISSED, rows["fate"] == _LOST)
+    fate = rows["command_fate"]
+    told = (fate == _ACTING) | (fate == _COMMAND_LOST)
+    command = _outcomes(told & acting, fate == _COMMAND_LOST)
+    behind, of_reading = command.copy(), reading.copy()
+    if echoed:
+        behind[~there] = UNKNOWN
+        command[sent & ~there] = LOST
+        of_reading[~on_bus] = UNKNOWN
+    return {
+        "sync_before_bus": _outcomes(handed & echoed, ~on_bus),
+        "reading": of_reading,
+        "command_before_bus": _outcomes(sent & echoed, ~there),
+        "command_behind_bus": behind,
+        "readings": reading,
+        "commands": command if acting else _outcomes(np.zeros(rows.size, bool), told),
+    }
+
+
+WAYS: Final = {
+    "sync_before_bus": "SYNC, before the bus",
+    "reading": "reading, or its SYNC behind the bus",
+    "command_before_bus": "command, before the bus",
+    "command_behind_bus": "command, behind the bus",
+}
+"""What can be told apart; ``readings`` and ``commands`` are the whole of each."""
+
+
+def _outcomes(known: NDArray[np.bool_], lost: NDArray[np.bool_]) -> Outcomes:
+    return np.where(known, np.where(lost, LOST, CAME), UNKNOWN).astype(np.int8)
+
+
+def _brackets(rows: Rows) -> tuple[Times, Times]:
+    """From the command on its way until it acted: the least and the most that it may be, ns."""
+    acting = rows[rows["command_fate"] == _ACTING]
+    there = np.maximum(acting["command_on_bus_at"], acting["command_handed_at"])
+    return acting["command_acts_after"] - there, acting["command_acts_by"] - there
+
+
+def _period_ns(rows: Rows) -> int:
+    return int(np.diff(rows["due_at"]).min()) if rows.size > 1 else 1

@@ -1,0 +1,224 @@
+"""One drive under measurement: how it is set up, and its axis in the loop."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from drivers.drive_setup import DriveSettings, read_scaling
+from drivers.errors import BadInput, TransferAborted
+from drivers.objects import SettingRefused
+from drivers.objects402 import Object
+from drivers.pdo import PdoPlan
+from drivers.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
+from drivers.pdo_layouts import DEMAND, STAMP, status_timer_ms
+from drivers.pdo_planner import features_of
+from drivers.pdo_plans import mode_plan
+from drivers.profile402 import CONTROLWORDS, DriveCommand, Mode
+from drivers.scaling import ScaleOverride
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
+from hil.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
+from hil.attribution import OrderAttribution, StampAttribution
+from hil.axis import Axis, AxisParts
+from hil.clock_map import ClockMap
+from hil.command_meter import CommandMeter
+from hil.delay import DelayMeter
+from hil.loop import Actuation, LoopTiming
+from hil.measuring.excitation import Excitation, steps_of
+from hil.measuring.probe import ProbedDrive
+from hil.measuring.request import MeasureRequest
+from hil.recording.records import ROW, ROW_DTYPE, Rows, store_record
+from hil.safety import SafetyGuard, SafetyLimits
+from hil.samples import CycleRecord
+from hil.scenario import LoadProfile, SpeedProfile
+from hil.syncs import SyncLog
+from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
+
+HORIZON: Final = 50
+"""Cycles after which a reading or a command is lost: more than the 20 of a bench, so that a slow gateway is
+measured as slow, not as lossy."""
+SETTLE: Final = Duration(50 * NS_PER_MS)
+"""Between the SYNCs by which a drive's clock is learnt, and after the last cycle."""
+BLIND: Final = Duration(100 * NS_PER_MS)
+"""An enabled drive is stopped after so long without a reading, or without a command."""
+HEARTBEAT_MS: Final = 50
+WATCH_ENABLED_MS: Final = 150
+WATCH_DISABLED_MS: Final = 1000
+"""What does not turn need not be noticed at once."""
+POSITION_EVERY: Final = (1, 4, 10)
+"""With how many SYNCs position and torque demand travel: the first that the bus bears. Of an enabled drive
+the demand is wanted with every one, or a lost command would be seen less often than one that acts."""
+_MODE: Final = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+
+
+def timing_of(request: MeasureRequest) -> LoopTiming:
+    """As a bench has it that says nothing of its own."""
+    period, bitrate = request.period, request.bitrate_bit_s
+    return LoopTiming(
+        period=period,
+        decide_after=Duration(7 * period // 10),
+        settle=Duration(max(10 * period, SETTLE)),
+        actuation=Actuation.ON_ARRIVAL,
+        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+    )
+
+
+def affordable(request: MeasureRequest) -> tuple[bool, int]:
+    """Whether 6074h may be told on change, and with how many SYNCs the position comes.
+
+    Raises BadInput if the bus has no room for what is least.
+    """
+    for changes in (True, False) if request.enable else (False,):
+        for every in POSITION_EVERY[:1] if request.enable else POSITION_EVERY:
+            plans = [_plan(node, changes=changes, every=every) for node in request.nodes]
+            budget = budget_of(plans, request.period, request.bitrate_bit_s)
+            if budget.load_percent <= LOAD_LIMIT_PERCENT:
+                return changes, every
+    shortest_us = -(-budget.busy_ns * 100.0 // (LOAD_LIMIT_PERCENT * NS_PER_US))
+    expected = f"at least {shortest_us:.0f}, so that the PDOs take {LOAD_LIMIT_PERCENT:g} % of the bus"
+    raise BadInput("--period-us", "", request.period_us, expected, "or fewer nodes at a time")
+
+
+class Subject:
+    """One drive."""
+
+    def __init__(self, drive: ServoDrive, clock: Clock, request: MeasureRequest) -> None:
+        self.drive = drive
+        self.probe = ProbedDrive(drive, clock)
+        self.identity = ""
+        self.notes: list[str] = []
+        self.configured = False
+        """Something may have been written."""
+        self.tells_demand = False
+        """6074h with the SYNC."""
+        self._tells_changes = False
+        """6074h when it changes."""
+        self._steps = 0
+        """Of 6071h, that a command may have."""
+        self._request = request
+        self._timing = timing_of(request)
+        self._memory = bytearray(request.cycles * ROW.size)
+        self._filled = 0
+
+    @property
+    def rows(self) -> Rows:
+        """The cycles, in their order."""
+        return np.frombuffer(self._memory, ROW_DTYPE, self._filled // ROW.size)
+
+    def configure(self, *, changes: bool, every: int) -> None:
+        """Map PDOs and set the drive up; one that does not take the fullest plan has a lesser one.
+
+        ``changes``, ``every``: see :func:`affordable`. Raises BadInput for a bound of torque that it cannot
+        follow, PeerFault for a drive that cannot be measured.
+        """
+        request, drive = self._request, self.drive
+        scaling = read_scaling(drive.objects, ScaleOverride())
+        self._steps = steps_of(request.torque_max_nm, scaling.rated_torque_nm)
+        settings = self._settings(self._steps * scaling.torque_nm, every)
+        self.configured = True
+        able = all(drive.objects.read_if_there(*key) is not None for key in (STAMP, DEMAND))
+        if changes and able:
+            self._tells_changes = self._configure_fully(settings)
+        elif request.enable and able:
+            self.notes.append("no room on the bus for 6074h on change: a longer period, or fewer nodes")
+        if not self._tells_changes:
+            self.notes += drive.configure(settings)
+        assert drive.plan is not None
+        assert drive.control.set_point is not None
+        self.tells_demand = features_of(drive.plan).demand
+        if not request.enable:
+            # Whoever else enables the drive: each command takes the voltage away again.
+            drive.control.set_point.hold(Object.CONTROLWORD, CONTROLWORDS[DriveCommand.DISABLE_VOLTAGE])
+
+    def join(self, number: int, syncs: SyncLog, say: Callable[[str], None]) -> Axis:
+        """The axis of the drive, the ``number``-th on the bus; it is configured."""
+        request, timing, drive = self._request, self._timing, self.drive
+        period = timing.period
+        transit = shortest_transit(drive.reading_bytes, request.bitrate_bit_s)
+        unit_nm = drive.rated_torque_nm / 1000.0
+        clock = ClockMap()
+        if self._tells_changes:
+            self.probe.map = clock
+
+        def tell(text: str) -> None:
+            self.notes.append(text)
+            say(f"{drive.name}: {text}")
+
+        parts = AxisParts(
+            name=drive.name,
+            drive=self.probe,
+            controller=Excitation(self._steps, unit_nm, request.speed_max_rad_s, request.seed + number),
+            compensator=self.probe.decision,
+            guard=SafetyGuard(self._limits(unit_nm), period / NS_PER_S),
+            reference=SpeedProfile([]),
+            load=LoadProfile([]),
+            load_machine=None,
+            syncs=syncs,
+            by_stamp=StampAttribution(syncs, clock, period, transit, tell),
+            by_order=OrderAttribution(syncs, period, transit, tell),
+            meter=DelayMeter(Duration(HORIZON * period), HORIZON),
+            commands=CommandMeter(HORIZON),
+        )
+        later = Duration(number * command_duration(request.bitrate_bit_s))
+        return Axis(number, parts, period, self._record, later)
+
+    def _record(self, record: CycleRecord) -> None:
+        """Keep a cycle; the memory was taken before, so that none waits for it."""
+        store_record(self._memory, self._filled, record)
+        self._filled += ROW.size
+
+    def _limits(self, unit_nm: float) -> SafetyLimits:
+        """A disabled drive is not stopped, whoever turns its shaft and however little comes of it."""
+        request, period = self._request, self._timing.period
+        return SafetyLimits(
+            torque_max_nm=self._steps * unit_nm,
+            speed_max_rad_s=request.speed_max_rad_s if request.enable else math.inf,
+            dropouts_consecutive_max=_blind(period) // period if request.enable else request.cycles,
+        )
+
+    def _settings(self, torque_max_nm: float, every: int) -> DriveSettings:
+        enable, period = self._request.enable, self._timing.period
+        watch_ms = WATCH_ENABLED_MS if enable else WATCH_DISABLED_MS
+        return DriveSettings(
+            sync_period_ns=period,
+            mode=_MODE,
+            position_every_cycles=every,
+            command_timeout_ms=_blind(period) // NS_PER_MS if enable else None,
+            drive_heartbeat_ms=HEARTBEAT_MS,
+            drive_heartbeat_timeout_ms=watch_ms,
+            host_heartbeat_ms=HEARTBEAT_MS,
+            host_heartbeat_timeout_ms=watch_ms,
+            unwatched=not enable,
+            torque_max_nm=torque_max_nm,
+            speed_max_rad_s=self._request.speed_max_rad_s if enable else None,
+        )
+
+    def _configure_fully(self, settings: DriveSettings) -> bool:
+        """With 6074h and its stamp on change; False if the drive does not take that."""
+        plan = _plan(self.drive.node_id, changes=True, every=settings.position_every_cycles)
+        try:
+            self.notes += self.drive.configure(replace(settings, plan=plan))
+        except (TransferAborted, SettingRefused) as error:
+            self.notes.append(f"no 6074h on change: {error}")
+            return False
+        return True
+
+
+def _blind(period: Duration) -> Duration:
+    """How long an enabled drive may go on without a reading, or without a command."""
+    return Duration(max(BLIND, 10 * period))
+
+
+def _plan(node: int, *, changes: bool, every: int) -> PdoPlan:
+    return mode_plan(
+        node,
+        _MODE,
+        device_stamp=True,
+        position_every_cycles=every,
+        status_timer_ms=status_timer_ms(WATCH_ENABLED_MS),
+        demand_changes=changes,
+    )

@@ -1,0 +1,106 @@
+"""What ``hil measure`` found, for the terminal."""
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from hil.measuring.bounds import CONFIDENCE, share_within_largest
+from hil.measuring.figures import Measured, MeasuredDrive
+from hil.measuring.loss_model import Losses, LossModel
+from hil.measuring.stages import WAYS, Stage
+from hil.recording.network_meter import delays_of
+
+RUNS_SHOWN = 8
+
+
+def print_measured(measured: Measured, console: Console | None = None) -> None:
+    """Stages, losses and clocks of every drive, and how sure they are."""
+    console = console or Console(highlight=False)
+    request = measured.request
+    state = "enabled" if request.enable else "disabled"
+    console.print(
+        Text(
+            f"{measured.cycles} cycles of {request.period_us} us on {request.bus}, drives {state}; "
+            f"{measured.missed} went without SYNC"
+        )
+    )
+    for drive in measured.drives:
+        console.print(Text(f"\nNode {drive.node}: {drive.identity}", style="bold"))
+        console.print(_stages([*measured.host, *drive.stages]))
+        console.print(_losses(drive))
+        console.print(Text(_clock(drive)))
+        for note in drive.notes:
+            console.print(Text(f"  {note}", style="dim"))
+    percent = 100.0 * CONFIDENCE
+    console.print(
+        Text(f"\nIntervals at {percent:g} %. Within the largest: of all delays, those to come included.")
+    )
+    for reason in measured.distrust:
+        console.print(Text(f"Not trustworthy: {reason}", style="bold red"))
+
+
+def _stages(stages: list[Stage]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    table.add_column("us", no_wrap=True)
+    for title in ("p50", "p99", "p99.9", "max", "within"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("")
+    for each in stages:
+        found = delays_of(each.times)
+        if found is None:
+            table.add_row(Text(each.title), "", "", "", "", "", Text(f"not measured: {each.basis}"))
+            continue
+        within = f"{100.0 * share_within_largest(each.times.total):.3f} %"
+        figures = [f"{value:.1f}" for value in (found.p50, found.p99, found.p999, found.max)]
+        table.add_row(Text(each.title), *figures, within, Text(each.basis))
+    return table
+
+
+def _losses(drive: MeasuredDrive) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for title in ("losses", "lost", "of", "%", "true %", "runs of 1, 2, ...", "model (maximum likelihood)"):
+        table.add_column(title)
+    for way, title in WAYS.items():
+        losses = drive.losses[way]
+        if losses.interval is None:
+            table.add_row(title, "", "", "", "", "", Text("not measured"))
+            continue
+        low, high = (f"{100.0 * end:.3g}" for end in losses.interval)
+        table.add_row(
+            title,
+            str(losses.lost),
+            str(losses.known),
+            f"{100.0 * losses.lost / losses.known:.3g}",
+            f"{low} to {high}",
+            _runs(losses),
+            Text(losses.why_none if losses.model is None else _model(losses.model)),
+        )
+    return table
+
+
+def _runs(losses: Losses) -> str:
+    shown = " ".join(str(count) for count in losses.runs[:RUNS_SHOWN])
+    return f"{shown} ... to {len(losses.runs)}" if len(losses.runs) > RUNS_SHOWN else shown
+
+
+def _model(model: LossModel) -> str:
+    if model.independent:
+        return "independent"
+    parameters = model.parameters._asdict()
+    return ", ".join(
+        f"{name} {parameters[name]:.3g} ({interval.low:.3g} to {interval.high:.3g})"
+        for name, interval in model.intervals.items()
+    )
+
+
+def _clock(drive: MeasuredDrive) -> str:
+    clock = drive.clock
+    if clock is None:
+        return "clock: the drive puts no stamp beside its speed"
+    text = (
+        f"clock: drift {clock.drift_ppm:+.2f} ppm (+-{clock.drift_error_ppm:.2f}), "
+        f"offset {clock.offset_us:.1f} us (+-{clock.error_us:.1f})"
+    )
+    if clock.steps:
+        text += f", set {clock.steps} times"
+    return f"{text}, {drive.uncertain} readings uncertain" if drive.uncertain else text
