@@ -78,7 +78,12 @@ def mode_plan(
 
 
 def torque_plan(
-    node_id: int, *, device_stamp: bool, synchronous_command: bool = False, position_every_cycles: int = 1
+    node_id: int,
+    *,
+    device_stamp: bool,
+    synchronous_command: bool = False,
+    position_every_cycles: int = 1,
+    demand_changes: bool = False,
 ) -> PdoPlan:
     """:func:`mode_plan` for cyclic synchronous torque."""
     return mode_plan(
@@ -87,6 +92,7 @@ def torque_plan(
         device_stamp=device_stamp,
         synchronous_command=synchronous_command,
         position_every_cycles=position_every_cycles,
+        demand_changes=demand_changes,
     )
 
 

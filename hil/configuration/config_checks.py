@@ -119,9 +119,15 @@ def _bus(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:
-    every = config.loop.position_every_cycles
+    every, by_event = config.loop.position_every_cycles, config.loop.command_readback == "event"
     plans = [
-        torque_plan(config.drive[axis].node, device_stamp=True, position_every_cycles=every) for axis in axes
+        torque_plan(
+            config.drive[axis].node,
+            device_stamp=True,
+            position_every_cycles=every,
+            demand_changes=by_event,
+        )
+        for axis in axes
     ]
     least_us = config.loop.period_us
     while (needed_us := _time_of_frames_us(plans, least_us, bitrate_bit_s)) > least_us:

@@ -142,7 +142,8 @@ def _stamped(acting: Rows) -> NDArray[np.bool_]:
     """Which commands are known to act from then on because the drive has stamped it, (n,).
 
     Of the others it is known between which SYNCs: that bounds a delay by a period, however short it was.
-    Where most were stamped, the others, whose frame was lost, are left out: of their delay that tells nothing.
+    Where most were stamped, the others are those whose frame was lost: of their delay that tells nothing, and
+    they are left out.
     """
     error_ns = np.maximum(acting["clock_error_ns"], 0)
     fine: NDArray[np.bool_] = (

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 
 _LOSSES_MAX = 50
-_WHOLE = 1e-6
-"""Part of a period by which an age may exceed a whole number of them and still count as one."""
+_WHOLE = 0.05
+"""Part of a period by which an age may exceed a whole number of them and still count as one. Where commands
+act at SYNCs it is one, but for the lateness of SYNCs and the error of the clock that measured it."""
 _ARRIVE_EARLIER = "or, in a bench, a later loop.decide_after_us: readings are then used in their own cycle"
 
 

@@ -269,13 +269,16 @@ def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
     """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
     sheets, every = data_sheets(config), config.loop.position_every_cycles
     on_sync = config.loop.actuation == "on_sync"
+    by_event = config.loop.command_readback == "event"
     wish = PlanWish(Mode.CYCLIC_SYNCHRONOUS_TORQUE, on_sync, every)
     plans = {}
     for name, drive in config.drive.items():
         if name in sheets:
             plans[name] = plan_pdos(capability_of(sheets[name]), drive.node, wish).plan
         else:
-            plans[name] = torque_plan(drive.node, device_stamp=True, position_every_cycles=every)
+            plans[name] = torque_plan(
+                drive.node, device_stamp=True, position_every_cycles=every, demand_changes=by_event
+            )
     return plans
 
 

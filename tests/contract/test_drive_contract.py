@@ -203,8 +203,15 @@ def test_a_seldom_position_agrees_with_one_of_every_cycle(bench: Bench) -> None:
     bench.enable(replace(SETTINGS, position_every_cycles=10))
     readings = bench.run(200, 1.0)
     assert len(readings) == 200
-    counts = bench.device.drive.objects.position.value
-    assert readings[-1].position_rad == pytest.approx(counts * math.tau / 65536, abs=0.1)
+    for earlier, later in pairwise(readings[20:]):
+        turned_rad = 0.5 * (earlier.velocity_rad_s + later.velocity_rad_s) * PERIOD / NS_PER_S
+        assert later.position_rad - earlier.position_rad == pytest.approx(turned_rad, abs=0.02), (
+            "what is told every tenth time is what was carried on to"
+        )
+    last = readings[-1]
+    # The drive's own position is of the last time that it had to look, up to a period after the last SYNC.
+    at_rad = bench.device.drive.objects.position.value * math.tau / 65536
+    assert -0.1 < at_rad - last.position_rad < last.velocity_rad_s * PERIOD / NS_PER_S + 0.1
     ages = [reading.received_at - reading.position_told_at for reading in readings[20:]]
     assert 9 * PERIOD < max(ages) < 10 * PERIOD
     assert None not in {reading.device_time_ns for reading in readings}, "each has its stamp all the same"

@@ -312,14 +312,15 @@ def test_nothing_is_designed_where_the_way_of_the_commands_is_not_known(tmp_path
     assert 'commands = "stated"' in err
 
 
-def test_stamp_is_designed_for_whole_periods(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("delay_us", "agreed_ms"), [(1000, 6.0), (2002, 6.0), (2200, 8.0)])
+def test_stamp_is_designed_for_whole_periods(tmp_path: Path, delay_us: int, agreed_ms: float) -> None:
     network = tmp_path / "n.toml"
-    network.write_text(HAND_WRITTEN)
+    network.write_text(HAND_WRITTEN.replace("delay_max_us = 1000", f"delay_max_us = {delay_us}"))
     found = _json(
         "design", "speed", MOTOR, "--network", str(network), "--feedback", "speed", "--strategy", "stamp"
     )
-    # one loss and 1 ms of delay at 2 ms: 5 ms, so the third SYNC
-    assert found["sampled"]["agreed_delay_s"] == pytest.approx(0.006)
+    # two periods of 2 ms for one loss, and the delay, up to the next SYNC
+    assert found["sampled"]["agreed_delay_s"] == pytest.approx(1e-3 * agreed_ms)
 
 
 def test_the_sampled_loop_itself_is_made_best(tmp_path: Path) -> None:

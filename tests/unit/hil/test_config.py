@@ -290,10 +290,12 @@ def test_the_moment_of_decision_follows_the_period() -> None:
     assert only_error_of(edited("loop", value={"period_us": "1"})).key == "loop.period_us"
 
 
-def test_a_cycle_too_short_for_its_frames() -> None:
-    error = only_error_of(edited("loop", value={"period_us": 421}))
-    assert error.expected == "at least 422, which 1 drive(s) may take at 1000000 bit/s"
-    load(edited("loop", value={"period_us": 422}))
+@pytest.mark.parametrize(("readback", "least_us"), [("sync", 422), ("event", 537)])
+def test_a_cycle_too_short_for_its_frames(readback: str, least_us: int) -> None:
+    loop = {"command_readback": readback, "period_us": least_us - 1}
+    error = only_error_of(edited("loop", value=loop))
+    assert error.expected == f"at least {least_us}, which 1 drive(s) may take at 1000000 bit/s"
+    load(edited("loop", value=loop | {"period_us": least_us}))
 
 
 def test_bit_rates_are_those_of_the_adapters() -> None:

@@ -27,11 +27,19 @@ def lost_at(side: Side) -> FaultPlan:
 def test_the_host_is_told_for_how_long_it_stalls() -> None:
     with open_world(plan_of(FaultPlan(host_stalls=(STALL,)), "simulated"), ()) as world:
         assert world.faults is not None
+        host_stall = world.faults.host_stall
+        assert host_stall is not None
         world.faults.start(Instant(5 * NS_PER_MS))
         ticks = [Instant(n * NS_PER_MS) for n in (5, 6, 7)]
-        assert [world.faults.host_stall(now) for now in ticks] == [0, 500_000, 0]
+        assert [host_stall(now) for now in ticks] == [0, 500_000, 0]
         world.faults.stop()
-        assert world.faults.host_stall(Instant(8 * NS_PER_MS)) == 0
+        assert host_stall(Instant(8 * NS_PER_MS)) == 0
+
+
+def test_where_no_host_stalls_nothing_is_asked() -> None:
+    with open_world(plan_of(lost_at("host"), "simulated"), ()) as world:
+        assert world.faults is not None
+        assert world.faults.host_stall is None
 
 
 @pytest.mark.parametrize("side", ["host", "drive"])
