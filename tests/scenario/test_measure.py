@@ -2,16 +2,22 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput, DriveInFault, LimitExceeded
+from drivers.errors import BadInput, BusDown, DriveInFault, LimitExceeded
 from drivers.frame_port import EchoBasis
+from drivers.link import BusLink, StampSource
+from drivers.network import CanopenNetwork
 from drivers.profile402 import State
+from drivers.timebase import NS_PER_S, Duration
 from hil.cli import app
+from hil.commissioning.journal import read_journal
+from hil.commissioning.restore import restore
 from hil.configuration.network_file import load_network
 from hil.machine.stopping import Interrupted
 from hil.measuring.figures import Measured
@@ -19,6 +25,7 @@ from hil.measuring.loss_model import Losses
 from hil.measuring.network import fault_plan_text
 from hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
 from tests.scenario.measuring import Rig, StopAfter, measuring_rig
+from tests.scenario.test_commissioning_cut_short import CutBus
 
 COMMANDS = {"direction": "host_to_drive", "frames": ["pdo"]}
 READINGS = {"direction": "drive_to_host", "frames": ["pdo"]}
@@ -222,6 +229,27 @@ def test_a_fault_of_the_drive_puts_everything_back(tmp_path: Path) -> None:
         with pytest.raises(DriveInFault):
             rig.measure(enable=True)
         assert_as_before(rig, before)
+
+
+def test_the_journal_of_a_lost_bus_puts_everything_back(tmp_path: Path) -> None:
+    """The cable comes out while the drive follows torques: it stops by itself, as the host is gone."""
+    with measuring_rig(tmp_path) as rig:
+        before = rig.memory()
+        cut = CutBus(rig.world.link.bus)
+        link = BusLink(cut, rig.world.clock, StampSource.MONOTONIC, "simulated")
+        whole, rig.world = rig.world, replace(rig.world, link=link)
+        cut.cut_at = 2000
+        with pytest.raises(BusDown):
+            rig.measure(cycles=5000, enable=True)
+        assert rig.servos[0].drive_state is State.OPERATION_ENABLED
+        journal = rig.folder / "node1.jsonl"
+        assert f"hil restore --bus simulated --node 1 {journal}" in rig.said
+        rig.world = whole
+        network = CanopenNetwork(whole.link, whole.clock)
+        network.pump(network.deadline_after(Duration(2 * NS_PER_S)))
+        assert rig.servos[0].drive_state is not State.OPERATION_ENABLED
+        assert restore(network, read_journal(journal)).complete
+        assert rig.memory() == before
 
 
 def test_a_shaft_that_is_too_fast_is_stopped(tmp_path: Path) -> None:
