@@ -121,5 +121,5 @@ def check_mark(objects: RemoteObjects, mark: DriveMark) -> None:
             f"node {objects.node_id} is not the drive of the journal",
             f"vendor, product and serial number are {here.vendor:X}h, {here.product:X}h, {here.serial}; "
             f"the journal is of {mark.vendor:X}h, {mark.product:X}h, {mark.serial}",
-            "connect the drive that was commissioned",
+            "connect the drive whose journal it is",
         )

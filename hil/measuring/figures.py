@@ -80,6 +80,10 @@ class Measured:
     drives: Sequence[MeasuredDrive]
     network: Network | None
     """None if no reading came."""
+    timing: Json
+    """As in the summary of a run: what placing the readings rests on."""
+    surplus: int
+    """SYNCs that came to the bus after they had been given up: as many of those lost before it were late."""
     distrust: Sequence[str]
     """Why what was measured is not to be trusted."""
 
@@ -98,6 +102,7 @@ class Measured:
             "host": {each.key: stage_json(each) for each in self.host},
             "drives": [_drive_json(drive) for drive in self.drives],
             "network": None if self.network is None else _dumped(self.network),
+            "timing": self.timing,
             "distrust": list(self.distrust),
         }
 

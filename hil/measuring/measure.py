@@ -28,7 +28,7 @@ from hil.recording.records import Rows
 from hil.segments import sync_log
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
-from hil.timing_report import distrust
+from hil.timing_report import distrust, timing_report
 from hil.world import World
 
 CONNECT_LIMIT_S: Final = 5.0
@@ -197,6 +197,8 @@ class _Measurement:
             host=stages.host_stages(all_rows[0], echoes),
             drives=drives,
             network=network_of(self._request.period_us, all_rows, all_ways),
+            timing=timing_report(self._axes, {self._request.bus: syncs}),
+            surplus=syncs.surplus,
             distrust=distrust(self._axes, self._timing.period),
         )
 

@@ -28,6 +28,7 @@ def draw_stages(path: Path, measured: Measured) -> None:
         for value, style in ((quantiles.p50, "-"), (quantiles.p99, "--"), (quantiles.p999, ":")):
             ax.axvline(value, color=_RED, linewidth=1.0, linestyle=style)
         ax.set_yscale("log")
+        ax.set_ylim(bottom=0.5)  # one of them has a height too
         ax.set_title(title, loc="left", fontsize="small")
         ax.grid(color=_GRID, linewidth=0.6)
         ax.spines[["top", "right"]].set_visible(False)

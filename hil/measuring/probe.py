@@ -72,17 +72,19 @@ class ProbedDrive(Drive):
         self.drive.check()
 
 
-class DecisionProbe(Arrival):
-    """The newest sample at once, with a note of when it was asked for: a decision begins."""
+class DecisionProbe:
+    """A compensator: the newest sample at once, with a note of when a decision began by asking for it."""
 
     def __init__(self, clock: Clock) -> None:
-        super().__init__()
         self.began_at = Instant(0)
         self._now = clock.now
+        self._arrival = Arrival()
+        self.receive = self._arrival.receive
 
     def estimate(self, apply_at: Instant) -> StateEstimate:
+        """As that of :class:`hil.compensation.Arrival`."""
         self.began_at = self._now()
-        return super().estimate(apply_at)
+        return self._arrival.estimate(apply_at)
 
 
 def acting(sent: Sequence[SentCommand], changes: Sequence[Change]) -> dict[int, Change]:

@@ -1,14 +1,10 @@
 """What a measurement is asked to do."""
 
 from dataclasses import dataclass
-from typing import Final
 
 from design.motor import PmsmParameters
 from drivers.timebase import NS_PER_US, Duration
 from virtual_bus.fault_injection.injection import Faults
-
-SPEED_MAX_RPM: Final = 100.0
-"""Of an enabled drive: slow enough to be stopped within a part of a turn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +18,10 @@ class MeasureRequest:
     bitrate_bit_s: int
     enable: bool
     """Enable the drives and have them follow small torques."""
+    speed_max_rad_s: float
+    """An enabled drive that turns faster is stopped."""
     torque_max_nm: float | None = None
-    """Largest of these; None: :data:`hil.measuring.excitation.TORQUE_SHARE` of the rated torque."""
-    speed_max_rad_s: float = SPEED_MAX_RPM * 0.10471975511965977
+    """Largest torque; None: :data:`hil.measuring.excitation.TORQUE_SHARE` of the rated one."""
     motor: PmsmParameters | None = None
     """Of the drives of a simulated bus."""
     faults: Faults | None = None

@@ -84,13 +84,15 @@ def commission(
 
 
 def restore(
-    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning.")],
+    journal: Annotated[
+        Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning, or a measurement's.")
+    ],
     bus: BusOption,
     node: NodeOption,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Put back every object that a commissioning changed, byte for byte, after a crash or a lost bus."""
+    """Put back every object that a commissioning or a measurement changed, after a crash or a lost bus."""
     with reported_errors():
         from hil.commissioning.command import run_restore
 

@@ -3,76 +3,83 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.terminal.exit_status import reported_errors, status_of_run
 from hil.terminal.simulate import MotorOption
 
+if TYPE_CHECKING:
+    from hil.measuring.figures import Measured
+    from hil.measuring.request import MeasureRequest
+
 CYCLES_MAX = 1_000_000
 """Each takes half a kilobyte of memory a drive, which is taken before the first."""
 
+BusOption = Annotated[
+    str,
+    typer.Option("--bus", metavar="SPEC", help="simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL."),
+]
+NodeOption = Annotated[
+    list[str], typer.Option("--node", metavar="N...", help="Node ids: 1, or 1,2, or 1-3; may be repeated.")
+]
+MoreNodes = Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)]
+CyclesOption = Annotated[int, typer.Option("--cycles", min=100, max=CYCLES_MAX, help="How many SYNCs.")]
+PeriodOption = Annotated[int, typer.Option("--period-us", min=250, max=100_000, help="Between two SYNCs.")]
+EnableOption = Annotated[
+    bool,
+    typer.Option("--enable", help="Enable the drives and have them follow small torques: the shafts move."),
+]
+TorqueOption = Annotated[
+    float | None,
+    typer.Option("--torque-max-nm", metavar="X", help="Largest torque; 3 % of the rated one if absent."),
+]
+SpeedOption = Annotated[
+    float, typer.Option("--speed-max-rpm", min=1.0, help="An enabled drive that turns faster is stopped.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="NETWORK.toml", help="Write the network, for hil design.")
+]
+FaultsOutOption = Annotated[
+    Path | None,
+    typer.Option("--faults-out", metavar="FAULTS.toml", help="Write it as a fault plan, to replay it."),
+]
+PictureOption = Annotated[
+    Path | None, typer.Option("--picture", metavar="FILE", help="Draw the histograms: .png, .svg, .pdf.")
+]
+FaultsOption = Annotated[
+    Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the host's side.")
+]
+BitrateOption = Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+]
+
 
 def measure(
-    bus: Annotated[
-        str,
-        typer.Option(
-            "--bus", metavar="SPEC", help="simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL."
-        ),
-    ],
-    node: Annotated[
-        list[str],
-        typer.Option("--node", metavar="N...", help="Node ids: 1, or 1,2, or 1-3; may be repeated."),
-    ],
-    more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
-    cycles: Annotated[
-        int, typer.Option("--cycles", min=100, max=CYCLES_MAX, help="How many SYNCs.")
-    ] = 10_000,
-    period_us: Annotated[
-        int, typer.Option("--period-us", min=250, max=100_000, help="Between two SYNCs.")
-    ] = 1000,
-    enable: Annotated[
-        bool,
-        typer.Option(
-            "--enable", help="Enable the drives and have them follow small torques: the shafts move."
-        ),
-    ] = False,
-    torque_max_nm: Annotated[
-        float | None,
-        typer.Option("--torque-max-nm", metavar="X", help="Largest torque; 3 % of the rated one if absent."),
-    ] = None,
-    speed_max_rpm: Annotated[
-        float, typer.Option("--speed-max-rpm", min=1.0, help="A faster shaft is stopped.")
-    ] = 100.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="NETWORK.toml", help="Write the network, for hil design.")
-    ] = None,
-    faults_out: Annotated[
-        Path | None,
-        typer.Option("--faults-out", metavar="FAULTS.toml", help="Write it as a fault plan, to replay it."),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE", help="Draw the histograms: .png, .svg, .pdf.")
-    ] = None,
+    bus: BusOption,
+    node: NodeOption,
+    more_nodes: MoreNodes = None,
+    cycles: CyclesOption = 10_000,
+    period_us: PeriodOption = 1000,
+    enable: EnableOption = False,
+    torque_max_nm: TorqueOption = None,
+    speed_max_rpm: SpeedOption = 100.0,
+    out: OutOption = None,
+    faults_out: FaultsOutOption = None,
+    picture: PictureOption = None,
     motor: MotorOption = None,
-    faults: Annotated[
-        Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the host's side.")
-    ] = None,
-    bitrate: Annotated[
-        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
-    ] = 1_000_000,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    faults: FaultsOption = None,
+    bitrate: BitrateOption = 1_000_000,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure a network: delay of each stage of a cycle, losses both ways, the drives' clocks.
 
-    The drives stay disabled unless --enable. What is changed in them is put back; runs/measure-TIME has what
-    hil restore needs after a crash.
+    The drives stay disabled unless --enable. What is changed in them is put back; after a crash
+    runs/measure-TIME has what hil restore needs.
 
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
@@ -85,13 +92,12 @@ def measure(
         from hil.terminal.measure_files import require_places, write_files
         from hil.terminal.node_list import drive_ids
 
-        nodes = drive_ids([*node, *(more_nodes or [])])
         require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
         plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
         motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else None
         request = MeasureRequest(
             bus=bus,
-            nodes=tuple(nodes),
+            nodes=tuple(drive_ids([*node, *(more_nodes or [])])),
             cycles=cycles,
             period_us=period_us,
             bitrate_bit_s=bitrate,
@@ -100,26 +106,33 @@ def measure(
             speed_max_rad_s=speed_max_rpm * RAD_S_PER_RPM,
             motor=motor_file.parameters if motor_file else None,
             faults=plan,
-            seed=seed or 0,
+            seed=seed,
         )
-
-        from hil.measuring.command import run_measurement
-        from hil.terminal.progress import TerminalProgress
-
-        progress = TerminalProgress(sys.stderr, cycles * period_us * 1e-6)
-        try:
-            measured = run_measurement(
-                request, lambda text: print(f"hil: {text}", file=sys.stderr, flush=True), progress
-            )
-        finally:
-            progress.clear()
-        if as_json:
-            typer.echo(json.dumps(measured.as_json(), allow_nan=False))
-        else:
-            from hil.terminal.measure_report import print_measured
-
-            print_measured(measured)
+        measured = _measured(request)
+        _show(measured, as_json=as_json)
         if not measured.interrupted:
             for line in write_files(measured, out, faults_out, picture):
                 print(line, file=sys.stderr)
         raise typer.Exit(status_of_run(passed=not measured.distrust, interrupted=measured.interrupted))
+
+
+def _measured(request: "MeasureRequest") -> "Measured":
+    from hil.measuring.command import run_measurement
+    from hil.terminal.progress import TerminalProgress
+
+    progress = TerminalProgress(sys.stderr, request.cycles * request.period_us * 1e-6)
+    try:
+        return run_measurement(
+            request, lambda text: print(f"hil: {text}", file=sys.stderr, flush=True), progress
+        )
+    finally:
+        progress.clear()
+
+
+def _show(measured: "Measured", *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(measured.as_json(), allow_nan=False))
+        return
+    from hil.terminal.measure_report import print_measured
+
+    print_measured(measured)

@@ -35,6 +35,11 @@ def print_measured(measured: Measured, console: Console | None = None) -> None:
     console.print(
         Text(f"\nIntervals at {percent:g} %. Within the largest: of all delays, those to come included.")
     )
+    if measured.surplus:
+        late = (
+            f"{measured.surplus} SYNCs came to the bus after they were given up, and count as lost before it"
+        )
+        console.print(Text(late, style="bold yellow"))
     for reason in measured.distrust:
         console.print(Text(f"Not trustworthy: {reason}", style="bold red"))
 

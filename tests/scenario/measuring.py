@@ -24,7 +24,13 @@ from virtual_bus.servo_drive.servo_parameters import DriveParameters
 VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
 """History, clock and command."""
 REQUEST = MeasureRequest(
-    bus="simulated", nodes=(1,), cycles=1000, period_us=1000, bitrate_bit_s=1_000_000, enable=False
+    bus="simulated",
+    nodes=(1,),
+    cycles=1000,
+    period_us=1000,
+    bitrate_bit_s=1_000_000,
+    enable=False,
+    speed_max_rad_s=10.0,
 )
 
 Faults = Mapping[str, Any]

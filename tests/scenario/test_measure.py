@@ -2,16 +2,22 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput, DriveInFault, LimitExceeded
+from drivers.errors import BadInput, BusDown, DriveInFault, LimitExceeded
 from drivers.frame_port import EchoBasis
+from drivers.link import BusLink, StampSource
+from drivers.network import CanopenNetwork
 from drivers.profile402 import State
+from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.cli import app
+from hil.commissioning.journal import read_journal
+from hil.commissioning.restore import restore
 from hil.configuration.network_file import load_network
 from hil.machine.stopping import Interrupted
 from hil.measuring.figures import Measured
@@ -19,6 +25,8 @@ from hil.measuring.loss_model import Losses
 from hil.measuring.network import fault_plan_text
 from hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
 from tests.scenario.measuring import Rig, StopAfter, measuring_rig
+from tests.scenario.processes import VELOCITY_UNIT_RAD_S
+from tests.scenario.test_commissioning_cut_short import CutBus
 
 COMMANDS = {"direction": "host_to_drive", "frames": ["pdo"]}
 READINGS = {"direction": "drive_to_host", "frames": ["pdo"]}
@@ -32,6 +40,21 @@ def bad_way(side: str) -> dict[str, Any]:
         "loss": [{"side": side, **COMMANDS, "probability": 0.1}],
         "delay": [{"side": side, **COMMANDS, "delay_us": 600}],
     }
+
+
+class Frames:
+    """Those that passed the host's link."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[int, bytes]] = []
+
+    def __call__(
+        self, _direction: str, can_id: int, data: bytes, _extended: bool, _remote: bool, _at: Instant
+    ) -> None:
+        self._seen.append((can_id, data))
+
+    def of(self, can_id: int) -> list[bytes]:
+        return [data for seen, data in self._seen if seen == can_id]
 
 
 def stage(measured: Measured, key: str) -> Stage:
@@ -139,9 +162,15 @@ def test_a_disabled_drive_stays_so_and_says_what_was_not_measured(tmp_path: Path
     def look(phase: str, elapsed_s: float) -> None:  # noqa: ARG001
         states.add(rig.servos[0].drive_state)
 
+    frames = Frames()
     with measuring_rig(tmp_path) as rig:
+        rig.world.link.tap(frames)
         measured = rig.measure(progress=look)
     assert states == {State.SWITCH_ON_DISABLED}
+    *commands, last = frames.of(0x201)
+    assert len(commands) == 1000
+    assert {data[:2] for data in commands} == {bytes(2)}, "disable voltage in every command"
+    assert last[:2] == b"\x02\x00", "and quick stop at the end"
     acting = stage(measured, "command_acting")
     assert not acting.measured
     assert acting.basis == NOT_ENABLED
@@ -224,6 +253,27 @@ def test_a_fault_of_the_drive_puts_everything_back(tmp_path: Path) -> None:
         assert_as_before(rig, before)
 
 
+def test_the_journal_of_a_lost_bus_puts_everything_back(tmp_path: Path) -> None:
+    """The cable comes out while the drive follows torques: it stops by itself, as the host is gone."""
+    with measuring_rig(tmp_path) as rig:
+        before = rig.memory()
+        cut = CutBus(rig.world.link.bus)
+        link = BusLink(cut, rig.world.clock, StampSource.MONOTONIC, "simulated")
+        whole, rig.world = rig.world, replace(rig.world, link=link)
+        cut.cut_at = 2000
+        with pytest.raises(BusDown):
+            rig.measure(cycles=5000, enable=True)
+        assert rig.servos[0].drive_state is State.OPERATION_ENABLED
+        journal = rig.folder / "node1.jsonl"
+        assert f"hil restore --bus simulated --node 1 {journal}" in rig.said
+        rig.world = whole
+        network = CanopenNetwork(whole.link, whole.clock)
+        network.pump(network.deadline_after(Duration(2 * NS_PER_S)))
+        assert rig.servos[0].drive_state is not State.OPERATION_ENABLED
+        assert restore(network, read_journal(journal)).complete
+        assert rig.memory() == before
+
+
 def test_a_shaft_that_is_too_fast_is_stopped(tmp_path: Path) -> None:
     """By the host, where the drive has no limit of its own."""
     with measuring_rig(tmp_path, lacks=("6080",)) as rig:
@@ -234,10 +284,17 @@ def test_a_shaft_that_is_too_fast_is_stopped(tmp_path: Path) -> None:
 
 
 def test_torque_stays_within_its_bound_and_the_shaft_slow(tmp_path: Path) -> None:
+    frames = Frames()
     with measuring_rig(tmp_path) as rig:
-        measured = rig.measure(cycles=3000, enable=True, torque_max_nm=0.02)
-        assert measured.missed == 0
-    assert not measured.distrust
+        rig.world.link.tap(frames)
+        assert not rig.measure(cycles=3000, enable=True, torque_max_nm=0.02).distrust
+    torques = [int.from_bytes(data[2:4], "little", signed=True) for data in frames.of(0x201)]
+    assert max(map(abs, torques)) == 10, "thousandths of 2 N m"
+    assert torques[-1] == 0
+    speeds = [int.from_bytes(data[:4], "little", signed=True) for data in frames.of(0x181)]
+    assert 0.0 < max(map(abs, speeds)) * VELOCITY_UNIT_RAD_S < 2.5, (
+        "a quarter of the limit, from which it brakes"
+    )
 
 
 @pytest.mark.parametrize("torque_nm", [0.001, 2.5, -0.1])
