@@ -17,7 +17,7 @@ from design.sampled import SampledAnalysis, analyse_sampled
 from design.sampled_design import least_sampled_gain
 from design.speed_design import largest_delay, least_gain
 from design.speed_loop import Feedback, SpeedModel, peak_floor_rad_s, percent_of_speed, speed_model
-from hil.delay_design.analysis import finite
+from hil.delay_design.analysis import finite, sequence_figures
 
 _CCL_BISECTIONS = 12
 _CCL_SPAN = 1.5
@@ -45,6 +45,8 @@ class DesignRequest:
     speed_rad_s: float
     """For figures in percent."""
     integral_time_s: float | None = None
+    current_bandwidth_hz: float | None = None
+    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
     for_sampled: bool = False
     """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
 
@@ -73,6 +75,7 @@ class DesignResult:
         found: dict[str, Any] = {
             "feasible": True,
             "gain": self.K.tolist(),
+            "current_bandwidth_hz": request.current_bandwidth_hz,
             "gamma": self.gamma,
             "delay_s": self.delay_s,
             "method": request.method,
@@ -87,19 +90,14 @@ class DesignResult:
             "peak_floor_percent": percent_of_speed(floor, request.load_nm, request.speed_rad_s),
         }
         if self.sampled is not None and request.network is not None:
-            found["sampled"] = _sampled_figures(request.network, self.sampled)
+            share = 100.0 * request.load_nm / request.speed_rad_s
+            found["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
         return found
 
     def _certificate(self) -> dict[str, Any]:
         if self.certified is None:
             assert self.sampled is not None
-            sequences = self.sampled.certificate
-            return {
-                "decay_per_s": None if sequences is None else sequences.decay_per_s,
-                "solver": SOLVER,
-                "status": self.sampled.without_certificate if sequences is None else sequences.status,
-                "min_margin": None if sequences is None else sequences.min_margin,
-            }
+            return {"solver": SOLVER, "status": "see sampled"}
         return {
             "gamma": self.certified.gain,
             "order": self.certified.order,
@@ -109,20 +107,13 @@ class DesignResult:
         }
 
 
-def _sampled_figures(network: SampledNetwork, found: SampledAnalysis) -> dict[str, Any]:
-    certificate = found.certificate
+def _network_figures(network: SampledNetwork) -> dict[str, Any]:
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
         "loss_max": network.losses_max,
         "tau_max_s": network.delay_max_s,
         "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
-        "gamma_sampled": finite(found.gain),
-        "decay_per_s": finite(min(found.decay_per_s, found.worst.decay_per_s)),
-        "certified": found.certified,
-        "certified_decay_per_s": None if certificate is None else certificate.decay_per_s,
-        "min_margin": None if certificate is None else certificate.min_margin,
-        "status": found.without_certificate if certificate is None else certificate.status,
     }
 
 
@@ -207,7 +198,7 @@ class _Found:
 
 def design_speed(request: DesignRequest) -> DesignResult:
     """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
-    model = speed_model(request.motor, integral=request.integral)
+    model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
     if request.for_sampled:
         return _for_sampled(model, request)
     if request.delay_s is None:
@@ -229,11 +220,14 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     assert network is not None
     assert delay_s is not None
     found = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
-    if request.gamma is not None and found.gain > request.gamma * _KEPT:
-        raise Unreachable(request, delay_s, _Found(found.K, delay_s, found.gain), None)
-    exact = hinf_norm(model.loop(found.K, delay_s))
     sampled = analyse_sampled(model, found.K, network)
-    return DesignResult(request, found.K, delay_s, found.gain, exact, None, sampled)
+    gain = sampled.gain_certified
+    if gain is None:
+        raise NoSolution("certificate for every sequence", sampled.without_certificate)
+    if request.gamma is not None and gain > request.gamma * _KEPT:
+        raise Unreachable(request, delay_s, _Found(found.K, delay_s, gain), None)
+    exact = hinf_norm(model.loop(found.K, delay_s))
+    return DesignResult(request, found.K, delay_s, gain, exact, None, sampled)
 
 
 def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:

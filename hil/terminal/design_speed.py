@@ -11,6 +11,8 @@ from drivers.errors import BadInput
 from hil.terminal.analyse_speed import StrategyName
 from hil.terminal.exit_status import ExitStatus, reported_errors
 from hil.terminal.speed_options import (
+    CURRENT_BANDWIDTH_HZ,
+    CurrentBandwidthOption,
     JsonOption,
     LoadOption,
     MotorArgument,
@@ -107,6 +109,7 @@ def speed(
     error_percent: ErrorPercentOption = None,
     load_nm: LoadOption = None,
     speed_rpm: SpeedOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = CURRENT_BANDWIDTH_HZ,
     delay_ms: DelayMsOption = None,
     network: NetworkOption = None,
     strategy: StrategyOption = StrategyName.ARRIVAL,
@@ -164,6 +167,7 @@ def speed(
                 load_nm=load,
                 speed_rad_s=at_rad_s,
                 integral_time_s=None if integral_time_ms is None else 1e-3 * integral_time_ms,
+                current_bandwidth_hz=current_bandwidth_hz,
                 for_sampled=target is TargetName.SAMPLED,
             ),
             out,
