@@ -318,7 +318,7 @@ def test_the_sampled_loop_itself_is_made_best(tmp_path: Path) -> None:
     sampled = _json(*asked, "--target", "sampled", "--out", str(out))
     assert sampled["gamma"] < 0.97 * constant["sampled"]["sequences"]["gain"]["certified"]
     assert sampled["sampled"]["certified"] is True
-    assert sampled["certificate"]["min_margin"] > 0.0
+    assert sampled["sampled"]["sequence_certificate"]["min_margin"] > 0.0
     written = read_toml(out, "controller file")["controller"]
     assert written["certificate"]["target"] == "sampled"
     assert written["gain"] == sampled["gain"]
