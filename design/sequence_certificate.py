@@ -34,6 +34,8 @@ _EPSILON = 2e-5
 """epsilon of :mod:`design.step_maps`: what a certificate gives away, each period, between corners."""
 _BEND = 0.7 * _EPSILON
 """Bound of a bend where P is of size 1; its square over epsilon is of the order of epsilon."""
+_EPSILON_OF_RATES = 5e-4
+"""The same where the rate of the current loop may lie between two."""
 _STRICT = 1e-6
 """Margin demanded of the solver, in the same coordinates."""
 _MARGIN = 1e-9
@@ -63,11 +65,9 @@ class Edge:
     source: int
     target: int
     corners: Corners
-
-    @property
-    def epsilon(self) -> float:
-        """Nothing lies between the corners where no window is open."""
-        return _EPSILON if self.corners.open_windows else 0.0
+    loop: HeldLoop
+    epsilon: float
+    """Of :mod:`design.step_maps`; nothing lies between the corners where no window is open."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,21 +84,32 @@ class SequenceCertificate:
     status: str = "Solved"
 
 
-def edges_of(loop: HeldLoop, coordinates: Array, remembering: bool) -> tuple[int, list[Edge]]:
-    """Number of nodes, and the edges; ``remembering``: nodes know from which node the last delivery came."""
-    network = loop.network
-    plain = [
-        Edge(family.source, family.target, corners_of(loop, family, coordinates, _BEND))
-        for family in families(network)
-    ]
-    count = node_count(network)
+def edges_of(
+    loop: HeldLoop, coordinates: Array, remembering: bool, other: HeldLoop | None = None
+) -> tuple[int, list[Edge]]:
+    """Number of nodes, and the edges.
+
+    ``remembering``: nodes know from which node the last delivery came; ``other``: the loop with another
+    rate of the current loop, for every rate between the two.
+    """
+    plain = []
+    for family in families(loop.network):
+        if other is None:
+            corners = corners_of(loop, family, coordinates, _BEND)
+            plain.append(Edge(family.source, family.target, corners, loop, _EPSILON if corners.terms else 0.0))
+            continue
+        for one, end in ((loop, other), (other, loop)):
+            corners = corners_of(one, family, coordinates, _BEND).between_rates(one, end)
+            plain.append(Edge(family.source, family.target, corners, one, _EPSILON_OF_RATES))
+    count = node_count(loop.network)
     if not remembering:
         return count, plain
     found = []
     for edge in plain:
         for memory in range(count):
             kept = edge.source if edge.corners.family.windows else memory
-            found.append(Edge(edge.source + count * memory, edge.target + count * kept, edge.corners))
+            source, target = edge.source + count * memory, edge.target + count * kept
+            found.append(replace(edge, source=source, target=target))
     return _reachable(count * count, found)
 
 
@@ -130,22 +141,23 @@ class _Inequalities:
         self.level = level
         self._by_family: dict[int, ValueMap] = {}
         self.maps = [self._maps(edge, level) for edge in edges]
-        self.excess = [self._excess(edge.corners) for edge in edges]
+        self.excess = [self._excess(edge) for edge in edges]
 
     def _maps(self, edge: Edge, level: float | None) -> ValueMap:
         """In good coordinates; the bends cost a factor of the gain. No level: no disturbance, no output."""
         key = id(edge.corners)
         if key not in self._by_family:
             gain = math.inf if level is None else level / math.sqrt(1.0 + edge.epsilon)
-            plain = value_maps(self._loop, edge.corners.family, edge.corners.times_s, gain)
+            plain = value_maps(edge.loop, edge.corners.family, edge.corners.times_s, gain)
             L, inverse = self.L, self._inverse
             Q = inverse.T @ plain.Q @ inverse if level is not None else np.zeros_like(plain.Q)
             self._by_family[key] = ValueMap(L @ plain.Phi @ inverse, L @ plain.W @ L.T, Q, plain.bounded)
         return self._by_family[key]
 
-    def _excess(self, corners: Corners) -> list[tuple[Array, Array, Array]]:
+    def _excess(self, edge: Edge) -> list[tuple[Array, Array, Array]]:
         """For each window: difference (kept,), bends (N, n), output bends (N,), with their factors."""
-        factor = (1.0 + 1.0 / _EPSILON) * corners.open_windows
+        corners = edge.corners
+        factor = (1.0 + 1.0 / edge.epsilon) * corners.terms if edge.epsilon else 0.0
         return [
             (
                 corners.differences[s] @ self._inverse,
@@ -154,7 +166,7 @@ class _Inequalities:
                 if self.level is not None
                 else np.zeros(len(corners.times_s)),
             )
-            for s in range(len(corners.family.windows))
+            for s in range(len(corners.differences))
         ]
 
     def slack(self, P: Sequence[Array], place: int, growth: float, squared: float = 1.0) -> Array:
@@ -259,17 +271,22 @@ def _root(W: Array) -> Array:
 
 
 def certify_gain(
-    loop: HeldLoop, patterns: Sequence[Pattern], found: float, remembering: Sequence[bool] = (False, True)
+    loop: HeldLoop,
+    patterns: Sequence[Pattern],
+    found: float,
+    remembering: Sequence[bool] = (False, True),
+    other: HeldLoop | None = None,
 ) -> SequenceCertificate | None:
     """The least gain that can be certified; None if none can.
 
     ``patterns``: those that give the units, the worst among them; ``found``: their largest gain,
-    rad/s per N m; ``remembering``: what is tried, in turn, until it comes close.
+    rad/s per N m; ``remembering``: what is tried, in turn, until it comes close; ``other``: for every
+    rate of the current loop between those of the two loops.
     """
     best: SequenceCertificate | None = None
     L = _coordinates(loop, patterns, _UNITS_AT * found)
     for way in _ways(loop, remembering):
-        nodes, edges = edges_of(loop, L, way)
+        nodes, edges = edges_of(loop, L, way, other)
         certificate = _least_gain(loop, nodes, edges, L, found)
         if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
             best = certificate
@@ -278,16 +295,22 @@ def certify_gain(
     return best
 
 
-def certify_decay(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> SequenceCertificate | None:
+def certify_decay(
+    loop: HeldLoop,
+    patterns: Sequence[Pattern],
+    gain: float,
+    remembering: Sequence[bool] = (False, True),
+    other: HeldLoop | None = None,
+) -> SequenceCertificate | None:
     """The fastest decay that can be certified; None if not even stability can.
 
-    ``gain``: at which the units are taken, rad/s per N m, above the largest of ``patterns``.
+    ``gain``: the largest of ``patterns``, at which the units are taken; all else as for the gain.
     """
     worst = min(pattern.decay_per_s for pattern in patterns)
     best: SequenceCertificate | None = None
     L = _coordinates(loop, patterns, _UNITS_AT * gain)
-    for way in _ways(loop, (False, True)):
-        nodes, edges = edges_of(loop, L, way)
+    for way in _ways(loop, remembering):
+        nodes, edges = edges_of(loop, L, way, other)
         certificate = _fastest(_Inequalities(loop, nodes, edges, L, None), worst)
         if certificate is not None and (best is None or _decay(certificate) > _decay(best)):
             best = certificate

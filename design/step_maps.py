@@ -11,6 +11,10 @@ moves neither it nor its slope). So for any tau in a cell, and any epsilon > 0,
 with R_s and Z_s the bounds of the departure of the state and of the output, r the number of open
 windows; for the square of a norm is convex. Where windows overlap, the ordered corners suffice: a cell's
 ordered half is their hull.
+
+The rate a of the current loop may lie anywhere between two: the disturbance does not reach the current,
+so state and output are affine in e^{-a t}, the response to i_q - u at the begin and to every Delta_s.
+Its chord between the two rates is bounded in the same way, each such response adding one term to r.
 """
 
 import itertools
@@ -50,9 +54,25 @@ class Corners:
     """(windows, kept): Delta_s."""
 
     @property
-    def open_windows(self) -> int:
+    def terms(self) -> int:
         """r above."""
         return int(np.count_nonzero(self.bends.any(axis=(0, 2)))) if self.bends.size else 0
+
+    def between_rates(self, loop: HeldLoop, other: HeldLoop) -> "Corners":
+        """The same with the terms for every rate of the current loop between those of the two loops."""
+        n = len(loop.model.A)
+        start = np.zeros(loop.kept)
+        start[0], start[n] = 1.0, -1.0
+        rows = np.vstack([start, self.differences])
+        bend, output = _rate_bend(loop, other)
+        count, added = len(self.times_s), len(rows)
+        return Corners(
+            self.family,
+            self.times_s,
+            np.concatenate([self.bends, np.broadcast_to(bend, (count, added, n))], axis=1),
+            np.hstack([self.output_bends, np.full((count, added), output)]),
+            np.vstack([self.differences, rows]),
+        )
 
 
 def corners_of(loop: HeldLoop, family: Family, coordinates: Array, target: float) -> Corners:
@@ -141,6 +161,19 @@ def _bend(loop: HeldLoop, first_s: float, last_s: float) -> tuple[Array, float]:
     rest_s = loop.network.period_s - first_s
     energy = _energy(A, B1, slope, rest_s)
     return width**2 / 8.0 * largest, width**2 / 8.0 * math.sqrt(energy)
+
+
+def _rate_bend(loop: HeldLoop, other: HeldLoop) -> tuple[Array, float]:
+    """(difference of the rates)^2/8 times the largest second derivative by the rate: state (n,), output.
+
+    That of e^{-at} is t^2 e^{-at}, at most 4/(e a)^2, its integral 2/a^3; friction makes it only less.
+    """
+    A, h = loop.model.A, loop.network.period_s
+    slow, fast = sorted(-each.model.A[0, 0] for each in (loop, other))
+    share = (fast - slow) ** 2 / 8.0
+    speed = float(A[1, 0]) * 2.0 / slow**3
+    state = [4.0 / (math.e * slow) ** 2, speed, speed * h]
+    return share * np.array(state[: len(A)]), share * speed * math.sqrt(h)
 
 
 def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
