@@ -25,7 +25,7 @@ _ALLOWED = 1.1
 
 @dataclass(frozen=True, slots=True)
 class BandwidthRange:
-    """From ``min_hz`` to ``max_hz`` decay, 1/s, and gain, rad/s per N m, are certified under every sequence."""
+    """From ``min_hz`` to ``max_hz`` decay, 1/s, and gain, rad/s per N m, are certified."""
 
     min_hz: float
     max_hz: float

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from design.delay_loop import Array
+from design.errors import UnsuitableNetwork
 from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.motor import PmsmParameters
 from design.speed_loop import current_rate_rad_s, speed_model
@@ -137,6 +138,11 @@ def run_many(
     ``current_bandwidth_hz``: as of :func:`design.speed_loop.speed_model`; the uncertainties of R and L
     make its.
     """
+    if network.strategy is Strategy.ARRIVAL and network.delay_max_s > network.period_s * (1.0 + 1e-9):
+        raise UnsuitableNetwork(
+            f"random runs with a delay of up to {network.delay_max_s * 1e3:g} ms",
+            f"at most the period of {network.period_s * 1e3:g} ms, so that samples arrive in order",
+        )
     K = np.asarray(K, dtype=float)
     loop = HeldLoop(speed_model(motor, integral=len(K) == 3), K, network)  # checks K against the model
     gains = np.zeros(3)

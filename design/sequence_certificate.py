@@ -96,7 +96,9 @@ def edges_of(
     for family in families(loop.network):
         if other is None:
             corners = corners_of(loop, family, coordinates, _BEND)
-            plain.append(Edge(family.source, family.target, corners, loop, _EPSILON if corners.terms else 0.0))
+            plain.append(
+                Edge(family.source, family.target, corners, loop, _EPSILON if corners.terms else 0.0)
+            )
             continue
         for one, end in ((loop, other), (other, loop)):
             corners = corners_of(one, family, coordinates, _BEND).between_rates(one, end)

@@ -63,8 +63,11 @@ class SequenceProof(Section):
 
     gain_certified: float = Field(gt=0)
     """From load torque to speed error, rad/s per N m."""
+    gain_certified_all_bandwidths: float | None = Field(default=None, gt=0)
+    """The same for every bandwidth of ``current_loop``."""
     gain_found: float = Field(gt=0)
     decay_certified_per_s: float = Field(gt=0)
+    decay_certified_all_bandwidths_per_s: float | None = Field(default=None, gt=0)
     decay_found_per_s: float = Field(gt=0)
     min_margin: float
     gain_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]

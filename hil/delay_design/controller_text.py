@@ -112,8 +112,10 @@ def _sequences(result: DesignResult) -> SequenceProof | None:
     assert decay.decay_per_s is not None
     return SequenceProof(
         gain_certified=gain.gain,
+        gain_certified_all_bandwidths=result.bandwidths.gain if result.bandwidths else None,
         gain_found=sampled.gain_found,
         decay_certified_per_s=decay.decay_per_s,
+        decay_certified_all_bandwidths_per_s=result.bandwidths.decay_per_s if result.bandwidths else None,
         decay_found_per_s=sampled.decay_found_per_s,
         min_margin=min(gain.min_margin, decay.min_margin),
         gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),
@@ -125,6 +127,9 @@ def _current_loop(result: DesignResult) -> CurrentLoop | None:
     bandwidth_hz = result.request.current_bandwidth_hz
     if bandwidth_hz is None:
         return None
+    covered = result.bandwidths
     return CurrentLoop(
-        bandwidth_hz=bandwidth_hz, bandwidth_min_hz=bandwidth_hz, bandwidth_max_hz=bandwidth_hz
+        bandwidth_hz=bandwidth_hz,
+        bandwidth_min_hz=bandwidth_hz if covered is None else covered.min_hz,
+        bandwidth_max_hz=bandwidth_hz if covered is None else covered.max_hz,
     )

@@ -206,10 +206,12 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float 
 
 def _finish(request: "DesignRequest", out: Path | None, as_json: bool) -> None:
     from design.errors import DesignError
-    from hil.delay_design.synthesis import Unreachable, design_speed
+    from hil.delay_design.synthesis import Unreachable, design_speed, with_bandwidths
 
     try:
         result = design_speed(request)
+        if out is not None:
+            result = with_bandwidths(result)
     except Unreachable as error:
         if as_json:
             typer.echo(json.dumps(error.figures, allow_nan=False))

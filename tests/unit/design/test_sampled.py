@@ -374,6 +374,10 @@ class TestMonteCarlo:
         assert share(0, 10).high == pytest.approx(0.3085, abs=1e-4)
         assert (share(5, 10).low, share(5, 10).high) == pytest.approx((0.1871, 0.8129), abs=1e-4)
 
+    def test_samples_that_overtake_one_another_are_refused(self) -> None:
+        with pytest.raises(UnsuitableNetwork, match="arrive in order"):
+            run_many(LING, K, network(Strategy.ARRIVAL, 1, 0.02), Chance(runs=1, seed=0))
+
     def test_chance_out_of_range_is_refused(self) -> None:
         with pytest.raises(ValueError, match="loss probability"):
             Chance(runs=1, seed=0, loss_probability=1.5)
