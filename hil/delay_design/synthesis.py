@@ -125,16 +125,16 @@ class DesignResult:
 
 def _robustness(result: DesignResult) -> dict[str, Any]:
     """For JSON."""
-    request, K, sampled = result.request, result.K, result.sampled
+    request, sampled = result.request, result.sampled
 
     def plant(motor: PmsmParameters, share: float) -> SpeedModel:
         rate = current_rate_rad_s(request.motor, request.current_bandwidth_hz) * share
         return speed_model(motor, request.integral, rate / math.tau)
 
     model = plant(request.motor, 1.0)
-    held = None if request.network is None else HeldLoop(model, K, request.network)
+    held = None if request.network is None else HeldLoop(model, result.K, request.network)
     patterns = [] if sampled is None else [sampled.worst.pattern, sampled.slowest, *sampled.regular]
-    loop = model.loop(K, result.delay_s)
+    loop = model.loop(result.K, result.delay_s)
     found = speed_robustness(plant, request.motor, loop, held, patterns)
 
     def changed(other: Changed) -> dict[str, float | None]:
