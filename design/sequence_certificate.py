@@ -52,6 +52,10 @@ _CLOSE = 1.01
 """Certified over found at which nodes need not remember."""
 _UNITS_AT = 1.2
 """Times the largest gain: where the value functions are taken that give the units."""
+_SIZE_MAX = 42.0
+"""States, times nodes to the power 1/3: with it a certificate takes minutes, and grows by its sixth power."""
+_SIZE_REMEMBERING_MAX = 45.0
+"""The same where nodes remember and are squared."""
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
 _TOLERANCES = (1e-8, 1e-6)
 _DOUBLINGS = 14
@@ -332,8 +336,20 @@ def _decay(certificate: SequenceCertificate) -> float:
 
 
 def _ways(loop: HeldLoop, remembering: Sequence[bool]) -> Sequence[bool]:
-    """Whether nodes remember: not where there is nothing to be remembered."""
-    return (False,) if node_count(loop.network) == 1 else remembering
+    """Whether nodes remember: not where there is nothing to be remembered, or too much.
+
+    Raises NoSolution if the loop is too large for the inequalities.
+    """
+    nodes = node_count(loop.network)
+    if loop.kept * nodes ** (1.0 / 3.0) > _SIZE_MAX:
+        raise NoSolution(
+            "certificate for arbitrary sequences",
+            f"{loop.kept} states and {nodes} nodes are too many",
+            "a longer period or a shorter agreed delay makes the loop smaller",
+        )
+    if nodes == 1 or loop.kept * nodes ** (2.0 / 3.0) > _SIZE_REMEMBERING_MAX:
+        return (False,)
+    return remembering
 
 
 def _least_gain(

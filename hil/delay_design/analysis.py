@@ -94,12 +94,18 @@ def continuous_figures(request: LoopRequest) -> dict[str, Any]:
 def _certified(
     model: SpeedModel, loop: DelayLoop, order: int | None
 ) -> tuple[CertifiedGain | None, dict[str, Any]]:
-    try:
-        found = certified_gain_auto(model, loop) if order is None else certified_gain(model, loop, order)
-    except NoSolution as error:
-        return None, {"solver": SOLVER, "status": str(error), "min_margin": None}
-    proof = found.proof
-    return found, {"solver": proof.solver, "status": proof.status, "min_margin": proof.min_margin}
+    failures = []
+    # a functional of higher order contains those of lower ones: what they certify, it does
+    for tried in [None] if order is None else range(order, -1, -1):
+        try:
+            found = certified_gain_auto(model, loop) if tried is None else certified_gain(model, loop, tried)
+        except NoSolution as error:
+            failures.append(str(error))
+            continue
+        proof = found.proof
+        status = "; ".join([*failures, f"{proof.status} at order {found.order}"])
+        return found, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
+    return None, {"solver": SOLVER, "status": "; ".join(failures), "min_margin": None}
 
 
 def _certified_delay(
