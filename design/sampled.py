@@ -23,7 +23,7 @@ from design.speed_loop import SpeedModel
 class SampledAnalysis:
     """The figures of one sampled loop."""
 
-    network: SampledNetwork
+    loop: HeldLoop
     regular: list[Pattern]
     """Under d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
     gains: list[float]
@@ -37,6 +37,11 @@ class SampledAnalysis:
     gain_proof: SequenceCertificate | None
     without_certificate: str = ""
     """Why there is none, if that is so."""
+
+    @property
+    def network(self) -> SampledNetwork:
+        """What the loop runs over."""
+        return self.loop.network
 
     @property
     def decay_found_per_s(self) -> float:
@@ -78,7 +83,7 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
     if slowest.decay_per_s <= 0.0:
         why = "a pattern is known that destabilises it"
         worst = WorstGain(slowest, math.inf)
-        return SampledAnalysis(network, regular, gains, slowest, worst, None, None, why)
+        return SampledAnalysis(loop, regular, gains, slowest, worst, None, None, why)
     worst = worst_gain(loop, [*regular, slowest])
     patterns = [worst.pattern, slowest, *regular]
     decay_proof, gain_proof, why = None, None, ""
@@ -89,7 +94,7 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
         why = str(error)
     if not why and (decay_proof is None or gain_proof is None):
         why = "no quadratic functions were found that fall along every sequence"
-    return SampledAnalysis(network, regular, gains, slowest, worst, decay_proof, gain_proof, why)
+    return SampledAnalysis(loop, regular, gains, slowest, worst, decay_proof, gain_proof, why)
 
 
 def regular_patterns(loop: HeldLoop) -> list[Pattern]:

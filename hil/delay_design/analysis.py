@@ -27,6 +27,7 @@ from design.monte_carlo import Chance, Estimate, run_many
 from design.motor import PmsmParameters
 from design.sampled import SampledAnalysis, analyse_sampled
 from design.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
+from design.worst_peak import worst_peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,10 +165,14 @@ def sequence_figures(found: SampledAnalysis, percent: float) -> dict[str, Any]:
     """
     gain, proofs = found.gain_certified, [found.gain_proof, found.decay_proof]
     margins = [proof.min_margin for proof in proofs if proof is not None]
+    peak = math.inf if found.refuted else worst_peak(found.loop).peak
     return {
         "certified": found.certified,
         "refuted": found.refuted,
         "sequences": {
+            # no bound of the peak is proved over every sequence: only what a search reaches is known
+            "step_peak_rad_s": _bounds(None, peak),
+            "step_peak_percent": _bounds(None, peak * percent),
             "gain": _bounds(gain, found.gain_found),
             "error_percent": _bounds(None if gain is None else gain * percent, found.gain_found * percent),
             "decay_per_s": _bounds(found.decay_certified_per_s, found.decay_found_per_s),
