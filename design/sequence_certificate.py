@@ -46,18 +46,18 @@ _ADDED = 3
 _BISECTIONS = 14
 _DECAY_TOLERANCE = 2e-4
 _LEVELS = 4
-_RAISED = 1e-4
+_RAISED = (1e-4, 1e-3)
 """Relative: so much above the solver's gain the proof is tried."""
 _CLOSE = 1.01
 """Certified over found at which nodes need not remember."""
-_UNITS_AT = 1.2
+_UNITS_AT = (1.2, 2.0, 1.05, 5.0)
 """Times the largest gain: where the value functions are taken that give the units."""
 _SIZE_MAX = 42.0
 """States, times nodes to the power 1/3: it takes minutes, and grows by the sixth power."""
 _SIZE_REMEMBERING_MAX = 45.0
 """The same where nodes remember and are squared."""
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
-_TOLERANCES = (1e-8, 1e-6)
+_TOLERANCES = (1e-8, 1e-7, 1e-6, 1e-5)
 _DOUBLINGS = 14
 _ROUND = 1e-6
 
@@ -289,16 +289,20 @@ def certify_gain(
     rad/s per N m; ``remembering``: what is tried, in turn, until it comes close; ``other``: for every
     rate of the current loop between those of the two loops.
     """
-    best: SequenceCertificate | None = None
-    L = _coordinates(loop, patterns, _UNITS_AT * found)
-    for way in _ways(loop, remembering):
-        nodes, edges = edges_of(loop, L, way, other)
-        certificate = _least_gain(loop, nodes, edges, L, found)
-        if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
-            best = certificate
-        if best is not None and _gain(best) < _CLOSE * found:
-            break
-    return best
+    for units_at in _UNITS_AT:
+        # the solver's luck turns with the units; whatever it says, the proof decides
+        best: SequenceCertificate | None = None
+        L = _coordinates(loop, patterns, units_at * found)
+        for way in _ways(loop, remembering):
+            nodes, edges = edges_of(loop, L, way, other)
+            certificate = _least_gain(loop, nodes, edges, L, found)
+            if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
+                best = certificate
+            if best is not None and _gain(best) < _CLOSE * found:
+                break
+        if best is not None:
+            return best
+    return None
 
 
 def certify_decay(
@@ -314,7 +318,7 @@ def certify_decay(
     """
     worst = min(pattern.decay_per_s for pattern in patterns)
     best: SequenceCertificate | None = None
-    L = _coordinates(loop, patterns, _UNITS_AT * gain)
+    L = _coordinates(loop, patterns, _UNITS_AT[0] * gain)
     for way in _ways(loop, remembering):
         nodes, edges = edges_of(loop, L, way, other)
         certificate = _fastest(_Inequalities(loop, nodes, edges, L, None), worst)
@@ -357,15 +361,17 @@ def _least_gain(
 ) -> SequenceCertificate | None:
     level = found
     for _ in range(_LEVELS):
-        system = _Inequalities(loop, nodes, edges, L, level)
-        answer = _exchanged(system, 1.0)
+        answer = _exchanged(_Inequalities(loop, nodes, edges, L, level), 1.0)
         if answer is None:
             return None
         P, squared = answer
-        level *= math.sqrt(max(squared, 1.0)) * (1.0 + _RAISED)
-        margin = _proved(_Inequalities(loop, nodes, edges, L, level), P, 1.0)
-        if margin > _MARGIN:
-            return SequenceCertificate([L.T @ matrix @ L for matrix in P], margin, gain=level)
+        level *= math.sqrt(max(squared, 1.0))
+        for raised in _RAISED:
+            margin = _proved(_Inequalities(loop, nodes, edges, L, level * (1.0 + raised)), P, 1.0)
+            if margin > _MARGIN:
+                proof = [L.T @ matrix @ L for matrix in P]
+                return SequenceCertificate(proof, margin, gain=level * (1.0 + raised))
+        level *= 1.0 + _RAISED[0]
     return None
 
 

@@ -295,7 +295,7 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     sampled = analyse_sampled(model, best.K, network)
     gain = sampled.gain_certified
     if gain is None:
-        raise NoSolution("certificate for every sequence", sampled.without_certificate)
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if request.gamma is not None:
         _demand_sampled(request, _Found(best.K, delay_s, gain), sampled, request.gamma)
     exact = hinf_norm(model.loop(best.K, delay_s))
@@ -306,7 +306,7 @@ def _demand_sampled(request: DesignRequest, found: "_Found", sampled: SampledAna
     """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
     certified = sampled.gain_certified
     if certified is None:
-        raise NoSolution("certificate for every sequence", sampled.without_certificate)
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if certified > gamma * _KEPT:
         raise Unreachable(request, found.delay_s, _Found(found.K, found.delay_s, certified), None)
 
