@@ -9,16 +9,28 @@ single deliveries in the worst. What it finds is admissible: no certificate can 
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from design.admissible_steps import Delivery, Family, deliveries_of, families, steps_of
 from design.delay_loop import Array
 from design.held_loop import HeldLoop, Operation, PeriodStep, decay_of
+from design.pattern_chains import (
+    Chain,
+    Entries,
+    Letter,
+    alternating,
+    by_beam,
+    changed,
+    padded,
+    product_of,
+    root_of,
+    top_of,
+)
 from design.step_maps import step_maps
 from design.value_map import ValueMap, largest_product, nothing
 
@@ -30,9 +42,6 @@ _SLOW_BEAM, _SLOW_LENGTH_MAX = 200, 14
 """The same of the search for the decay, in which a pattern costs a matrix product."""
 _WORTHWHILE = 3e-4
 """Relative: a pattern whose gain is higher by less ends the search."""
-_OFTEN = (1, 2, 3, 4, 6, 8, 12)
-_SELDOM = (1, 2, 3)
-"""How often two deliveries alternate: so many of the one, then so many of the other."""
 _CHANGED_MAX = 24
 """Deliveries up to which a pattern is changed delivery by delivery."""
 _DOUBLINGS = 16
@@ -50,22 +59,6 @@ _ROUNDS = 30
 """Of changes of the best."""
 _DELAY_PARTS = (0.0, 0.5, 1.0)
 """Of a window, where the moment of a single switching is tried; several are tried at the ends."""
-
-
-Chain = tuple[int, ...]
-"""Letters, by number."""
-
-
-class _Stretches(Protocol):
-    """Stretches of time, many at once, that can be put one after the other."""
-
-    def then(self, following: Self) -> Self: ...
-
-    def __getitem__(self, part: Any) -> Self: ...
-
-
-_Total = TypeVar("_Total", bound=_Stretches)
-_Entries = tuple[list[Chain], _Total]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,21 +95,6 @@ class WorstGain:
 
     pattern: Pattern
     gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Letter:
-    """Periods without a delivery, and one with."""
-
-    steps: tuple[PeriodStep, ...]
-
-    @property
-    def source(self) -> int:
-        return self.steps[0].source
-
-    @property
-    def target(self) -> int:
-        return self.steps[-1].target
 
 
 def repeated(loop: HeldLoop, deliveries: Sequence[Delivery]) -> Pattern:
@@ -165,7 +143,7 @@ def pattern_gains(
         else:
             levels = near * _NEAR ** (2.0 * parts - 1.0) * np.ones((len(patterns), 1))
             near = None
-        maps = _letter_maps(loop, [_Letter(letter) for letter in letters], levels.ravel())
+        maps = _letter_maps(loop, [Letter(letter) for letter in letters], levels.ravel())
         bounded = _often(_own_product(maps.reshaped((-1, *levels.shape)), chains)).bounded
         lowest = np.where(bounded.any(axis=1), np.argmax(bounded, axis=1), levels.shape[1])
         edges = np.hstack([low[:, None], levels, high[:, None]])
@@ -176,10 +154,10 @@ def pattern_gains(
 
 def _own_product(maps: ValueMap, chains: Sequence[Chain]) -> ValueMap:
     """Each chain's letters one after the other, of maps (letters, chains, levels)."""
-    padded, rows = _padded(chains), np.arange(len(chains))
-    total = maps[padded[:, 0], rows]
-    for place in range(1, padded.shape[1]):
-        total = total.then(maps[padded[:, place], rows])
+    numbers, rows = padded(chains), np.arange(len(chains))
+    total = maps[numbers[:, 0], rows]
+    for place in range(1, numbers.shape[1]):
+        total = total.then(maps[numbers[:, place], rows])
     return total
 
 
@@ -201,15 +179,15 @@ def slowest_pattern(loop: HeldLoop) -> Pattern:
     times = np.array([len(letter.steps) * h for letter in letters] + [0.0])
     products = _Products(steps, times)
     best = max(
-        _top(_alternating(letters, products), _Products.slowness),
-        _by_beam(letters, products, _Products.slowness, _SLOW_BEAM, _SLOW_LENGTH_MAX),
+        top_of(alternating(letters, products), _Products.slowness),
+        by_beam(letters, products, _Products.slowness, _SLOW_BEAM, _SLOW_LENGTH_MAX),
         key=lambda found: found[1],
     )
     while len(best[0]) <= _CHANGED_MAX:
-        better = _top(_changed(letters, products, best[0]), _Products.slowness)
+        better = top_of(changed(letters, products, best[0]), _Products.slowness)
         if not better[1] > best[1] + 1e-9 * abs(best[1]):
             break
-        best = _root(better[0]), better[1]
+        best = root_of(better[0]), better[1]
     return pattern_of(loop, _steps(letters, best[0]))
 
 
@@ -223,12 +201,12 @@ def worst_gain(loop: HeldLoop, known: Sequence[Pattern], changed_max: int = _CHA
     if math.isinf(found.gain):
         return found
     contest = _Contest(loop, found.gain)
-    contest.enter(_alternating(contest.letters, contest.maps))
+    contest.enter(alternating(contest.letters, contest.maps))
     contest.enter_beam()
     for _ in range(_ROUNDS):
         if not contest.best or len(contest.best) > changed_max:
             break
-        if not contest.enter(_changed(contest.letters, contest.maps, contest.best)):
+        if not contest.enter(changed(contest.letters, contest.maps, contest.best)):
             break
     if contest.best:
         pattern = pattern_of(loop, _steps(contest.letters, contest.best))
@@ -246,7 +224,7 @@ class _Contest:
         self._level = level * (1.0 + _WORTHWHILE)
         self.maps = _letter_maps(loop, self.letters, self._level)
 
-    def enter(self, entries: "_Entries[ValueMap]") -> bool:
+    def enter(self, entries: Entries[ValueMap]) -> bool:
         """Whether one of them wins: of those that exceed the level the last that does so as it rises."""
         chains, total = entries
         survivors = [chains[place] for place in np.flatnonzero(~_often(total, _SCORING).bounded)]
@@ -256,20 +234,20 @@ class _Contest:
         while share > 0.5 * _WORTHWHILE:
             level = self._level * (1.0 + share)
             maps = _letter_maps(self._loop, self.letters, level)
-            left = np.flatnonzero(~_often(_product(maps, survivors), _SCORING).bounded)
+            left = np.flatnonzero(~_often(product_of(maps, survivors), _SCORING).bounded)
             if len(left):
                 survivors, self._level, self.maps = [survivors[place] for place in left], level, maps
                 share = min(2.0 * share, 1.0)
             else:
                 share /= 2.0
-        self.best = _root(survivors[0])
+        self.best = root_of(survivors[0])
         return True
 
     def enter_beam(self) -> None:
         """Chains that grow from those that come nearest to the level."""
-        chain, score = _by_beam(self.letters, self.maps, _nearness, _BEAM, _LENGTH_MAX)
+        chain, score = by_beam(self.letters, self.maps, _nearness, _BEAM, _LENGTH_MAX)
         if score >= _BEYOND:
-            self.enter(([chain], _product(self.maps, [chain])))
+            self.enter(([chain], product_of(self.maps, [chain])))
 
 
 def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
@@ -284,7 +262,7 @@ def _nearness(total: ValueMap) -> Array:
     return np.where(total.bounded, largest_product(total.W, total.Q), _BEYOND)
 
 
-def _letter_maps(loop: HeldLoop, letters: Sequence[_Letter], gains: ArrayLike) -> ValueMap:
+def _letter_maps(loop: HeldLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
     """The value map of each letter at each of ``gains``, and last that of no time at all."""
     steps = sorted({step for letter in letters for step in letter.steps}, key=repr)
     by_step = dict(zip(steps, step_maps(loop, steps, gains), strict=True))
@@ -300,12 +278,12 @@ def _letter_maps(loop: HeldLoop, letters: Sequence[_Letter], gains: ArrayLike) -
     )
 
 
-def _letters(loop: HeldLoop) -> list[_Letter]:
+def _letters(loop: HeldLoop) -> list[Letter]:
     by_source: dict[int, list[Family]] = {}
     for family in families(loop.network):
         by_source.setdefault(family.source, []).append(family)
     begins = sorted({family.target for each in by_source.values() for family in each if family.windows})
-    return [_Letter(steps) for begin in begins for steps in _until_delivery(by_source, begin)]
+    return [Letter(steps) for begin in begins for steps in _until_delivery(by_source, begin)]
 
 
 def _until_delivery(by_source: dict[int, list[Family]], node: int) -> Iterator[tuple[PeriodStep, ...]]:
@@ -328,115 +306,11 @@ def _extremes(family: Family) -> Iterator[PeriodStep]:
             yield family.at(times)
 
 
-def _steps(letters: Sequence[_Letter], chain: Chain) -> tuple[PeriodStep, ...]:
+def _steps(letters: Sequence[Letter], chain: Chain) -> tuple[PeriodStep, ...]:
     return tuple(itertools.chain.from_iterable(letters[number].steps for number in chain))
 
 
-def _root(chain: Chain) -> Chain:
-    """The chain that ``chain`` repeats."""
-    lengths = (length for length in range(1, len(chain) + 1) if len(chain) % length == 0)
-    return next(chain[:k] for k in lengths if chain[:k] * (len(chain) // k) == chain)
-
-
-def _top(entries: "_Entries[_Total]", score: Callable[[_Total], Array]) -> tuple[Chain, float]:
-    chains, total = entries
-    if not chains:
-        return (), -math.inf
-    scores = score(total)
-    top = int(np.argmax(scores))
-    return chains[top], float(scores[top])
-
-
-def _product(maps: _Total, chains: Sequence[Chain]) -> _Total:
-    """Each chain's letters one after the other; the last letter, -1, lasts no time."""
-    padded = _padded(chains)
-    total = maps[padded[:, 0]]
-    for place in range(1, padded.shape[1]):
-        total = total.then(maps[padded[:, place]])
-    return total
-
-
-def _padded(chains: Sequence[Chain]) -> NDArray[np.int64]:
-    """(N, length) letters; -1, the last one, after a chain's end."""
-    padded = np.full((len(chains), max(map(len, chains))), -1)
-    for row, chain in enumerate(chains):
-        padded[row, : len(chain)] = chain
-    return padded
-
-
-def _alternating(letters: Sequence[_Letter], maps: _Total) -> "_Entries[_Total]":
-    """One delivery for ever, or so many of the one and then so many of the other."""
-    loops = [number for number, letter in enumerate(letters) if letter.source == letter.target]
-    chains: list[Chain] = [(number,) for number in loops]
-    for one, other in itertools.permutations(loops, 2):
-        if letters[one].source == letters[other].source:
-            chains += [
-                (*itertools.repeat(one, often), *itertools.repeat(other, seldom))
-                for often in _OFTEN
-                for seldom in _SELDOM
-                if seldom <= often
-            ]
-    return chains, _product(maps, chains) if chains else maps[:0]
-
-
-def _by_beam(
-    letters: Sequence[_Letter], maps: _Total, score: Callable[[_Total], Array], beam: int, length_max: int
-) -> tuple[Chain, float]:
-    """Every chain of one and two letters; longer ones grow from those of highest score."""
-    chains: list[Chain] = [(number,) for number in range(len(letters))]
-    best: tuple[Chain, float] = (), -math.inf
-    for _ in range(length_max):
-        scores = score(_product(maps, chains))
-        order = np.argsort(-scores, kind="stable")
-        closed = (place for place in order if _is_closed(letters, chains[place]))
-        first = next(closed, None)
-        # a longer pattern that only repeats a shorter one, up to rounding, does not replace it
-        if first is not None and (not best[0] or scores[first] > best[1] + 1e-9 * abs(best[1])):
-            best = chains[first], float(scores[first])
-        kept = order if len(order) <= len(letters) else order[:beam]
-        chains = _longer(letters, [chains[place] for place in kept])
-    return best
-
-
-def _longer(letters: Sequence[_Letter], chains: Sequence[Chain]) -> list[Chain]:
-    """Every chain with every letter that may follow it, one of each set of rotations."""
-    found: dict[Chain, Chain] = {}
-    for chain in chains:
-        for number, letter in enumerate(letters):
-            if letter.source == letters[chain[-1]].target:
-                longer = (*chain, number)
-                closed = letter.target == letters[chain[0]].source
-                least = min(longer[k:] + longer[:k] for k in range(len(longer))) if closed else longer
-                found.setdefault(least, longer)
-    return list(found.values())
-
-
-def _changed(letters: Sequence[_Letter], maps: _Total, chain: Chain) -> "_Entries[_Total]":
-    """``chain`` with a letter more, less, or another, as far as it stays a closed walk."""
-    found: list[tuple[Chain, int, int, int]] = []
-    length, none = len(chain), len(letters)
-    for place in range(length):
-        tried = [(chain[:place] + chain[place + 1 :], place, none, place + 1)]
-        for number in range(len(letters)):
-            tried.append(((*chain[:place], number, *chain[place:]), place, number, place))
-            tried.append(((*chain[:place], number, *chain[place + 1 :]), place, number, place + 1))
-        found += [each for each in tried if each[0] and each[0] != chain and _is_closed(letters, each[0])]
-    if not found:
-        return [], maps[:0]
-    before = _product(maps, [chain[:place] or (none,) for place in range(length + 1)])
-    after = _product(maps, [chain[place:] or (none,) for place in range(length + 1)])
-    firsts, middles, lasts = (np.array([each[part] for each in found]) for part in (1, 2, 3))
-    return [each[0] for each in found], before[firsts].then(maps[middles]).then(after[lasts])
-
-
-def _is_closed(letters: Sequence[_Letter], chain: Chain) -> bool:
-    return all(
-        letters[before].target == letters[after].source
-        for before, after in zip(chain, (*chain[1:], chain[0]), strict=True)
-    )
-
-
-def _transition(loop: HeldLoop, letter: _Letter) -> Array:
+def _transition(loop: HeldLoop, letter: Letter) -> Array:
     total = np.eye(loop.kept)
     for step in letter.steps:
         total = loop.kept_transition(loop.chain(step)) @ total

@@ -129,9 +129,7 @@ def speed(
             monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm
         )
         if chance is not None and network is None:
-            raise BadInput(
-                "--monte-carlo", "", monte_carlo, "a sampled loop with it: --period-ms and the network"
-            )
+            raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
         try:
             figures = continuous_figures(request)
             if network is not None:

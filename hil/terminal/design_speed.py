@@ -130,13 +130,7 @@ def speed(
     and the loop that really runs over it is certified as well.
     """
     with reported_errors():
-        if gamma is not None and error_percent is not None:
-            raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
-        if delay_ms is not None and network is not None:
-            raise BadInput("--network", "", str(network), "either --delay-ms or --network")
-        if all(value is None for value in (gamma, error_percent, delay_ms, network)):
-            expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
-            raise BadInput("hil design speed", "", None, expected)
+        _check_known(gamma, error_percent, delay_ms, network)
         if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
             expected = "full feedback without integral: Algorithm 4.2 knows no other"
             raise BadInput("--method", "", method.value, expected)
@@ -173,6 +167,19 @@ def speed(
             out,
             as_json,
         )
+
+
+def _check_known(
+    gamma: float | None, error_percent: float | None, delay_ms: float | None, network: Path | None
+) -> None:
+    """At most one of each pair, and at least one in all. Raises BadInput."""
+    if gamma is not None and error_percent is not None:
+        raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
+    if delay_ms is not None and network is not None:
+        raise BadInput("--network", "", str(network), "either --delay-ms or --network")
+    if all(value is None for value in (gamma, error_percent, delay_ms, network)):
+        expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
+        raise BadInput("hil design speed", "", None, expected)
 
 
 def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
