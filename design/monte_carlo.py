@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from design.delay_loop import Array
+from design.errors import UnsuitableNetwork
 from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.motor import PmsmParameters
-from design.speed_loop import speed_model
+from design.speed_loop import current_rate_rad_s, speed_model
 
 CONFIDENCE = 0.95
 _DIVERGED = 1e3
@@ -125,8 +126,23 @@ def quantile(values: Array, q: float) -> Estimate:
     return Estimate(value, low, high)
 
 
-def run_many(motor: PmsmParameters, K: Array, network: SampledNetwork, chance: Chance) -> Outcomes:
-    """Run them all, on as many threads as numba has."""
+def run_many(
+    motor: PmsmParameters,
+    K: Array,
+    network: SampledNetwork,
+    chance: Chance,
+    current_bandwidth_hz: float | None = None,
+) -> Outcomes:
+    """Run them all, on as many threads as numba has.
+
+    ``current_bandwidth_hz``: as of :func:`design.speed_loop.speed_model`; the uncertainties of R and L
+    make its.
+    """
+    if network.strategy is Strategy.ARRIVAL and network.delay_max_s > network.period_s * (1.0 + 1e-9):
+        raise UnsuitableNetwork(
+            f"random runs with a delay of up to {network.delay_max_s * 1e3:g} ms",
+            f"at most the period of {network.period_s * 1e3:g} ms, so that samples arrive in order",
+        )
     K = np.asarray(K, dtype=float)
     loop = HeldLoop(speed_model(motor, integral=len(K) == 3), K, network)  # checks K against the model
     gains = np.zeros(3)
@@ -139,8 +155,8 @@ def run_many(motor: PmsmParameters, K: Array, network: SampledNetwork, chance: C
     widths = np.array([u.resistance, u.inductance, u.inertia, u.friction, u.torque_constant])
     plant = np.array(
         [
-            motor.resistance_ohm,
-            motor.inductance_q_h,
+            current_rate_rad_s(motor, current_bandwidth_hz),
+            1.0,
             motor.inertia_kg_m2,
             motor.viscous_friction_nm_s,
             motor.torque_constant_nm_a,

@@ -1,20 +1,21 @@
-"""What can be said of the loop that really runs: decay, gain, and a certificate for every sequence.
+"""What can be said of the loop that really runs: its decay and its gain, certified and found.
 
-Two kinds of statement, kept apart: what holds under a stated periodic pattern (exact), and what holds
-under every admissible sequence of losses and delays (certified). A pattern found by search bounds from
-the other side what any certificate can reach.
+Two kinds of statement, kept apart. What is *certified* holds under every admissible sequence of losses and
+delays. What is *found* is reached under one of them, a pattern that a search came upon: no certificate
+can be better, and between the two lies the truth.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from design.admissible_steps import Delivery
 from design.delay_loop import Array
 from design.errors import NoSolution
-from design.held_loop import Delivery, HeldLoop, SampledNetwork, Strategy
-from design.lifting import sampled_gain
-from design.loss_patterns import Pattern, chain_of, repeated, worst_pattern
-from design.sequence_certificate import SequenceCertificate, certify
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.loss_patterns import Pattern, WorstGain, pattern_gains, repeated, slowest_pattern, worst_gain
+from design.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
 from design.speed_loop import SpeedModel
 
 
@@ -22,57 +23,78 @@ from design.speed_loop import SpeedModel
 class SampledAnalysis:
     """The figures of one sampled loop."""
 
-    network: SampledNetwork
+    loop: HeldLoop
     regular: list[Pattern]
     """Under d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
     gains: list[float]
     """Gain from load torque to speed error under each of them, rad/s per N m; inf where unstable."""
-    worst: Pattern
+    slowest: Pattern
     """The periodic pattern of least decay that the search found."""
-    certificate: SequenceCertificate | None
+    worst: WorstGain
+    """The one of largest gain."""
+    decay_proof: SequenceCertificate | None
     """None: not even stability could be certified for every sequence."""
+    gain_proof: SequenceCertificate | None
     without_certificate: str = ""
     """Why there is none, if that is so."""
 
     @property
-    def decay_per_s(self) -> float:
-        """Least decay of the regular patterns, 1/s; negative: unstable."""
-        return min(pattern.decay_per_s for pattern in self.regular)
+    def network(self) -> SampledNetwork:
+        """What the loop runs over."""
+        return self.loop.network
 
     @property
-    def gain(self) -> float:
-        """Largest gain of the regular patterns, rad/s per N m."""
-        return max(self.gains)
+    def decay_found_per_s(self) -> float:
+        """Least decay that was found, 1/s; negative: unstable."""
+        return self.slowest.decay_per_s
+
+    @property
+    def decay_certified_per_s(self) -> float | None:
+        """Decay under every sequence, 1/s."""
+        return None if self.decay_proof is None else self.decay_proof.decay_per_s
+
+    @property
+    def gain_found(self) -> float:
+        """Largest gain that was found, rad/s per N m; inf: unstable."""
+        return self.worst.gain
+
+    @property
+    def gain_certified(self) -> float | None:
+        """Gain that no sequence exceeds, rad/s per N m."""
+        return None if self.gain_proof is None else self.gain_proof.gain
 
     @property
     def certified(self) -> bool:
-        """Whether the loop is proved to be stable under every admissible sequence."""
-        return self.certificate is not None and self.certificate.decay_per_s > 0.0
+        """Whether decay and gain are proved under every admissible sequence."""
+        return bool(self.decay_certified_per_s) and self.gain_certified is not None
 
     @property
     def refuted(self) -> bool:
         """Whether an admissible pattern is known that makes the loop unstable."""
-        return self.worst.decay_per_s <= 0.0
+        return self.slowest.decay_per_s <= 0.0
 
 
 def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> SampledAnalysis:
-    """Everything of :class:`SampledAnalysis`. Raises NoSolution if a norm cannot be shown to be one."""
+    """Everything of :class:`SampledAnalysis`."""
     loop = HeldLoop(model, np.asarray(K, dtype=float), network)
     regular = regular_patterns(loop)
-    gains = [sampled_gain(loop, chain_of(loop, pattern)) for pattern in regular]
-    worst = min([worst_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
-    certificate, why = None, "no quadratic functions were found that fall along every sequence"
-    if worst.decay_per_s <= 0.0:
-        return SampledAnalysis(
-            network, regular, gains, worst, None, "a pattern is known that destabilises it"
-        )
+    gains = pattern_gains(loop, regular).tolist()
+    slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
+    if slowest.decay_per_s <= 0.0:
+        why = "a pattern is known that destabilises it"
+        worst = WorstGain(slowest, math.inf)
+        return SampledAnalysis(loop, regular, gains, slowest, worst, None, None, why)
+    worst = worst_gain(loop, [*regular, slowest])
+    patterns = [worst.pattern, slowest, *regular]
+    decay_proof, gain_proof, why = None, None, ""
     try:
-        certificate = certify(loop, worst.decay_per_s)
+        decay_proof = certify_decay(loop, patterns, worst.gain)
+        gain_proof = certify_gain(loop, patterns, worst.gain)
     except NoSolution as error:
         why = str(error)
-    return SampledAnalysis(
-        network, regular, gains, worst, certificate, "" if certificate is not None else why
-    )
+    if not why and (decay_proof is None or gain_proof is None):
+        why = "no quadratic functions were found that fall along every sequence"
+    return SampledAnalysis(loop, regular, gains, slowest, worst, decay_proof, gain_proof, why)
 
 
 def regular_patterns(loop: HeldLoop) -> list[Pattern]:

@@ -1,10 +1,12 @@
 """The speed loop of a field-oriented PMSM in error coordinates, [Ling2012] (2.5), (2.6) and (2.15).
 
     x = [i_q* - i_q, omega* - omega]        x' = A x + B1 u + B2 d        z = C x = e
-    A = [-R/L, 0; K_t/J, -B_0/J]   B1 = [R/L, 0]'   B2 = [0, 1/J]'   u = K x(t - eta)
+    A = [-a, 0; K_t/J, -B_0/J]   B1 = [a, 0]'   B2 = [0, 1/J]'   u = K x(t - eta)
 
-L is the q-axis inductance and K_t the torque per q-axis ampere at i_d = 0. With integral action the
-state is [e_q, e, integral of e] and K = [K1 (A/A), K2 (A s/rad), K3 (A/rad)].
+a is the rate of the drive's current loop, of first order: its PI cancels the pole of the winding. The
+paper has a drive without one, whose current follows the voltage with R/L. K_t is the torque per q-axis
+ampere at i_d = 0. With integral action the state is [e_q, e, integral of e] and
+K = [K1 (A/A), K2 (A s/rad), K3 (A/rad)].
 """
 
 import math
@@ -84,9 +86,21 @@ class SpeedModel:
         return 4.0 * (delay_s - 1.0 / float(self.A[0, 0]))
 
 
-def speed_model(motor: PmsmParameters, integral: bool = False) -> SpeedModel:
-    """The model of ``motor``, with the integral of the speed error as third state if ``integral``."""
-    rate = motor.resistance_ohm / motor.inductance_q_h
+def current_rate_rad_s(motor: PmsmParameters, current_bandwidth_hz: float | None) -> float:
+    """a: of a current loop of that bandwidth; None: of the winding alone, R/L, as in [Ling2012]."""
+    if current_bandwidth_hz is None:
+        return motor.resistance_ohm / motor.inductance_q_h
+    return math.tau * current_bandwidth_hz
+
+
+def speed_model(
+    motor: PmsmParameters, integral: bool = False, current_bandwidth_hz: float | None = None
+) -> SpeedModel:
+    """The model of ``motor``, with the integral of the speed error as third state if ``integral``.
+
+    ``current_bandwidth_hz``: of the drive's current loop; None: the winding's own, R/L, as in [Ling2012].
+    """
+    rate = current_rate_rad_s(motor, current_bandwidth_hz)
     J = motor.inertia_kg_m2
     A = np.array([[-rate, 0.0], [motor.torque_constant_nm_a / J, -motor.viscous_friction_nm_s / J]])
     B1, B2, C = np.array([rate, 0.0]), np.array([0.0, 1.0 / J]), np.array([0.0, 1.0])

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from design.admissible_steps import Delivery
 from design.certificate import certified_delay_s, certified_gain
 from design.cone_complementarity import largest_ccl_delay
 from design.delay_loop import Array, DelayLoop
 from design.delay_norm import hinf_norm, largest_stable_delay_s
 from design.delay_response import Response, respond, step_peak
-from design.held_loop import Delivery, HeldLoop, SampledNetwork, Strategy
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.lmi_design import certified_delay_within, largest_certified_delay, starts_between
 from design.loss_patterns import repeated
 from design.motor import PmsmParameters, Transform

@@ -10,6 +10,9 @@ from pydantic import Field
 
 from hil.configuration.config_files import Section
 
+_ROUNDING = 1e-9
+"""Of a bandwidth that was written to a file and read again."""
+
 Rows = Annotated[tuple[Annotated[tuple[float, ...], Field(strict=False)], ...], Field(strict=False)]
 
 
@@ -21,6 +24,21 @@ class Plant(Section):
     inertia_kg_m2: float = Field(gt=0)
     viscous_friction_nm_s: float = Field(ge=0)
     torque_constant_nm_a: float = Field(gt=0)
+
+
+class CurrentLoop(Section):
+    """``current_loop``: the drive's, as the design saw it, and where the certificates hold."""
+
+    order: Literal[1] = 1
+    """A PI that cancels the pole of the winding makes it one of first order."""
+    bandwidth_hz: float = Field(gt=0)
+    bandwidth_min_hz: float = Field(gt=0)
+    bandwidth_max_hz: float = Field(gt=0)
+
+    def covers(self, bandwidth_hz: float) -> bool:
+        """Whether the certificates hold for a drive whose current loop has ``bandwidth_hz``."""
+        slack = _ROUNDING * self.bandwidth_hz
+        return self.bandwidth_min_hz - slack <= bandwidth_hz <= self.bandwidth_max_hz + slack
 
 
 class MadeFor(Section):
@@ -36,16 +54,24 @@ class MadeFor(Section):
     agreed_delay_us: int | None = Field(default=None, gt=0)
     """At which stamp and history apply a sample."""
     plant: Plant | None = None
+    current_loop: CurrentLoop | None = None
+    """Absent: a drive without one, whose current follows the voltage with R/L, as in [Ling2012]."""
 
 
 class SequenceProof(Section):
-    """``sequences``: the sampled loop decays at ``decay_per_s`` under every admissible loss and delay."""
+    """``sequences``: what holds under every admissible loss and delay, beside the worst that was found."""
 
-    decay_per_s: float
-    gamma_sampled: float = Field(ge=0)
-    """Largest gain under d lost of every d + 1, rad/s per N m."""
+    gain_certified: float = Field(gt=0)
+    """From load torque to speed error, rad/s per N m."""
+    gain_certified_all_bandwidths: float | None = Field(default=None, gt=0)
+    """The same for every bandwidth of ``current_loop``."""
+    gain_found: float = Field(gt=0)
+    decay_certified_per_s: float = Field(gt=0)
+    decay_certified_all_bandwidths_per_s: float | None = Field(default=None, gt=0)
+    decay_found_per_s: float = Field(gt=0)
     min_margin: float
-    P: Annotated[tuple[Rows, ...], Field(strict=False)]
+    gain_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
+    decay_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
     """The matrix of each node's quadratic function, in the coordinates of ``design/held_loop.py``."""
 
 

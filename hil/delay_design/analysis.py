@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from design.admissible_steps import deliveries_of
 from design.certificate import (
     CLOSE_ENOUGH,
     ORDER_MAX,
@@ -19,14 +20,14 @@ from design.delay_loop import Array, DelayLoop
 from design.delay_norm import hinf_peak, largest_stable_delay_s
 from design.delay_response import step_peak
 from design.errors import NoSolution
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.lifting import sampled_gain
+from design.held_loop import SampledNetwork, Strategy
 from design.lmi import SOLVER
-from design.loss_patterns import Pattern, chain_of, deliveries_of, repeated
+from design.loss_patterns import Pattern
 from design.monte_carlo import Chance, Estimate, run_many
 from design.motor import PmsmParameters
 from design.sampled import SampledAnalysis, analyse_sampled
 from design.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
+from design.worst_peak import worst_peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +43,13 @@ class LoopRequest:
     load_nm: float
     speed_rad_s: float
     """Load and speed for the figures in percent."""
+    current_bandwidth_hz: float | None = None
+    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
+
+    @property
+    def model(self) -> SpeedModel:
+        """Of the plant."""
+        return speed_model(self.motor, len(self.K) == 3, self.current_bandwidth_hz)
 
 
 def finite(value: float) -> float | None:
@@ -51,7 +59,7 @@ def finite(value: float) -> float | None:
 
 def continuous_figures(request: LoopRequest) -> dict[str, Any]:
     """The loop with the constant delay, [Ling2012] (2.15). No value is infinite; None stands for that."""
-    model = speed_model(request.motor, integral=len(request.K) == 3)
+    model = request.model
     loop = model.loop(request.K, request.delay_s)
     exact = hinf_peak(loop)
     stable = math.isfinite(exact.gain)
@@ -64,6 +72,7 @@ def continuous_figures(request: LoopRequest) -> dict[str, Any]:
     return {
         "stable": stable,
         "gain": request.K.tolist(),
+        "current_bandwidth_hz": request.current_bandwidth_hz,
         "delay_s": request.delay_s,
         "gamma_exact": finite(exact.gain),
         "peak_frequency_rad_s": exact.frequency_rad_s if stable else None,
@@ -86,12 +95,18 @@ def continuous_figures(request: LoopRequest) -> dict[str, Any]:
 def _certified(
     model: SpeedModel, loop: DelayLoop, order: int | None
 ) -> tuple[CertifiedGain | None, dict[str, Any]]:
-    try:
-        found = certified_gain_auto(model, loop) if order is None else certified_gain(model, loop, order)
-    except NoSolution as error:
-        return None, {"solver": SOLVER, "status": str(error), "min_margin": None}
-    proof = found.proof
-    return found, {"solver": proof.solver, "status": proof.status, "min_margin": proof.min_margin}
+    failures = []
+    # a functional of higher order contains those of lower ones: what they certify, it does
+    for tried in [None] if order is None else range(order, -1, -1):
+        try:
+            found = certified_gain_auto(model, loop) if tried is None else certified_gain(model, loop, tried)
+        except NoSolution as error:
+            failures.append(str(error))
+            continue
+        proof = found.proof
+        status = "; ".join([*failures, f"{proof.status} at order {found.order}"])
+        return found, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
+    return None, {"solver": SOLVER, "status": "; ".join(failures), "min_margin": None}
 
 
 def _certified_delay(
@@ -127,11 +142,7 @@ def _percent(
 
 def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, Any]:
     """The loop that really runs, over ``network``."""
-    model = speed_model(request.motor, integral=len(request.K) == 3)
-    found = analyse_sampled(model, request.K, network)
-    certificate = found.certificate
-    by_losses = _by_losses(HeldLoop(model, request.K, network), found)
-    gain = max(figure.gain for figure in by_losses)
+    found = analyse_sampled(request.model, request.K, network)
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
@@ -139,59 +150,61 @@ def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, 
         "tau_max_s": network.delay_max_s,
         "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
         "age_max_s": network.age_max_s,
-        "decay_per_s": finite(min(figure.decay_per_s for figure in by_losses)),
-        "gamma_sampled": finite(gain),
-        "gamma_sampled_percent": finite(100.0 * gain * request.load_nm / request.speed_rad_s),
+        **sequence_figures(found, 100.0 * request.load_nm / request.speed_rad_s),
         "by_losses": [
-            {"lost": lost, "decay_per_s": finite(figure.decay_per_s), "gamma": finite(figure.gain)}
-            for lost, figure in enumerate(by_losses)
+            {"lost": lost, "decay_per_s": finite(pattern.decay_per_s), "gamma": finite(gain)}
+            for lost, (pattern, gain) in enumerate(zip(found.regular, found.gains, strict=True))
         ],
+    }
+
+
+def sequence_figures(found: SampledAnalysis, percent: float) -> dict[str, Any]:
+    """What holds under every sequence beside what was found under one.
+
+    ``percent``: of the speed, for a gain of 1 rad/s per N m.
+    """
+    gain, proofs = found.gain_certified, [found.gain_proof, found.decay_proof]
+    margins = [proof.min_margin for proof in proofs if proof is not None]
+    peak = math.inf if found.refuted else worst_peak(found.loop).peak
+    return {
         "certified": found.certified,
-        "certified_decay_per_s": None if certificate is None else certificate.decay_per_s,
         "refuted": found.refuted,
-        "worst_pattern": _pattern(found.worst),
+        "sequences": {
+            # no bound of the peak is proved over every sequence: only what a search reaches is known
+            "step_peak_rad_s": _bounds(None, peak),
+            "step_peak_percent": _bounds(None, peak * percent),
+            "gain": _bounds(gain, found.gain_found),
+            "error_percent": _bounds(None if gain is None else gain * percent, found.gain_found * percent),
+            "decay_per_s": _bounds(found.decay_certified_per_s, found.decay_found_per_s),
+            "gain_pattern": _pattern(found.network, found.worst.pattern),
+            "decay_pattern": _pattern(found.network, found.slowest),
+        },
         "sequence_certificate": {
             "solver": SOLVER,
-            "status": certificate.status if certificate else found.without_certificate,
-            "min_margin": certificate.min_margin if certificate else None,
+            "status": found.without_certificate or "Solved",
+            "min_margin": min(margins) if found.certified else None,
         },
     }
 
 
-@dataclass(frozen=True, slots=True)
-class _Regular:
-    """With d lost of every d + 1: the least decay and the largest gain over the delays of the others."""
-
-    decay_per_s: float
-    gain: float
-
-
-def _by_losses(loop: HeldLoop, found: SampledAnalysis) -> list[_Regular]:
-    """For d from 0 to D; where a delay makes a difference, all are delayed by T, by a part, or not at all."""
-    figures = []
-    for pattern, gain in zip(found.regular, found.gains, strict=True):
-        interval = pattern.deliveries[0].interval
-        others = [repeated(loop, (each,)) for each in deliveries_of(loop) if each.interval == interval]
-        prompt = others[0]
-        if prompt.deliveries != pattern.deliveries:
-            gain = max(gain, sampled_gain(loop, chain_of(loop, prompt)))
-        figures.append(_Regular(min(other.decay_per_s for other in [pattern, *others]), gain))
-    return figures
+def _bounds(certified: float | None, found: float) -> dict[str, float | None]:
+    """A figure from both sides, and the gap in percent of the one that was found."""
+    gap = None
+    if certified is not None and math.isfinite(found):
+        gap = 100.0 * abs(certified - found) / abs(found)
+    return {"certified": certified, "found": finite(found), "gap_percent": gap}
 
 
-def _pattern(pattern: Pattern) -> dict[str, Any]:
-    return {
-        "decay_per_s": finite(pattern.decay_per_s),
-        "deliveries": [
-            {"delay_s": delivery.delay_s, "lost_after": delivery.interval - 1}
-            for delivery in pattern.deliveries
-        ],
-    }
+def _pattern(network: SampledNetwork, pattern: Pattern) -> list[dict[str, Any]]:
+    return [
+        {"delay_s": delivery.delay_s, "lost_after": delivery.interval - 1}
+        for delivery in deliveries_of(network, pattern.steps)
+    ]
 
 
 def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
     """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
-    found = run_many(request.motor, request.K, network, chance)
+    found = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
     share = 100.0 / request.speed_rad_s
     quantiles = {f"p{100 * q:g}": found.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
     return {

@@ -10,7 +10,13 @@ from design.lmi import SOLVER
 from design.motor import PmsmParameters
 from drivers.errors import BadInput
 from hil.configuration.config_axis import StateFeedbackController
-from hil.configuration.speed_controller_file import Certificate, MadeFor, Plant, SequenceProof
+from hil.configuration.speed_controller_file import (
+    Certificate,
+    CurrentLoop,
+    MadeFor,
+    Plant,
+    SequenceProof,
+)
 from hil.configuration.toml_text import toml_text
 from hil.delay_design.analysis import finite
 from hil.delay_design.synthesis import DesignResult
@@ -79,7 +85,9 @@ def write_controller(path: Path, result: DesignResult) -> None:
 def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
     found = MadeFor(
-        delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6), plant=plant_of(result.request.motor)
+        delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6),
+        plant=plant_of(result.request.motor),
+        current_loop=_current_loop(result),
     )
     return found if network is None else found.model_copy(update=_network(network))
 
@@ -97,12 +105,31 @@ def _network(network: SampledNetwork) -> dict[str, object]:
 
 def _sequences(result: DesignResult) -> SequenceProof | None:
     sampled = result.sampled
-    if sampled is None or sampled.certificate is None:
+    if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
         return None
-    certificate = sampled.certificate
+    gain, decay = sampled.gain_proof, sampled.decay_proof
+    assert gain.gain is not None
+    assert decay.decay_per_s is not None
     return SequenceProof(
-        decay_per_s=certificate.decay_per_s,
-        gamma_sampled=sampled.gain,
-        min_margin=certificate.min_margin,
-        P=tuple(np.asarray(matrix).tolist() for matrix in certificate.P),
+        gain_certified=gain.gain,
+        gain_certified_all_bandwidths=result.bandwidths.gain if result.bandwidths else None,
+        gain_found=sampled.gain_found,
+        decay_certified_per_s=decay.decay_per_s,
+        decay_certified_all_bandwidths_per_s=result.bandwidths.decay_per_s if result.bandwidths else None,
+        decay_found_per_s=sampled.decay_found_per_s,
+        min_margin=min(gain.min_margin, decay.min_margin),
+        gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),
+        decay_matrices=tuple(np.asarray(matrix).tolist() for matrix in decay.P),
+    )
+
+
+def _current_loop(result: DesignResult) -> CurrentLoop | None:
+    bandwidth_hz = result.request.current_bandwidth_hz
+    if bandwidth_hz is None:
+        return None
+    covered = result.bandwidths
+    return CurrentLoop(
+        bandwidth_hz=bandwidth_hz,
+        bandwidth_min_hz=bandwidth_hz if covered is None else covered.min_hz,
+        bandwidth_max_hz=bandwidth_hz if covered is None else covered.max_hz,
     )

@@ -1,27 +1,38 @@
 """What ``hil design speed`` answers: the best speed feedback for a delay, a network, or a wanted gain."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from design.bandwidth_range import BandwidthRange, bandwidth_range
 from design.certificate import CertifiedGain, certified_gain, certified_gain_auto
 from design.cone_complementarity import largest_ccl_delay
 from design.delay_loop import Array
 from design.delay_norm import hinf_norm
 from design.errors import DesignError, NoSolution
-from design.held_loop import SampledNetwork, Strategy
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.lmi import SOLVER
 from design.lmi_design import largest_certified_delay, least_certified_gain
 from design.motor import PmsmParameters
 from design.sampled import SampledAnalysis, analyse_sampled
 from design.sampled_design import least_sampled_gain
 from design.speed_design import largest_delay, least_gain
-from design.speed_loop import Feedback, SpeedModel, peak_floor_rad_s, percent_of_speed, speed_model
-from hil.delay_design.analysis import finite
+from design.speed_loop import (
+    Feedback,
+    SpeedModel,
+    current_rate_rad_s,
+    peak_floor_rad_s,
+    percent_of_speed,
+    speed_model,
+)
+from design.speed_robustness import Changed, speed_robustness
+from hil.delay_design.analysis import finite, sequence_figures
 
 _CCL_BISECTIONS = 12
 _CCL_SPAN = 1.5
 """Over the least certified gain: where the bisection for Algorithm 4.2 begins."""
+_NO_DELAY_S = 1e-6
+"""As good as none for a loop that is sampled; without any the least gain is not attained."""
 _KEPT = 1.0 + 1e-6
 """Share of the wanted gain that still counts as keeping it."""
 
@@ -45,6 +56,8 @@ class DesignRequest:
     speed_rad_s: float
     """For figures in percent."""
     integral_time_s: float | None = None
+    current_bandwidth_hz: float | None = None
+    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
     for_sampled: bool = False
     """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
 
@@ -63,6 +76,8 @@ class DesignResult:
     certified: CertifiedGain | None
     """Of the loop with the constant delay; None if the sampled loop was made best."""
     sampled: SampledAnalysis | None
+    bandwidths: BandwidthRange | None = None
+    """Of the current loop, for which the certificates of the sampled loop hold; None: not looked at."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -73,6 +88,7 @@ class DesignResult:
         found: dict[str, Any] = {
             "feasible": True,
             "gain": self.K.tolist(),
+            "current_bandwidth_hz": request.current_bandwidth_hz,
             "gamma": self.gamma,
             "delay_s": self.delay_s,
             "method": request.method,
@@ -87,19 +103,17 @@ class DesignResult:
             "peak_floor_percent": percent_of_speed(floor, request.load_nm, request.speed_rad_s),
         }
         if self.sampled is not None and request.network is not None:
-            found["sampled"] = _sampled_figures(request.network, self.sampled)
+            share = 100.0 * request.load_nm / request.speed_rad_s
+            found["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
+        if self.bandwidths is not None:
+            found["current_bandwidths"] = asdict(self.bandwidths)
+        found["robustness"] = _robustness(self)
         return found
 
     def _certificate(self) -> dict[str, Any]:
         if self.certified is None:
             assert self.sampled is not None
-            sequences = self.sampled.certificate
-            return {
-                "decay_per_s": None if sequences is None else sequences.decay_per_s,
-                "solver": SOLVER,
-                "status": self.sampled.without_certificate if sequences is None else sequences.status,
-                "min_margin": None if sequences is None else sequences.min_margin,
-            }
+            return {"solver": SOLVER, "status": "see sampled"}
         return {
             "gamma": self.certified.gain,
             "order": self.certified.order,
@@ -109,20 +123,63 @@ class DesignResult:
         }
 
 
-def _sampled_figures(network: SampledNetwork, found: SampledAnalysis) -> dict[str, Any]:
-    certificate = found.certificate
+def _robustness(result: DesignResult) -> dict[str, Any]:
+    """For JSON."""
+    request, sampled = result.request, result.sampled
+
+    def plant(motor: PmsmParameters, share: float) -> SpeedModel:
+        rate = current_rate_rad_s(request.motor, request.current_bandwidth_hz) * share
+        return speed_model(motor, request.integral, rate / math.tau)
+
+    model = plant(request.motor, 1.0)
+    held = None if request.network is None else HeldLoop(model, result.K, request.network)
+    patterns = [] if sampled is None else [sampled.worst.pattern, sampled.slowest, *sampled.regular]
+    loop = model.loop(result.K, result.delay_s)
+    found = speed_robustness(plant, request.motor, loop, held, patterns)
+
+    def changed(other: Changed) -> dict[str, float | None]:
+        found_gain = None if other.gain_found is None else finite(other.gain_found)
+        return {"gamma_exact": finite(other.gain), "gain_found": found_gain}
+
+    return {
+        "peak_over_floor": finite(found.peak_over_floor),
+        "gain_margin_db": finite(found.margins.gain_margin_db),
+        "phase_margin_deg": finite(found.margins.phase_margin_deg),
+        "modulus_margin": finite(found.margins.modulus_margin),
+        "delay_margin_s": finite(found.delay_margin_s),
+        "inertia_70_percent": changed(found.inertia_less),
+        "inertia_130_percent": changed(found.inertia_more),
+        "current_bandwidth_50_percent": changed(found.current_loop_slower),
+        "noise_to_torque_nm_s_rad": finite(found.noise_nm_s_rad),
+    }
+
+
+def with_bandwidths(result: DesignResult) -> DesignResult:
+    """The same with the range of current bandwidths that its certificates cover."""
+    request, sampled = result.request, result.sampled
+    if sampled is None or request.network is None or request.current_bandwidth_hz is None:
+        return result
+    gain, decay = sampled.gain_certified, sampled.decay_certified_per_s
+    if gain is None or decay is None:
+        return result
+    bandwidth_hz = request.current_bandwidth_hz
+    found = bandwidth_range(
+        lambda hz: speed_model(request.motor, request.integral, hz),
+        result.K,
+        request.network,
+        [sampled.worst.pattern, sampled.slowest, *sampled.regular],
+        BandwidthRange(bandwidth_hz, bandwidth_hz, gain, decay),
+    )
+    return replace(result, bandwidths=found)
+
+
+def _network_figures(network: SampledNetwork) -> dict[str, Any]:
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
         "loss_max": network.losses_max,
         "tau_max_s": network.delay_max_s,
         "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
-        "gamma_sampled": finite(found.gain),
-        "decay_per_s": finite(min(found.decay_per_s, found.worst.decay_per_s)),
-        "certified": found.certified,
-        "certified_decay_per_s": None if certificate is None else certificate.decay_per_s,
-        "min_margin": None if certificate is None else certificate.min_margin,
-        "status": found.without_certificate if certificate is None else certificate.status,
     }
 
 
@@ -207,12 +264,16 @@ class _Found:
 
 def design_speed(request: DesignRequest) -> DesignResult:
     """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
-    model = speed_model(request.motor, integral=request.integral)
+    model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
     if request.for_sampled:
         return _for_sampled(model, request)
     if request.delay_s is None:
         assert request.gamma is not None
-        found = _largest(model, request, request.gamma)
+        try:
+            found = _largest(model, request, request.gamma)
+        except NoSolution:
+            # not even without delay: what can be had there is the answer
+            raise Unreachable(request, _NO_DELAY_S, _least(model, request, _NO_DELAY_S), None) from None
     else:
         found = _least(model, request, request.delay_s)
         if request.gamma is not None and found.gamma > request.gamma * _KEPT:
@@ -221,6 +282,8 @@ def design_speed(request: DesignRequest) -> DesignResult:
     exact = request.method == "exact"
     certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
     sampled = analyse_sampled(model, found.K, request.network) if request.network else None
+    if request.gamma is not None and sampled is not None:
+        _demand_sampled(request, found, sampled, request.gamma)
     return DesignResult(request, found.K, found.delay_s, found.gamma, hinf_norm(loop), certified, sampled)
 
 
@@ -228,12 +291,24 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     network, delay_s = request.network, request.delay_s
     assert network is not None
     assert delay_s is not None
-    found = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
-    if request.gamma is not None and found.gain > request.gamma * _KEPT:
-        raise Unreachable(request, delay_s, _Found(found.K, delay_s, found.gain), None)
-    exact = hinf_norm(model.loop(found.K, delay_s))
-    sampled = analyse_sampled(model, found.K, network)
-    return DesignResult(request, found.K, delay_s, found.gain, exact, None, sampled)
+    best = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
+    sampled = analyse_sampled(model, best.K, network)
+    gain = sampled.gain_certified
+    if gain is None:
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
+    if request.gamma is not None:
+        _demand_sampled(request, _Found(best.K, delay_s, gain), sampled, request.gamma)
+    exact = hinf_norm(model.loop(best.K, delay_s))
+    return DesignResult(request, best.K, delay_s, gain, exact, None, sampled)
+
+
+def _demand_sampled(request: DesignRequest, found: "_Found", sampled: SampledAnalysis, gamma: float) -> None:
+    """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
+    certified = sampled.gain_certified
+    if certified is None:
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
+    if certified > gamma * _KEPT:
+        raise Unreachable(request, found.delay_s, _Found(found.K, found.delay_s, certified), None)
 
 
 def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:

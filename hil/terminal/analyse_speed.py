@@ -9,6 +9,8 @@ import typer
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.speed_options import (
+    CURRENT_BANDWIDTH_HZ,
+    CurrentBandwidthOption,
     JsonOption,
     LoadOption,
     MotorArgument,
@@ -79,6 +81,7 @@ def speed(
     gain: GainOption,
     delay_ms: DelayMsOption = None,
     order: OrderOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = CURRENT_BANDWIDTH_HZ,
     speed_rpm: SpeedOption = None,
     load_nm: LoadOption = None,
     period_ms: PeriodMsOption = None,
@@ -118,6 +121,7 @@ def speed(
             K=gains,
             delay_s=_delay_s(delay_ms, network),
             order=order,
+            current_bandwidth_hz=current_bandwidth_hz,
             load_nm=load_nm or parameters.rated_torque_nm,
             speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
         )
@@ -125,9 +129,7 @@ def speed(
             monte_carlo, seed, loss_probability, uncertainty_percent, duration_s, request.load_nm
         )
         if chance is not None and network is None:
-            raise BadInput(
-                "--monte-carlo", "", monte_carlo, "a sampled loop with it: --period-ms and the network"
-            )
+            raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
         try:
             figures = continuous_figures(request)
             if network is not None:

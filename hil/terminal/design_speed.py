@@ -12,6 +12,8 @@ from drivers.errors import BadInput
 from hil.terminal.analyse_speed import StrategyName
 from hil.terminal.exit_status import ExitStatus, reported_errors
 from hil.terminal.speed_options import (
+    CURRENT_BANDWIDTH_HZ,
+    CurrentBandwidthOption,
     JsonOption,
     LoadOption,
     MotorArgument,
@@ -111,6 +113,7 @@ def speed(
     error_percent: ErrorPercentOption = None,
     load_nm: LoadOption = None,
     speed_rpm: SpeedOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = CURRENT_BANDWIDTH_HZ,
     delay_ms: DelayMsOption = None,
     network: NetworkOption = None,
     strategy: StrategyOption = StrategyName.ARRIVAL,
@@ -131,13 +134,7 @@ def speed(
     and the loop that really runs over it is certified as well.
     """
     with reported_errors():
-        if gamma is not None and error_percent is not None:
-            raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
-        if delay_ms is not None and network is not None:
-            raise BadInput("--network", "", str(network), "either --delay-ms or --network")
-        if all(value is None for value in (gamma, error_percent, delay_ms, network)):
-            expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
-            raise BadInput("hil design speed", "", None, expected)
+        _check_known(gamma, error_percent, delay_ms, network)
         if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
             expected = "full feedback without integral: Algorithm 4.2 knows no other"
             raise BadInput("--method", "", method.value, expected)
@@ -168,11 +165,25 @@ def speed(
                 load_nm=load,
                 speed_rad_s=at_rad_s,
                 integral_time_s=None if integral_time_ms is None else 1e-3 * integral_time_ms,
+                current_bandwidth_hz=current_bandwidth_hz,
                 for_sampled=target is TargetName.SAMPLED,
             ),
             out,
             as_json,
         )
+
+
+def _check_known(
+    gamma: float | None, error_percent: float | None, delay_ms: float | None, network: Path | None
+) -> None:
+    """At most one of each pair, and at least one in all. Raises BadInput."""
+    if gamma is not None and error_percent is not None:
+        raise BadInput("--error-percent", "", error_percent, "either --gamma or --error-percent")
+    if delay_ms is not None and network is not None:
+        raise BadInput("--network", "", str(network), "either --delay-ms or --network")
+    if all(value is None for value in (gamma, error_percent, delay_ms, network)):
+        expected = "--gamma or --error-percent, --delay-ms or --network, or one of each"
+        raise BadInput("hil design speed", "", None, expected)
 
 
 def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
@@ -211,10 +222,12 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float 
 
 def _finish(request: "DesignRequest", out: Path | None, as_json: bool) -> None:
     from design.errors import DesignError
-    from hil.delay_design.synthesis import Unreachable, design_speed
+    from hil.delay_design.synthesis import Unreachable, design_speed, with_bandwidths
 
     try:
         result = design_speed(request)
+        if out is not None:
+            result = with_bandwidths(result)
     except Unreachable as error:
         if as_json:
             typer.echo(json.dumps(error.figures, allow_nan=False))

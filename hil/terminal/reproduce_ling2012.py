@@ -53,7 +53,7 @@ def _print(found: dict[str, Any]) -> None:
         print_figures(found[case], "  ")
     console.print("Strategies on 10 ms, 5 losses in a row, 4 ms of delay, K as printed")
     for name, item in found["strategies"].items():
-        shown = ("decay_per_s", "certified_decay_per_s", "gamma_sampled", "age_max_s")
+        shown = ("sequences", "age_max_s")
         print_figures({name: {key: item[key] for key in shown}}, "  ")
     for text in DISAGREEMENTS:
         console.print(f"* {text}")

@@ -10,15 +10,26 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
+from design.admissible_steps import Delivery, Family, families, steps_of
 from design.delay_norm import hinf_norm
 from design.errors import UnsuitableNetwork
-from design.held_loop import Delivery, HeldLoop, SampledNetwork, Strategy
+from design.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
 from design.lifting import sampled_gain
-from design.loss_patterns import chain_of, repeated, worst_pattern
+from design.loss_patterns import (
+    chain_of,
+    pattern_gains,
+    pattern_of,
+    repeated,
+    slowest_pattern,
+    worst_gain,
+)
 from design.monte_carlo import Chance, Uncertainty, run_many, share
-from design.sampled import SampledAnalysis, analyse_sampled
+from design.sampled import SampledAnalysis, analyse_sampled, regular_patterns
+from design.sequence_certificate import certify_gain
 from design.speed_loop import speed_model
+from design.step_maps import step_maps
 from tests.motors import LING
+from tests.unit.design.random_loops import random_bounds
 
 MODEL = speed_model(LING)
 K = np.array([0.0, -0.0212])
@@ -42,45 +53,92 @@ def test_without_loss_and_delay_it_is_the_zero_order_hold() -> None:
     loop = HeldLoop(MODEL, K, network(Strategy.ARRIVAL, 0, 0.0))
     A, B, *_ = cont2discrete((MODEL.A, MODEL.B1[:, None], np.eye(2), np.zeros((2, 1))), H)
     expected = np.sort(np.abs(np.linalg.eigvals(A + B @ K[None, :])))
-    found = np.sort(np.abs(np.linalg.eigvals(loop.kept_transition(loop.step(Delivery(1, 0.0))))))
+    found = np.sort(np.abs(np.linalg.eigvals(repeated_transition(loop, Delivery(1, 0.0)))))
     assert found[-2:] == pytest.approx(expected, rel=1e-10)
 
 
-@given(
-    strategy=st.sampled_from(list(Strategy)),
-    pattern=st.lists(st.tuples(st.integers(1, 4), st.floats(0.0, 1.0)), min_size=1, max_size=6),
-    agreed=st.floats(0.041, 0.075),
-)
-@settings(derandomize=True, deadline=None, max_examples=60)
+def repeated_transition(loop: HeldLoop, *deliveries: Delivery) -> np.ndarray:
+    """Of one round of a pattern."""
+    total = np.eye(loop.kept)
+    for step in steps_of(loop.network, deliveries):
+        total = loop.kept_transition(loop.chain(step)) @ total
+    return total
+
+
+PATTERNS = st.lists(st.tuples(st.integers(1, 4), st.floats(0.0, 1.0)), min_size=1, max_size=6)
+
+
+@given(strategy=st.sampled_from(list(Strategy)), pattern=PATTERNS, agreed=st.floats(0.041, 0.075),
+       delay=st.sampled_from([0.0, 0.004, 0.01, 0.013, 0.027]))  # fmt: skip
+@settings(derandomize=True, deadline=None, max_examples=80)
 def test_steps_are_the_rule_of_each_strategy(
-    strategy: Strategy, pattern: list[tuple[int, float]], agreed: float
+    strategy: Strategy, pattern: list[tuple[int, float]], agreed: float, delay: float
 ) -> None:
-    """A simulation in plain words: who sampled what when, and which sample is applied at each instant."""
-    loop = HeldLoop(MODEL, K, network(strategy, 3, 0.004, agreed))
+    """A simulation in plain words: who sampled what when, and which sample acts at each instant."""
+    if strategy is not Strategy.ARRIVAL:
+        delay = 0.004
+    net = network(strategy, 3, delay, agreed)
+    loop = HeldLoop(MODEL, K, net)
     always = strategy is Strategy.HISTORY
-    deliveries = [Delivery(1 if always else interval, 0.004 * part) for interval, part in pattern]
-    xi = np.zeros(loop.size)
-    xi[: loop.kept] = np.linspace(1.0, 2.0, loop.kept)
-    end = xi.copy()
-    for delivery in deliveries:
-        end = loop.transition(loop.step(delivery)) @ end
-    x, held, waiting = xi[:2], xi[2], list(xi[3 : 3 + loop.kept - 3])
-    for delivery in deliveries:
-        for k in range(delivery.interval):
-            waiting.insert(0, float(K @ x))
-            came = k == 0
-            if strategy is Strategy.ARRIVAL:
-                at, applied = delivery.delay_s, waiting.pop() if came else None
-                waiting = waiting if came else []
-            else:
-                at, applied = agreed % H, waiting.pop()
-            x = simulated(x, held, at if came else H)
-            if came:
-                assert applied is not None
-                held = applied
-                x = simulated(x, held, H - at)
-    assert end[:2] == pytest.approx(x, rel=1e-9)
-    assert end[2] == pytest.approx(held, rel=1e-9)
+    deliveries = [Delivery(1 if always else interval, delay * part) for interval, part in pattern]
+    xi = np.zeros(loop.kept)
+    xi[:2] = 1.0, 2.0
+    rounds = 3
+    for _ in range(rounds):
+        xi = repeated_transition(loop, *deliveries) @ xi
+    total = sum(delivery.interval for delivery in deliveries)
+    arrivals = []
+    taken = -4 * total
+    for delivery in deliveries * (rounds + 4):
+        age = delivery.delay_s if strategy is Strategy.ARRIVAL else agreed
+        arrivals.append((taken * H + age, taken))
+        taken += delivery.interval
+    x, held, now = np.array([1.0, 2.0]), 0.0, 0.0
+    values: dict[int, float] = {}
+    newest = -1000
+    instants = sorted(
+        [(at, 1, sample) for at, sample in arrivals] + [(k * H, 0, k) for k in range(rounds * total)]
+    )
+    for at, kind, sample in instants:
+        if at >= rounds * total * H - 1e-12:
+            break
+        if at > now:
+            x, now = simulated(x, held, at - now), at
+        if kind == 0:
+            values[sample] = float(K @ x)
+        elif sample > newest:
+            newest, held = sample, values.get(sample, 0.0)
+    x = simulated(x, held, rounds * total * H - now)
+    assert xi[:2] == pytest.approx(x, rel=1e-8, abs=1e-12)
+
+
+@given(pattern=PATTERNS, delays=st.sampled_from([(0.0, 0.004), (0.002, 0.01), (0.0, 0.013), (0.011, 0.027)]))
+@settings(derandomize=True, deadline=None, max_examples=150)
+def test_the_graph_holds_whatever_the_network_does(
+    pattern: list[tuple[int, float]], delays: tuple[float, float]
+) -> None:
+    """Any deliveries within the bounds are a walk: each period lies in the windows of a family."""
+    least, most = delays
+    net = SampledNetwork(Strategy.ARRIVAL, H, 3, most, delay_min_s=least)
+    deliveries = [Delivery(interval, least + (most - least) * part) for interval, part in pattern]
+    known = families(net)
+    for step in steps_of(net, deliveries):
+        assert any(_lies_in(step, family) for family in known), step
+
+
+def _lies_in(step: PeriodStep, family: Family) -> bool:
+    if (step.source, step.target) != (family.source, family.target):
+        return False
+    at = {switch.back: switch.at_s for switch in step.switches}
+    if not set(at) <= {window.back for window in family.windows}:
+        return False
+    # a sample that is overtaken acts for no time: at the moment of the next
+    time_s = math.inf
+    for window in reversed(family.windows):
+        time_s = at.get(window.back, time_s)
+        if not window.first_s - 1e-12 <= time_s <= window.last_s + 1e-12:
+            return False
+    return True
 
 
 def simulated(x: np.ndarray, u: float, time_s: float) -> np.ndarray:
@@ -98,42 +156,90 @@ def simulated_with_load(x: np.ndarray, u: float, time_s: float) -> np.ndarray:
 
 
 def test_figures_of_the_published_loop(analyses: dict[Strategy, SampledAnalysis]) -> None:
-    """Decay to 1e-4 and gain to 1e-3 of another program's."""
-    assert analyses[Strategy.HISTORY].decay_per_s == pytest.approx(7.7502, rel=1e-4)
-    assert analyses[Strategy.STAMP].decay_per_s == pytest.approx(3.8641, rel=1e-4)
-    assert analyses[Strategy.HISTORY].gain == pytest.approx(136.425, rel=1e-3)
-    assert analyses[Strategy.STAMP].gain == pytest.approx(216.12, rel=1e-3)
-    assert analyses[Strategy.ARRIVAL].gain == pytest.approx(98.486, rel=1e-3)
+    """Under d lost of d + 1 decay to 1e-4 and gain to 1e-3 of another program's."""
+
+    def regular(strategy: Strategy) -> tuple[float, float]:
+        analysis = analyses[strategy]
+        return min(each.decay_per_s for each in analysis.regular), max(analysis.gains)
+
+    assert regular(Strategy.HISTORY) == pytest.approx((7.7502, 136.425), rel=1e-3)
+    assert regular(Strategy.STAMP) == pytest.approx((3.8641, 216.12), rel=1e-3)
+    assert regular(Strategy.ARRIVAL)[1] == pytest.approx(98.486, rel=1e-3)
 
 
-def test_certified_and_refuted_embrace_the_truth(analyses: dict[Strategy, SampledAnalysis]) -> None:
+def test_certified_and_found_embrace_the_truth(analyses: dict[Strategy, SampledAnalysis]) -> None:
     for analysis in analyses.values():
-        assert analysis.certificate is not None
-        assert 0.0 < analysis.certificate.decay_per_s <= analysis.worst.decay_per_s * (1.0 + 1e-9)
-        assert analysis.worst.decay_per_s <= analysis.decay_per_s * (1.0 + 1e-9)
-        assert analysis.certificate.min_margin > 0.0
+        assert analysis.certified
+        assert analysis.decay_certified_per_s is not None
+        assert analysis.gain_certified is not None
+        assert 0.0 < analysis.decay_certified_per_s <= analysis.decay_found_per_s * (1.0 + 1e-9)
+        assert min(each.decay_per_s for each in analysis.regular) >= analysis.decay_found_per_s
+        assert analysis.gain_certified >= analysis.gain_found >= max(analysis.gains)
     arrival = analyses[Strategy.ARRIVAL]
-    assert arrival.certificate is not None
-    assert arrival.worst.decay_per_s / arrival.certificate.decay_per_s < 1.0001
+    assert arrival.gain_certified is not None
+    assert arrival.gain_certified < 1.01 * arrival.gain_found
 
 
-def test_certificate_holds_on_random_sequences(analyses: dict[Strategy, SampledAnalysis]) -> None:
-    """The function of the certificate falls as certified, whatever the losses and delays."""
-    analysis = analyses[Strategy.ARRIVAL]
-    certificate = analysis.certificate
+def test_long_irregular_patterns_are_found(analyses: dict[Strategy, SampledAnalysis]) -> None:
+    """3.7290 per s: losses 5, 5, 5, 5, 5, 0, 5, 5, 5, 0, 5, 5, found by hand."""
+    stamp = analyses[Strategy.STAMP]
+    assert stamp.decay_found_per_s <= 3.7290
+    assert stamp.decay_certified_per_s is not None
+    assert stamp.decay_certified_per_s >= 3.4845
+
+
+WORSE_THAN_REGULAR = [
+    (H, 5, 0.004, [-0.151, -0.0433], 75.2),
+    (0.002, 3, 0.001, [-0.710, -0.406], 21.89),
+    (0.002, 5, 0.0016, [-0.4859414415523855, -0.24840084620580935, -3.750755284162544], 39.78),
+]
+
+
+@pytest.mark.parametrize(("period_s", "losses", "delay_s", "gain", "known"), WORSE_THAN_REGULAR)
+def test_the_worst_is_no_regular_pattern(
+    period_s: float, losses: int, delay_s: float, gain: list[float], known: float
+) -> None:
+    """Losses at full rate with no delay, and now and then a sample at once after them, with all of it."""
+    net = SampledNetwork(Strategy.ARRIVAL, period_s, losses, delay_s)
+    analysis = analyse_sampled(speed_model(LING, integral=len(gain) == 3), np.array(gain), net)
+    assert max(analysis.gains) < 0.9 * known
+    assert analysis.gain_certified is not None
+    assert known <= analysis.gain_found <= analysis.gain_certified <= 1.03 * analysis.gain_found
+    # by collocation, another way to the same figure
+    loop = HeldLoop(speed_model(LING, integral=len(gain) == 3), np.array(gain), net)
+    pattern = analysis.worst.pattern
+    assert sampled_gain(loop, chain_of(loop, pattern)) == pytest.approx(analysis.gain_found, rel=1e-5)
+
+
+@pytest.mark.parametrize("delays", [(0.0, 0.004), (0.002, 0.013)])
+def test_certificates_hold_between_the_delays_of_their_grid(delays: tuple[float, float]) -> None:
+    """At random moments of switching, at the certified gain: no step's value exceeds its node's."""
+    net = SampledNetwork(Strategy.ARRIVAL, H, 2, delays[1], delay_min_s=delays[0])
+    loop = HeldLoop(MODEL, K, net)
+    worst = worst_gain(loop, regular_patterns(loop))
+    patterns = [worst.pattern, *regular_patterns(loop)]
+    certificate = certify_gain(loop, patterns, worst.gain, remembering=(False,))
     assert certificate is not None
-    loop = HeldLoop(MODEL, K, analysis.network)
+    assert certificate.gain is not None
     draw = np.random.default_rng(3)
-    before = 1
-    xi = draw.normal(size=loop.kept)
-    for _ in range(400):
-        delivery = Delivery(int(draw.integers(1, 7)), float(draw.uniform(0.0, 0.004)))
-        after = loop.kept_transition(loop.step(delivery)) @ xi
-        nodes = len(certificate.P)
-        P0, P1 = (certificate.P[0 if nodes == 1 else which - 1] for which in (before, delivery.interval))
-        share_left = math.exp(-2.0 * certificate.decay_per_s * delivery.interval * H)
-        assert after @ P1 @ after <= share_left * (xi @ P0 @ xi) * (1.0 + 1e-9)
-        before, xi = delivery.interval, after / np.linalg.norm(after)
+    for family in families(net):
+        P = certificate.P[family.target]
+        for _ in range(60):
+            times = np.sort([draw.uniform(window.first_s, window.last_s) for window in family.windows])
+            if any(not w.first_s <= t <= w.last_s for w, t in zip(family.windows, times, strict=True)):
+                continue
+            value, finite = step_maps(loop, [family.at(times.tolist())], certificate.gain)[0].of(P)
+            assert finite
+            left = certificate.P[family.source] - value
+            assert np.linalg.eigvalsh(left)[0] > -1e-9 * np.linalg.norm(certificate.P[family.source])
+
+
+def test_certified_is_never_below_found() -> None:
+    """On random loops; another 200 in the benchmark."""
+    draw = np.random.default_rng(11)
+    for _ in range(4):
+        found, certified = random_bounds(draw)
+        assert certified is None or certified >= found
 
 
 def test_a_destabilising_sequence_is_found_though_every_regular_one_is_stable() -> None:
@@ -141,19 +247,26 @@ def test_a_destabilising_sequence_is_found_though_every_regular_one_is_stable() 
     analysis = analyse_sampled(MODEL, 3.4 * K, network(Strategy.STAMP))
     assert analysis.refuted
     assert not analysis.certified
+    assert math.isinf(analysis.gain_found)
     loop = HeldLoop(MODEL, 3.4 * K, analysis.network)
-    assert repeated(loop, analysis.worst.deliveries).decay_per_s == pytest.approx(analysis.worst.decay_per_s)
+    assert pattern_of(loop, analysis.slowest.steps).decay_per_s <= 0.0
 
 
-def test_search_beats_brute_force_on_short_patterns() -> None:
-    loop = HeldLoop(MODEL, K, network(Strategy.STAMP, 2, 0.004, 0.03))
-    choices = [Delivery(interval, 0.004) for interval in (1, 2, 3)]
-    brute = min(
-        repeated(loop, chain).decay_per_s
-        for length in range(1, 5)
-        for chain in itertools.product(choices, repeat=length)
-    )
-    assert worst_pattern(loop).decay_per_s <= brute + 1e-9
+@pytest.mark.parametrize("strategy", [Strategy.STAMP, Strategy.ARRIVAL])
+def test_search_beats_brute_force_on_short_patterns(strategy: Strategy) -> None:
+    net = network(strategy, 2, 0.004, 0.03)
+    loop = HeldLoop(MODEL, 2.0 * K, net)
+    choices = [Delivery(interval, delay) for interval in (1, 2, 3) for delay in {0.0, 0.004}]
+    if strategy is Strategy.STAMP:
+        choices = [each for each in choices if each.delay_s > 0.0]
+    brute = [
+        repeated(loop, chain)
+        for length in range(1, 4)
+        for chain in itertools.combinations_with_replacement(choices, length)
+    ]
+    assert slowest_pattern(loop).decay_per_s <= min(each.decay_per_s for each in brute) + 1e-9
+    gain = max(pattern_gains(loop, brute, 1e-5))
+    assert worst_gain(loop, regular_patterns(loop)).gain >= gain * (1.0 - 1e-3)
 
 
 def test_gain_by_lifting_is_that_of_fast_sampling() -> None:
@@ -201,7 +314,7 @@ def test_fast_sampling_comes_to_the_continuous_loop() -> None:
         ({"period_s": 0.0}, "period"),
         ({"losses_max": -1}, "losses in a row"),
         ({"delay_max_s": math.nan}, "delay"),
-        ({"delay_max_s": 0.02}, "stamp or history"),
+        ({"delay_min_s": 0.005}, "least delay"),
         ({"strategy": Strategy.HISTORY, "agreed_delay_s": 0.05}, "at least 54 ms"),
         ({"strategy": Strategy.STAMP, "agreed_delay_s": 0.003}, "at least 4 ms"),
     ],
@@ -260,6 +373,10 @@ class TestMonteCarlo:
         """Textbook: 0 of 10 gives at most 0.3085, 5 of 10 gives 0.1871 to 0.8129."""
         assert share(0, 10).high == pytest.approx(0.3085, abs=1e-4)
         assert (share(5, 10).low, share(5, 10).high) == pytest.approx((0.1871, 0.8129), abs=1e-4)
+
+    def test_samples_that_overtake_one_another_are_refused(self) -> None:
+        with pytest.raises(UnsuitableNetwork, match="arrive in order"):
+            run_many(LING, K, network(Strategy.ARRIVAL, 1, 0.02), Chance(runs=1, seed=0))
 
     def test_chance_out_of_range_is_refused(self) -> None:
         with pytest.raises(ValueError, match="loss probability"):

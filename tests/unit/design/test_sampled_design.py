@@ -5,47 +5,54 @@ import pytest
 
 from design.errors import NoSolution
 from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.lifting import sampled_gain
-from design.loss_patterns import chain_of, worst_pattern
+from design.loss_patterns import slowest_pattern, worst_gain
 from design.papers.ling2012 import MODEL
 from design.sampled import analyse_sampled, regular_patterns
-from design.sampled_design import least_sampled_gain
+from design.sampled_design import SampledDesign, least_sampled_gain
 from design.speed_design import least_gain
 from design.speed_loop import Feedback
 
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.002, 1, 0.001)
 
 
-def largest_gain(K: object, network: SampledNetwork) -> float:
-    loop = HeldLoop(MODEL, np.asarray(K), network)
-    return max(sampled_gain(loop, chain_of(loop, pattern)) for pattern in regular_patterns(loop))
+@pytest.fixture(scope="module")
+def by_speed() -> SampledDesign:
+    """With speed feedback only."""
+    return least_sampled_gain(MODEL, NETWORK, Feedback.SPEED)
 
 
-def test_it_beats_the_design_for_the_constant_delay() -> None:
+def largest_gain(K: np.ndarray) -> float:
+    loop = HeldLoop(MODEL, K, NETWORK)
+    return worst_gain(loop, [*regular_patterns(loop), slowest_pattern(loop)]).gain
+
+
+def test_it_beats_the_design_for_the_constant_delay(by_speed: SampledDesign) -> None:
     constant = least_gain(MODEL, NETWORK.age_max_s, Feedback.SPEED)
-    found = least_sampled_gain(MODEL, NETWORK, Feedback.SPEED)
-    assert found.gain == pytest.approx(largest_gain(found.K, NETWORK), rel=1e-9)
-    assert found.gain < 0.92 * largest_gain(constant.K, NETWORK)
-    assert found.K[0] == 0.0
+    assert by_speed.gain == pytest.approx(largest_gain(by_speed.K), rel=2e-3)
+    assert by_speed.gain < 0.95 * largest_gain(constant.K)
+    assert by_speed.K[0] == 0.0
 
 
-def test_no_neighbour_is_better() -> None:
-    found = least_sampled_gain(MODEL, NETWORK, Feedback.SPEED)
-    for factor in (0.97, 1.03):
-        assert largest_gain(factor * found.K, NETWORK) > found.gain
+def test_no_neighbour_is_better(by_speed: SampledDesign) -> None:
+    """The gain is that of the worst pattern, so that what made the old figure small does not pass."""
+    for factor in (0.93, 1.07):
+        assert largest_gain(factor * by_speed.K) > by_speed.gain
 
 
-def test_every_pattern_decays_and_it_can_be_certified() -> None:
-    found = least_sampled_gain(MODEL, NETWORK)
-    assert worst_pattern(HeldLoop(MODEL, found.K, NETWORK)).decay_per_s >= 0.2 / NETWORK.age_max_s
-    assert analyse_sampled(MODEL, found.K, NETWORK).certified
-    assert found.gain < least_sampled_gain(MODEL, NETWORK, Feedback.SPEED).gain
+def test_every_pattern_decays_and_it_is_certified(by_speed: SampledDesign) -> None:
+    net = SampledNetwork(Strategy.ARRIVAL, 0.002, 0, 0.001)
+    found = least_sampled_gain(MODEL, net)
+    assert slowest_pattern(HeldLoop(MODEL, found.K, net)).decay_per_s >= 0.2 / net.age_max_s
+    analysis = analyse_sampled(MODEL, found.K, net)
+    assert analysis.certified
+    assert analysis.gain_certified is not None
+    assert found.gain * 0.999 <= analysis.gain_certified < 1.1 * found.gain
+    assert found.gain < by_speed.gain
 
 
-def test_history_waits_and_so_reaches_less() -> None:
+def test_history_waits_and_so_reaches_less(by_speed: SampledDesign) -> None:
     waits = SampledNetwork(Strategy.HISTORY, 0.002, 1, 0.001, 0.003)
-    arrival, history = (least_sampled_gain(MODEL, each, Feedback.SPEED) for each in (NETWORK, waits))
-    assert arrival.gain < history.gain
+    assert by_speed.gain < least_sampled_gain(MODEL, waits, Feedback.SPEED).gain
 
 
 def test_what_no_pattern_lets_be_stable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,80 @@
+"""For which bandwidths of the drive's current loop the certificates of a sampled loop hold.
+
+From the bandwidth of the design the range grows slice by slice, downwards and upwards. Each slice has
+certificates of its own, for every bandwidth in it (:mod:`design.step_maps`); a slice that would raise the
+certified gain too far, or cannot be certified, ends the range on its side.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from design.delay_loop import Array
+from design.errors import NoSolution
+from design.held_loop import HeldLoop, SampledNetwork
+from design.loss_patterns import Pattern, pattern_gains, pattern_of
+from design.sequence_certificate import certify_decay, certify_gain
+from design.speed_loop import SpeedModel
+
+_SLICE = 1.08
+"""Upper over lower end of a slice."""
+_WIDEST = 1.6
+"""End of the range over the bandwidth of the design, either way."""
+_ALLOWED = 1.1
+"""Certified gain of a slice over that of the design: a range in which the figure means nothing is no use."""
+
+
+@dataclass(frozen=True, slots=True)
+class BandwidthRange:
+    """From ``min_hz`` to ``max_hz`` decay, 1/s, and gain, rad/s per N m, are certified."""
+
+    min_hz: float
+    max_hz: float
+    gain: float
+    decay_per_s: float
+
+
+def bandwidth_range(
+    model_at: Callable[[float], SpeedModel],
+    K: Array,
+    network: SampledNetwork,
+    patterns: list[Pattern],
+    nominal: BandwidthRange,
+) -> BandwidthRange:
+    """The range around ``nominal``, whose ends are the bandwidth of the design.
+
+    ``patterns``: the worst that are known there.
+    """
+    found = nominal
+    for factor in (1.0 / _SLICE, _SLICE):
+        end_hz = nominal.min_hz
+        while nominal.min_hz / _WIDEST < end_hz * factor < nominal.min_hz * _WIDEST:
+            loops = [HeldLoop(model_at(each), K, network) for each in (end_hz, end_hz * factor)]
+            figures = _slice(loops[0], loops[1], patterns)
+            if figures is None or figures[0] > _ALLOWED * nominal.gain:
+                break
+            end_hz *= factor
+            found = BandwidthRange(
+                min(found.min_hz, end_hz),
+                max(found.max_hz, end_hz),
+                max(found.gain, figures[0]),
+                min(found.decay_per_s, figures[1]),
+            )
+    return found
+
+
+def _slice(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> tuple[float, float] | None:
+    """Certified gain and decay for every bandwidth between the two loops'."""
+    patterns = [pattern_of(one, each.steps) for each in known]
+    gain = float(max(pattern_gains(one, patterns, 1e-3)))
+    if min(each.decay_per_s for each in patterns) <= 0.0:
+        return None
+    try:
+        gain_proof = certify_gain(one, patterns, gain, other=other)
+        decay_proof = certify_decay(one, patterns, gain, (False,), other)
+    except NoSolution:
+        return None
+    if gain_proof is None or decay_proof is None:
+        return None
+    assert gain_proof.gain is not None
+    assert decay_proof.decay_per_s is not None
+    return (gain_proof.gain, decay_proof.decay_per_s) if decay_proof.decay_per_s > 0.0 else None
