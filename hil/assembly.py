@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
-from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts, LoadMachine
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
@@ -21,9 +20,11 @@ from hil.configuration.config_axis import (
 from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
+from hil.order_attribution import OrderAttribution
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 from hil.world import SegmentPlan
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
@@ -56,6 +57,11 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
 def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
     """From handing a SYNC over until its end on an idle segment; None: the first one."""
     return timing_at(config, config.bitrate_on(segment)).sync_latency
+
+
+def _settles(timing: LoopTiming) -> Duration:
+    """From a command's arrival until it shows at a SYNC."""
+    return timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0)
 
 
 def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
@@ -172,6 +178,6 @@ def axis(
         by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
         by_order=OrderAttribution(syncs, timing.period, transit, tell),
         meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
-        commands=CommandMeter(config.loop.horizon_periods),
+        commands=CommandMeter(config.loop.horizon_periods, _settles(timing)),
     )
     return Axis(number, parts, timing.period, record, Duration(later))

@@ -7,14 +7,16 @@ from typing import Final, Protocol
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, new_command
 from drivers.timebase import Duration, Instant
-from hil.attribution import HELD_MAX, REVOKED, OrderAttribution, StampAttribution
+from hil.attribution import HELD_MAX
 from hil.command_meter import CommandMeter
 from hil.compensation import Compensator
 from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
+from hil.order_attribution import OrderAttribution
 from hil.safety import SafetyGuard
 from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate, new_record
 from hil.scenario import LoadProfile, SpeedProfile
+from hil.stamp_attribution import REVOKED, StampAttribution
 from hil.syncs import SyncLog, SyncMark
 
 READINGS_REMEMBERED: Final = 64

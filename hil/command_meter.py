@@ -33,7 +33,7 @@ class _Followed:
         self.fate: CommandFate | None = None
         """None while it is open."""
         self.acts_after: Instant | None = None
-        """The latest SYNC at which it was on its way, the newest, and not followed yet."""
+        """The latest SYNC at which it was there, and not followed yet."""
         self.acts_by: Instant | None = None
 
     def was_there(self, at: Instant) -> bool:
@@ -45,11 +45,14 @@ class _Followed:
 class CommandMeter:
     """Follows the commands of one axis."""
 
-    def __init__(self, horizon: int) -> None:
-        """``horizon``: cycles after which a command is settled with what is known by then."""
+    def __init__(self, horizon: int, settles: Duration = Duration(0)) -> None:  # noqa: B008 - an int
+        """``horizon``: cycles after which a command is settled with what is known by then. ``settles``: a
+        command that came less than this before a SYNC need not show at it: a period where set-points act at
+        SYNCs, since the drive tells before it takes them."""
         self.unexplained = 0
         """Read-backs that equal no command on its way: the drive limits or shapes its set-point."""
         self._horizon = horizon
+        self._settles = settles
         self._followed: list[_Followed] = []
         """In the order of sending, from the oldest whose fate was not asked for."""
         self._acting: _Followed | None = None
@@ -73,15 +76,12 @@ class CommandMeter:
         if not candidates:
             return
         equal = [one for one in candidates if one.sent.raw == demand_raw]
-        newest = candidates[-1]
+        self._note_not_yet(candidates, equal[-1] if equal else self._acting, sync_at)
         if not equal:
-            newest.acts_after = sync_at
             if self._acting is None or self._acting.sent.raw != demand_raw:
                 self.unexplained += 1
             return
         acting = equal[-1]
-        if newest is not acting:
-            newest.acts_after = sync_at
         if acting is self._acting:
             return
         if acting.fate is not CommandFate.ACTING:
@@ -102,6 +102,14 @@ class CommandMeter:
             command.fate = CommandFate.ACTING
             command.acts_after, command.acts_by = Instant(at - error), Instant(at + error)
             self._replace(command, candidates)
+
+    def _note_not_yet(self, candidates: list[_Followed], acting: _Followed | None, sync_at: Instant) -> None:
+        """Commands newer than the one in force did not act at this SYNC, though they should have shown."""
+        for newer in reversed(candidates):
+            if newer is acting:
+                return
+            if newer.was_there(Instant(sync_at - self._settles)):
+                newer.acts_after = sync_at
 
     def _follows_in_order(self, demand_raw: int, sync_at: Instant) -> bool:
         """The usual case, without a detour: the newest command follows the one that acted, and acts now."""

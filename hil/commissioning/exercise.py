@@ -12,7 +12,6 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
-from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
@@ -22,10 +21,12 @@ from hil.compensation import Arrival
 from hil.controllers import Controller
 from hil.delay import DelayMeter
 from hil.loop import Loop, LoopTiming
+from hil.order_attribution import OrderAttribution
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.scenario import LoadProfile, Segment, SpeedProfile
 from hil.segments import sync_log
+from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 
 Array = NDArray[np.float64]

@@ -21,7 +21,6 @@ from drivers.scaling import ScaleOverride
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
 from hil.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
-from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
@@ -30,10 +29,12 @@ from hil.loop import Actuation, LoopTiming
 from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
 from hil.measuring.request import MeasureRequest
+from hil.order_attribution import OrderAttribution
 from hil.recording.records import ROW, ROW_DTYPE, Rows, store_record
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, SpeedProfile
+from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
 

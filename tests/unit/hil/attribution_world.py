@@ -14,9 +14,10 @@ from itertools import count
 
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_S, Instant
-from hil.attribution import OrderAttribution, StampAttribution
 from hil.clock_map import ClockMap
+from hil.order_attribution import OrderAttribution
 from hil.samples import Sample
+from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 

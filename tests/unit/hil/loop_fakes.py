@@ -9,16 +9,17 @@ from drivers.errors import DriveInFault
 from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.attribution import OrderAttribution, StampAttribution
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
 from hil.compensation import Arrival, Compensator
 from hil.delay import DelayMeter
 from hil.loop import Actuation, Loop, LoopTiming
+from hil.order_attribution import OrderAttribution
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile, Step
+from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 
 PERIOD = Duration(NS_PER_MS)
