@@ -230,10 +230,10 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     network = load_network(measured / "network.toml")
     assert network.period_us == 2000
     assert network.lost == sum((k + 1) * runs for k, runs in enumerate(network.losses_in_a_row))
-    assert 300 < network.delay_max_us < 2000
+    assert 300 < network.delay_max_us <= 2000
     status, _, err = _run(
         "design", "speed", MOTOR, "--network", str(measured / "network.toml"), "--feedback", "speed",
-        "--extra-losses", "3", "--delay-margin-percent", "5", "--out", str(controller),
+        "--extra-losses", "3", "--out", str(controller),
     )  # fmt: skip
     assert status == 0, err
     config = bench_from(_designed_bench(controller, 0.05), "bench.toml", tmp_path)
