@@ -217,6 +217,8 @@ def _designed_bench(controller: Path, loss: float) -> dict[str, Any]:
     tables["bench"]["duration_s"] = 1.0
     tables["drive"]["axis1"] |= {"motor": MOTOR, "controller": str(controller)}
     tables["faults"]["loss"][0]["probability"] = loss
+    # A loss of 60 % silences the statusword for longer than the default allows; that is not tested here.
+    tables["drive"]["axis1"]["heartbeat_timeout_ms"] = 1000
     del tables["load"]
     return tables
 

@@ -202,7 +202,7 @@ def test_a_missing_key_says_what_it_is_for(path: tuple[str | int, ...], expected
         (("drive", "axis1", "controler"), {}, "controller, the nearest known key"),
         (("drive", "axis1", "controller", "gain"), [1.0, 2.0], "proportional_nm_s_rad"),
         (("vedict",), {}, "verdict, the nearest known key"),
-        (("loop", "zzz"), 1, "known here: actuation, deadline_us"),
+        (("loop", "zzz"), 1, "known here: actuation, command_readback, deadline_us"),
     ],
 )
 def test_an_unknown_key_is_answered_with_the_one_that_was_meant(
