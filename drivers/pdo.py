@@ -24,6 +24,9 @@ _NOT_VALID = 1 << 31
 _NO_REMOTE = 1 << 30
 _COB_ID = 0x7FF
 _PDOS_LOOKED_AT = 4
+_WRITTEN, _SWITCHED_OFF = " written", " switched off"
+DONE = (_WRITTEN, _SWITCHED_OFF)
+"""So ends a note on what was done; every other tells of something that could not be."""
 """Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
 _BITS = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}
 
@@ -204,7 +207,7 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
         for pdo in wanted:
             if differences(objects, pdo):
                 _write_pdo(objects, pdo)
-                notes.append(f"{pdo.name} written")
+                notes.append(f"{pdo.name}{_WRITTEN}")
     verify_plan(objects, plan)
     return notes
 
@@ -272,7 +275,7 @@ def _mapping_text(words: list[int]) -> str:
 def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: int) -> list[str]:
     name = f"{direction.letter}PDO{number}"
     try:
-        return [f"{name} switched off"] if _switch_off(objects, direction.value + number - 1) else []
+        return [f"{name}{_SWITCHED_OFF}"] if _switch_off(objects, direction.value + number - 1) else []
     except TransferAborted as error:
         return [f"{name} is not used and cannot be switched off: {error.evidence}"]
 

@@ -73,6 +73,11 @@ class CommandSupervision:
         """By what the host sees, the drive follows its commands."""
         return self._watch is None or self._watch.follows
 
+    @property
+    def active(self) -> bool:
+        """Whether the drive or the host looks after the commands."""
+        return self._timed is not None or self._watch is not None
+
     def end(self) -> None:
         """Before the commands cease. A drive that does not take it stops by it, which is meant as well."""
         self._watch_torque(None)

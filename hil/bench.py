@@ -10,6 +10,7 @@ from drivers.adapters import parse_bus_spec
 from drivers.dictionary import LoadedDictionary
 from drivers.errors import BenchError, PeerFault
 from drivers.network import CanopenNetwork
+from drivers.pdo import DONE
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
@@ -261,7 +262,7 @@ class _Run:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
         for drive in self._drives:
-            self._say(f"{drive.name}: {drive.supervise_commands()}")
+            self._tell_guard(drive)
         self._stop.check()
         self._enter("running")
         wall = MonotonicClock()
@@ -290,7 +291,7 @@ class _Run:
             if commissioned is not None:
                 write_commissioned(drive, commissioned)
             for note in drive.configure(settings):
-                self._say(f"{drive.name}: {note}", "WARN")
+                self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
             self._note_state(drive)
             self._stop.check()
 
@@ -315,9 +316,12 @@ class _Run:
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
         if ended.cycles_missed:
-            self._say(f"{ended.cycles_missed} cycles missed: the host was too late for their SYNC", "WARN")
+            self._say(f"{ended.cycles_missed} cycles went without SYNC: the host was too late for it", "WARN")
         if ended.interrupted:
             self._say(f"ended by {self._stop.signal_name}", "WARN")
+        doubts = distrust(self._axes, self._config.loop.period)
+        for doubt in doubts:
+            self._say(f"not trustworthy: {doubt}", "ERROR")
         bench_time = ended.ended_at - ended.started_at
         return RunOutcome(
             bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
@@ -327,8 +331,14 @@ class _Run:
             network_notes=self._worse.notes,
             load_machine=self._load.figures(),
             timing=timing_report(self._axes, self._syncs),
-            distrust=distrust(self._axes, self._config.loop.period),
+            distrust=doubts,
         )
+
+    def _tell_guard(self, drive: ServoDrive) -> None:
+        """From now on somebody notices when the drive does not hear its commands any more."""
+        guard = drive.supervise_commands()
+        level = "INFO" if drive.supervision.active else "WARN"
+        self._say(f"{drive.name}: its commands are watched by {guard}", level)
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")

@@ -94,7 +94,7 @@ class ClockQuestion:
     def __init__(
         self, syncs: SyncLog, clock: ClockMap, period: Duration, transit: Duration, match_ns: int
     ) -> None:
-        """``transit``: shortest time of a reading's frame. ``match_ns``: how far a stamp may be off its SYNC."""
+        """``transit``: shortest time of a reading's frame. ``match_ns``: how far a stamp may be off."""
         self.stamps: dict[int, int] = {}
         """Of each SYNC answered, by its number: the stamp."""
         self.delays = DelayWindow()

@@ -59,6 +59,19 @@ class Certainty(Section):
     """The same from sample to actuation."""
 
 
+class ClockHealth(Section):
+    """``clocks.AXIS``: a drive's clock, and what the placing of its readings rests on."""
+
+    drift_ppm: float | None = None
+    """How much faster it runs than the host's; None for a drive without stamps."""
+    drift_error_ppm: float | None = Field(default=None, ge=0)
+    """Two standard deviations of it."""
+    error_us: float = Field(default=0.0, ge=0)
+    """The largest error bound of an instant of sampling that is certain."""
+    steps: int = Field(default=0, ge=0)
+    """Times that it was set."""
+
+
 class Network(Section):
     """``[network]``: the first three keys are what a design needs, the others are evidence."""
 
@@ -75,6 +88,10 @@ class Network(Section):
     lost: int = Field(default=0, ge=0)
     late: int = Field(default=0, ge=0)
     stale: int = Field(default=0, ge=0)
+    missed: int = Field(default=0, ge=0)
+    """Cycles without SYNC: losses that the host made."""
+    uncertain_percent: float = Field(default=0.0, ge=0, le=100)
+    """Cycles of which the data do not decide whose reading it was, or that it was lost."""
     loss_percent: float = Field(default=0.0, ge=0, le=100)
     losses_in_a_row: Annotated[tuple[int, ...], Field(strict=False)] = ()
     """How often exactly 1, 2, ... readings were missing in a row."""
@@ -102,6 +119,8 @@ class Network(Section):
     """None: not identifiable."""
     command_losses: LossChain | None = None
     certainty: Certainty | None = None
+    clocks: dict[str, ClockHealth] = Field(default_factory=dict)
+    """By axis."""
 
     @property
     def losses_max(self) -> int:

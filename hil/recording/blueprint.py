@@ -17,8 +17,8 @@ def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint
     """The layout while the run goes on, or with ranges that fit the figures once they are known."""
     names = [axis.name for axis in plan.review.axes]
     plots = [_axis_plots(name, plan, summary) for name in names]
-    # One lane for each axis' drive and link, one for the phase
-    lanes = 2 * len(names) + 1
+    # One lane for each axis' drive and link, one for the phase, one for the host
+    lanes = 2 * len(names) + 2
     states = rrb.StateTimelineView(
         origin=STATE_ROOT, name="States", time_view=rrb.TimeAxis(link="LinkToGlobal")
     )
@@ -38,7 +38,7 @@ def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint
             plot_legend=rrb.PlotLegend(visible=False),
         ),
         rrb.TextLogView(origin=EVENTS, name="Events", columns=columns),
-        row_shares=[4.2, 2.2, 2.8],
+        row_shares=[4.9, 2.0, 2.6],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[7, 3]),
@@ -58,7 +58,11 @@ def _axis_plots(name: str, plan: RecordingPlan, summary: Summary | None) -> rrb.
         _plot(f"/{name}/error", "Speed error [rpm]", _error_range(summary), legend=False),
         _plot(f"/{name}/torque", "Torque [N m]"),
         _plot(f"/{name}/delay", "Delay of the readings [us]", _delay_range(plan, summary)),
-        row_shares=[2.2, 1.2, 1.4, 1.4],
+        rrb.Horizontal(
+            _plot(f"/{name}/commands", "Commands, from hand-over [us]"),
+            _plot(f"/{name}/clock", "Clock offset since the start, with its bounds [us]", legend=False),
+        ),
+        row_shares=[2.0, 1.1, 1.3, 1.4, 1.4],
         name=name,
     )
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from drivers.timebase import NS_PER_US
 from hil.configuration.network_file import (
     NETWORK_FILE,
+    ClockHealth,
     DelayHistogram,
     Delays,
     Network,
@@ -44,6 +45,7 @@ class NetworkMeter:
         self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
         self._command_runs = np.zeros(_RUN_MAX + 1, np.int64)
         self._commands_open = [0] * axes
+        self._uncertain = 0
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._runs = np.zeros(_RUN_MAX + 1, np.int64)
         self._open = [0] * axes
@@ -54,6 +56,7 @@ class NetworkMeter:
         if not rows.size:
             return
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
+        self._uncertain += int(np.count_nonzero(rows["certain"] == 0))
         came = rows[rows["fate"] == FATE_SAMPLE]
         self._reading.add(came["received_at"] - came["sampled_at"])
         on_bus = rows[rows["command_on_bus_at"] != NOTHING]
@@ -97,6 +100,8 @@ class NetworkMeter:
             lost=count[DropoutCause.LOST],
             late=count[DropoutCause.LATE],
             stale=count[DropoutCause.STALE],
+            missed=count[DropoutCause.MISSED],
+            uncertain_percent=100.0 * self._uncertain / total,
             loss_percent=100.0 * sum(count.values()) / total,
             losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
             reading_delay_us=reading,
@@ -182,10 +187,25 @@ class NetworkKeeper:
     def flush(self) -> None:
         """Written at the end."""
 
-    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+    def finish(self, summary: Summary) -> None:
         found = self._meter.network()
         if found is not None:
-            self._path.write_text(network_text(found), encoding="utf-8")
+            told = found.model_copy(update={"clocks": clocks_of(summary)})
+            self._path.write_text(network_text(told), encoding="utf-8")
+
+
+def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
+    """Of each axis, from what the timing of the run rests on."""
+    clocks = {}
+    for name, told in (summary.timing or {}).get("axes", {}).items():
+        clock = told.get("clock", {})
+        clocks[name] = ClockHealth(
+            drift_ppm=clock.get("drift_ppm"),
+            drift_error_ppm=clock.get("drift_error_ppm"),
+            error_us=told["error_us_max"],
+            steps=told["clock_steps"],
+        )
+    return clocks
 
 
 def delays_of(times: TimeHistogram) -> Delays | None:

@@ -94,6 +94,7 @@ CAUSES: tuple[DropoutCause, ...] = (
     DropoutCause.MISSED,
 )
 """``fate`` of a dropout is its cause's place here, counted from 1."""
+FATE_MISSED: Final = 1 + CAUSES.index(DropoutCause.MISSED)
 _FATE_OF: Final = {cause: place for place, cause in enumerate(CAUSES, start=1)}
 COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_MEASURED,

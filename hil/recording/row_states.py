@@ -1,4 +1,5 @@
-"""States that follow from the records alone: the drive's from its statusword, the link's from dropouts."""
+"""States that follow from the records alone: the drive's from its statusword, the link's from dropouts, the
+host's from the cycles that went without SYNC."""
 
 from typing import NamedTuple
 
@@ -6,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.profile402 import state_of
-from hil.recording.records import FATE_SAMPLE, Rows
+from hil.recording.records import FATE_MISSED, FATE_SAMPLE, Rows
 
 LINK_WINDOW_CYCLES = 20
 LINK_DEGRADED_DROPOUTS = 5
 LINK_OK, LINK_DEGRADED, LINK_DOWN = "OK", "DEGRADED", "DOWN"
 _LINK_LABELS = (LINK_OK, LINK_DEGRADED, LINK_DOWN)
+HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
 
 _STATE_BITS = 0x6F
 """The bits of 0x6041 that name the state (CiA 402-2, statusword)."""
@@ -41,7 +43,10 @@ class DriveStates:
 
 
 class LinkStates:
-    """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was."""
+    """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was.
+
+    A cycle without SYNC says nothing of the link.
+    """
 
     def __init__(self) -> None:
         self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
@@ -49,6 +54,7 @@ class LinkStates:
 
     def changes(self, rows: Rows) -> list[Change]:
         """In rows of one axis, in order."""
+        rows = rows[rows["fate"] != FATE_MISSED]
         dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
         self._window = dropped[-LINK_WINDOW_CYCLES:]
         total = np.cumsum(dropped)
@@ -58,6 +64,22 @@ class LinkStates:
         if levels.size:
             self._last = int(levels[-1])
         return [Change(int(rows["due_at"][place]), _LINK_LABELS[int(levels[place])]) for place in changed]
+
+
+class HostStates:
+    """Whether the host sent its SYNCs: changes from one cycle to the next."""
+
+    def __init__(self) -> None:
+        self._last = -1
+
+    def changes(self, rows: Rows) -> list[Change]:
+        """In rows of one axis, in order."""
+        missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
+        changed = np.flatnonzero(np.diff(missed, prepend=self._last))
+        if missed.size:
+            self._last = int(missed[-1])
+        labels = (HOST_IN_TIME, HOST_MISSED)
+        return [Change(int(rows["due_at"][place]), labels[int(missed[place])]) for place in changed]
 
 
 def drive_label(statusword: int) -> str:

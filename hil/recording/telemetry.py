@@ -17,10 +17,21 @@ from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
 from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, TIMELINE, VERDICT, layout
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import FATE_SAMPLE, NOTHING, Rows
-from hil.recording.row_states import LINK_DEGRADED, LINK_DOWN, LINK_OK, Change, DriveStates, LinkStates
+from hil.recording.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from hil.recording.row_states import (
+    HOST_IN_TIME,
+    HOST_MISSED,
+    LINK_DEGRADED,
+    LINK_DOWN,
+    LINK_OK,
+    Change,
+    DriveStates,
+    HostStates,
+    LinkStates,
+)
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.verdict_text import verdict_markdown, verdict_word
+from hil.samples import CommandFate
 
 _RPM = 30.0 / math.pi
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
@@ -35,6 +46,7 @@ _STATE_COLORS = {
     State.FAULT_REACTION: 0xB3202AFF,
     State.FAULT: 0x8B1520FF,
 }
+_HOST_COLORS = {HOST_IN_TIME: 0x1E6B35FF, HOST_MISSED: 0xB3202AFF}
 _LINK_COLORS = {LINK_OK: 0x1E6B35FF, LINK_DEGRADED: 0xA67C1BFF, LINK_DOWN: 0xB3202AFF}
 _PHASE_COLORS = {
     "Connecting": 0x3F4650FF,
@@ -46,6 +58,16 @@ _PHASE_COLORS = {
     "Stopped": 0x3F4650FF,
 }
 """Phases that a run goes through; any other gets a colour of the viewer's choice."""
+_LOST = COMMAND_FATES.index(CommandFate.LOST)
+_SPANNING = (
+    "speed/reference",
+    "error/error",
+    "torque/measured",
+    "delay/deadline",
+    "commands/on_bus",
+    "clock/offset",
+)
+"""One series of each plot of an axis."""
 _BARS_MAX = 44
 _LATEST = 2**62
 _FLUSH_MAX_S = 10.0
@@ -72,6 +94,9 @@ class Telemetry:
         self._axes = [axis.name for axis in plan.review.axes]
         self._drives = [DriveStates() for _ in self._axes]
         self._links = [LinkStates() for _ in self._axes]
+        self._host = HostStates()
+        self._offset_origin_ns: list[int | None] = [None] * len(self._axes)
+        """Of each axis' clock: its offset in the first row that has one."""
         self._labels: dict[str, str] = {}
         self._tracks: dict[str, str] = {}
         self._load_paths: set[str] = set()
@@ -150,7 +175,7 @@ class Telemetry:
     def _extend_plots_to(self, instant: int) -> None:
         """A point without a value in each plot, so that they all span what the states span."""
         for name in self._axes:
-            for series in ("speed/reference", "error/error", "torque/measured", "delay/deadline"):
+            for series in _SPANNING:
                 self._plot(f"/{name}/{series}", np.array([instant]), np.array([math.nan]))
 
     def _times(self, instants: NDArray[np.int64]) -> list[rr.TimeColumn]:
@@ -179,6 +204,9 @@ class Telemetry:
     def _show_axis(self, number: int, name: str, rows: Rows) -> None:
         self._show_changes(f"{name} drive", self._drives[number].changes(rows))
         self._show_changes(f"{name} link", self._links[number].changes(rows))
+        if number == 0:
+            # A cycle without SYNC is one of all axes.
+            self._show_changes("host", self._host.changes(rows))
         due_at = rows["due_at"]
         read = rows[rows["fate"] == FATE_SAMPLE]
         dropped = rows[rows["fate"] != FATE_SAMPLE]
@@ -195,6 +223,34 @@ class Telemetry:
         ends = due_at[[0, -1]]
         self._plot(f"/{name}/delay/deadline", ends, np.full(2, self._plan.deadline / NS_PER_US))
         self._plot(f"/{name}/delay/dropped", dropped["due_at"], np.zeros(dropped.size))
+        doubtful = rows[rows["certain"] == 0]
+        at_us = np.where(doubtful["delay_ns"] == NOTHING, 0, doubtful["delay_ns"]) / NS_PER_US
+        self._plot(f"/{name}/delay/uncertain", doubtful["due_at"], at_us)
+        self._show_commands(name, rows)
+        self._show_clock(number, name, rows)
+
+    def _show_commands(self, name: str, rows: Rows) -> None:
+        """From handing a command over until it was on the bus, and until it acted at the latest."""
+        for series, instant in (("on_bus", "command_on_bus_at"), ("acting", "command_acts_by")):
+            known = rows[rows[instant] != NOTHING]
+            way_us = (known[instant] - known["command_handed_at"]) / NS_PER_US
+            self._plot(f"/{name}/commands/{series}", known["due_at"], way_us)
+        lost = rows[rows["command_fate"] == _LOST]
+        self._plot(f"/{name}/commands/lost", lost["due_at"], np.zeros(lost.size))
+
+    def _show_clock(self, number: int, name: str, rows: Rows) -> None:
+        """The offset of the drive's clock since the run began, and between what bounds it is known."""
+        told = rows[rows["clock_offset_ns"] != NOTHING]
+        if not told.size:
+            return
+        origin_ns = self._offset_origin_ns[number]
+        if origin_ns is None:
+            origin_ns = self._offset_origin_ns[number] = int(told["clock_offset_ns"][0])
+        offset_us = (told["clock_offset_ns"] - origin_ns) / NS_PER_US
+        error_us = told["clock_error_ns"] / NS_PER_US
+        self._plot(f"/{name}/clock/offset", told["due_at"], offset_us)
+        bounds_us = np.stack((offset_us - error_us, offset_us + error_us), axis=1)
+        self._plot(f"/{name}/clock/bounds", told["due_at"], bounds_us)
 
     def _plot(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """One wide column; values: (n,) or (n, series)."""
@@ -226,6 +282,7 @@ class Telemetry:
         self._color_track("phase", _PHASE_COLORS)
         for name in self._axes:
             self._color_track(f"{name} link", _LINK_COLORS)
+        self._color_track("host", _HOST_COLORS)
 
     def _color_track(self, track: str, colors: dict[str, int]) -> None:
         values = list(colors)
@@ -235,7 +292,8 @@ class Telemetry:
         self._stream.log(self._track_path(track), styled, static=True)
 
     def _name_series(self) -> None:
-        cross, down = rr.components.MarkerShape.Cross, rr.components.MarkerShape.Down
+        shapes = rr.components.MarkerShape
+        cross, down, diamond = shapes.Cross, shapes.Down, shapes.Diamond
         for name in self._axes:
             self._line(f"/{name}/speed/reference", ["reference"], [_GREY])
             self._line(f"/{name}/speed/measured", ["measured"], [_BLUE], width=1.6)
@@ -246,6 +304,12 @@ class Telemetry:
             self._line(f"/{name}/delay/delay", ["delay"], [_YELLOW])
             self._line(f"/{name}/delay/deadline", ["deadline"], [_CORAL])
             self._marks(f"/{name}/delay/dropped", "dropout", cross)
+            self._marks(f"/{name}/delay/uncertain", "uncertain", diamond, _VIOLET)
+            self._line(f"/{name}/commands/on_bus", ["on the bus"], [_BLUE])
+            self._line(f"/{name}/commands/acting", ["acting, at the latest"], [_GREEN])
+            self._marks(f"/{name}/commands/lost", "lost", cross)
+            self._line(f"/{name}/clock/bounds", ["at least", "at most"], [_GREY, _GREY])
+            self._line(f"/{name}/clock/offset", ["offset"], [_VIOLET])
 
     def _line(
         self, path: str, names: list[str], colors: list[tuple[int, int, int]], width: float = 1.0
@@ -259,8 +323,14 @@ class Telemetry:
         )
         self._stream.log(path, series, static=True)
 
-    def _marks(self, path: str, name: str, marker: rr.components.MarkerShape) -> None:
-        series = rr.SeriesPoints(names=name, colors=_RED, markers=marker, marker_sizes=3.0)
+    def _marks(
+        self,
+        path: str,
+        name: str,
+        marker: rr.components.MarkerShape,
+        color: tuple[int, int, int] = _RED,
+    ) -> None:
+        series = rr.SeriesPoints(names=name, colors=color, markers=marker, marker_sizes=3.0)
         self._stream.log(path, series, static=True)
 
     def _show_verdict(self, summary: Summary | None) -> None:

@@ -1,6 +1,7 @@
 """The verdict of a run as a page of Markdown."""
 
 from hil.figures.summary import Check, Percentiles, Summary, metric_title
+from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import RecordingPlan
 
 
@@ -39,9 +40,10 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
     share = 100.0 * lost.total / readings if readings else 0.0
     return [
         f"| delay p50 / p99 / max | {_times(summary.delay_us)} |",
-        f"| dropouts | {lost.total} of {readings} readings ({share:.1f} %): "
+        f"| dropouts | {lost.total} of {readings} ({share:.1f} %): "
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
+        *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
         f"| bus load | {summary.bus_load_percent:.1f} % |",
         f"| times real time | {summary.realtime_factor:.1f} |",
         *_load(summary),

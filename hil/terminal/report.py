@@ -13,6 +13,7 @@ from rich.text import Text
 
 from hil.configuration.config import BenchConfig
 from hil.figures.summary import Check, Percentiles, Summary, metric_title
+from hil.figures.timing_text import timing_lines
 
 WIDTH_MAX = 100
 
@@ -58,7 +59,7 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         "Lateness": _percentiles(found.lateness_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
-        **{f"Clock of {name}": line for name, line in _clocks(found).items()},
+        **timing_lines(found.timing),
         **({"Load machine": _load_machine(found.load_machine)} if found.load_machine else {}),
         "Bus load": f"{_number(found.bus_load_percent)} %",
         "Pace": f"{_number(found.realtime_factor)} times real time",
@@ -71,20 +72,6 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         # Text, because a plain string's square brackets would be read as markup.
         table.add_row(title, Text(line))
     return table
-
-
-def _clocks(found: Summary) -> dict[str, str]:
-    """Of each axis with a clock: its drift, and what was not plain."""
-    lines = {}
-    for name, told in (found.timing or {}).get("axes", {}).items():
-        parts = []
-        if (clock := told.get("clock")) is not None:
-            parts.append(f"{clock['drift_ppm']:+.1f} ppm (+-{clock['drift_error_ppm']:.1f})")
-        parts.append(f"samples known to {_number(told['error_us_max'])} us")
-        names = {"uncertain": "uncertain", "clock_steps": "times set", "duplicates": "twice"}
-        parts += [f"{told[key]} {text}" for key, text in names.items() if told[key]]
-        lines[name] = ", ".join(parts)
-    return lines
 
 
 def _load_machine(found: Mapping[str, Any]) -> str:

@@ -67,6 +67,7 @@ def test_a_drive_with_an_event_timer_looks_after_its_commands_itself(rig: Rig) -
     words = rig.enable()
     assert words == "the drive itself (1400h:05), after 20 ms, and at rest within 250 ms from then"
     assert rig.servo.values[0x1400, 5] == 20
+    assert rig.drive.supervision.active
     rig.deaf = True
     rig.run(100)
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput, BenchError
-from hil.configuration.network_file import Network, load_network, network_text
-from hil.recording.network_meter import NetworkMeter
-from hil.recording.records import COMMAND_FATES, ROW_DTYPE, Rows
+from hil.configuration.network_file import ClockHealth, Network, load_network, network_text
+from hil.recording.network_meter import NetworkKeeper, NetworkMeter
+from hil.recording.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
+from hil.recording.side_rows import FRAME_DTYPE
 from hil.samples import CommandFate
+from tests.unit.hil.test_summary import summary_with, timing
 from virtual_bus.fault_injection.fault_plan_toml import read_fault_plan
 
 PERIOD_US, PERIOD_NS = 2_000, 2_000_000
@@ -26,6 +28,7 @@ def rows_of(fates: list[int], axis: int = 0, first: int = 0) -> Rows:
     rows["command_handed_at"] = sampled + 550_000
     rows["command_on_bus_at"] = rows["command_acts_after"] = sampled + 580_000
     rows["command_acts_by"] = sampled + 600_000
+    rows["certain"] = 1
     rows["command_fate"] = COMMAND_FATES.index(CommandFate.ACTING)
     return rows
 
@@ -96,6 +99,24 @@ def test_losses_in_a_row_across_chunks() -> None:
     for cut in range(1, len(fates)):
         parts = rows_of(fates[:cut]), rows_of(fates[cut:], first=cut)
         assert measured(*parts) == whole
+
+
+def test_missed_cycles_are_losses_and_uncertain_rows_are_counted() -> None:
+    rows = rows_of([0, FATE_MISSED, 0, LOST])
+    rows["certain"] = [1, 1, 0, 1]
+    found = measured(rows)
+    assert (found.missed, found.lost, found.loss_percent, found.uncertain_percent) == (1, 1, 50.0, 25.0)
+
+
+def test_the_file_tells_each_axis_clock(tmp_path: Path) -> None:
+    keeper = NetworkKeeper(tmp_path, PERIOD_US, axes=1)
+    keeper.take(rows_of([0, 0]), np.zeros(0, FRAME_DTYPE), [])
+    told = timing(clock_steps=2)
+    told["axes"]["b"] = {key: value for key, value in told["axes"]["a"].items() if key != "clock"}
+    keeper.finish(summary_with(timing=told))
+    clocks = load_network(tmp_path / "network.toml").clocks
+    assert clocks["a"] == ClockHealth(drift_ppm=-999.96, drift_error_ppm=1.5, error_us=9.25, steps=2)
+    assert clocks["b"] == ClockHealth(error_us=9.25, steps=2)
 
 
 def test_axes_are_counted_apart() -> None:

@@ -1,6 +1,7 @@
 """The terminal summary and the progress line."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from hil.configuration.bench_file import load_bench
 from hil.figures.summary import Check, DropoutCounts, Percentiles, SpeedError, Summary, Verdict
 from hil.terminal.progress import LINE_WIDTH, TerminalProgress, bar_line
 from hil.terminal.report import print_run, recording_lines, viewer_command
+from tests.unit.hil.test_summary import timing
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -78,6 +80,25 @@ def test_fits_one_screen() -> None:
     lines = printed(summary(), Path("runs/x"), width=80).splitlines()
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 80
+
+
+def test_three_axes_and_their_clocks_fit_one_screen() -> None:
+    told = timing(uncertain=12)
+    told["axes"] |= {"b": told["axes"]["a"], "c": timing(clock_steps=1)["axes"]["a"]}
+    lines = printed(replace(summary(), timing=told), Path("runs/x"), width=80).splitlines()
+    assert len(lines) <= 26
+    assert max(map(len, lines)) <= 80
+    wide = printed(replace(summary(), timing=told)).splitlines()
+    rows = [line.strip("│ ") for line in wide if "Timing of" in line]
+    assert [row.split("  ", 1)[0] for row in rows] == ["Timing of a", "Timing of b", "Timing of c"]
+    assert rows[0].endswith("12 uncertain")
+    assert rows[2].endswith("set once")
+
+
+def test_a_run_that_is_not_trusted_says_why() -> None:
+    found = summary(passed=False)
+    verdict = replace(found.verdict, distrust=("axis1: 3 readings came before their SYNC",))
+    assert "Not trustworthy: axis1: 3 readings came" in printed(replace(found, verdict=verdict))
 
 
 def test_recording_is_named_with_the_command_that_opens_it(

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from hil.recording.row_states import LINK_WINDOW_CYCLES, Change, DriveStates, LinkStates, drive_label
+from hil.recording.records import FATE_MISSED
+from hil.recording.row_states import (
+    LINK_WINDOW_CYCLES,
+    Change,
+    DriveStates,
+    HostStates,
+    LinkStates,
+    drive_label,
+)
 from tests.unit.hil.row_tools import plain_rows
 
 ENABLED, READY, FAULT = 0x0627, 0x0621, 0x0608
@@ -34,10 +42,18 @@ def test_link_goes_down_and_comes_back() -> None:
     assert labels == [(0, "OK"), (34, "DEGRADED"), (49, "DOWN"), (55, "DEGRADED"), (70, "OK")]
 
 
+def test_cycles_without_sync_are_the_hosts_and_not_the_links() -> None:
+    rows = plain_rows(95, fate=[0] * 30 + [FATE_MISSED] * 25 + [0] * 40)
+    assert [change.label for change in LinkStates().changes(rows)] == ["OK"]
+    labels = [(c.due_at // 1_000_000, c.label) for c in HostStates().changes(rows)]
+    assert labels == [(0, "In time"), (30, "MISSED"), (55, "In time")]
+
+
 @pytest.mark.parametrize("cuts", [[1], [7, 33, 34, 35], [LINK_WINDOW_CYCLES, 60]])
 def test_division_into_chunks_does_not_matter(cuts: list[int]) -> None:
-    rows = plain_rows(95, fate=[0] * 30 + [1] * 25 + [0] * 40, statusword=[READY] * 40 + [ENABLED] * 55)
-    for states in (LinkStates, DriveStates):
+    fate = [0] * 30 + [1] * 23 + [FATE_MISSED] * 2 + [0] * 40
+    rows = plain_rows(95, fate=fate, statusword=[READY] * 40 + [ENABLED] * 55)
+    for states in (LinkStates, DriveStates, HostStates):
         parts, whole = states(), states()
         found = [change for part in np.split(rows, cuts) for change in parts.changes(part)]
         assert found == whole.changes(rows)

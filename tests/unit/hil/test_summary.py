@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import fields, replace
+from typing import Any
 
 import pytest
 
+from drivers.frame_port import EchoBasis
 from hil.figures.summary import (
     DropoutCounts,
     Figures,
@@ -17,6 +19,7 @@ from hil.figures.summary import (
     metric_title,
     summarise,
 )
+from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.recording.verdict_text import verdict_markdown
 from tests.unit.hil.recording_tools import plan_for
@@ -115,11 +118,70 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> RecordingPlan:
     return replace(plan_for(tmp_path_factory.mktemp("run")), review=review, notes={"controller": "pid"})
 
 
+def timing(**changes: object) -> dict[str, Any]:
+    axis = {
+        "placed": 190,
+        "by_order": 0,
+        "uncertain": 0,
+        "duplicates": 0,
+        "unmatched": 0,
+        "error_us_max": 9.25,
+        "clock_steps": 0,
+        "clock": {"offset_us": 1.0, "error_us": 1.2, "drift_ppm": -999.96, "drift_error_ppm": 1.5},
+        "commands_unexplained": 0,
+    }
+    return {"sync": {"bus": {"basis": "kernel", "surplus": 0, "crowded": 0}}, "axes": {"a": axis | changes}}
+
+
+def test_a_plain_run_has_a_line_for_sync_and_one_for_its_axis() -> None:
+    assert timing_lines(timing()) == {
+        "SYNC": "by its echo, stamped by the kernel",
+        "Timing": "samples within 9.25 us, clock -1000.0 ppm (+-1.5)",
+    }
+    assert timing_lines(None) == {}
+
+
+def test_what_was_not_plain_is_told() -> None:
+    told = timing(clock_steps=2, uncertain=7, duplicates=3, unmatched=4, commands_unexplained=5)
+    told["sync"]["bus"] |= {"basis": "none", "surplus": 1, "crowded": 2}
+    assert timing_lines(told) == {
+        "SYNC": "no echo: the instant is that of its hand-over, 1 of others, 2 closer than half a period",
+        "Timing": "samples within 9.25 us, clock -1000.0 ppm (+-1.5), set 2 times, 7 uncertain,"
+        " 3 came twice, 4 answer no SYNC, 5 demands of no command",
+    }
+
+
+def test_a_drive_without_a_clock_is_placed_by_order() -> None:
+    told = timing(by_order=190, error_us_max=100.0)
+    del told["axes"]["a"]["clock"]
+    assert timing_lines(told)["Timing"] == "samples within 100 us, placed by order"
+
+
+def test_no_accuracy_is_told_where_nothing_was_placed() -> None:
+    assert timing_lines(timing(placed=0, error_us_max=0.0))["Timing"].startswith("no reading placed")
+
+
+def test_of_several_axes_each_line_has_its_name() -> None:
+    told = timing()
+    told["axes"]["b"] = told["axes"]["a"]
+    assert list(timing_lines(told)) == ["SYNC", "Timing of a", "Timing of b"]
+
+
+def test_every_basis_of_an_echo_has_its_words() -> None:
+    lines = set()
+    for basis in EchoBasis:
+        told = timing()
+        told["sync"]["bus"]["basis"] = basis.value
+        lines.add(timing_lines(told)["SYNC"])
+    assert len(lines) == len(EchoBasis)
+
+
 def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     page = verdict_markdown(plan, summary_with())
     assert page.startswith("# synthetic · FAIL")
     assert "| delay p99 [us] | 900 | 800 | **broken** |" in page
     assert "| dropouts [%] | 4 | 10 | kept |" in page
-    assert "8 of 400 readings (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
+    assert "8 of 400 (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
     assert "controller `pid`" in page
+    assert "| Timing | samples within 9.25 us" in verdict_markdown(plan, summary_with(timing=timing()))
     assert verdict_markdown(plan, None).startswith("# synthetic · running")

@@ -12,11 +12,12 @@ from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, summarise
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.recording.records import FATE_SAMPLE, Rows
+from hil.recording.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.telemetry import Telemetry, _round_width
+from hil.samples import CommandFate
 from tests.unit.hil.recording_tools import plan_for
-from tests.unit.hil.row_tools import rows_of
+from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 CYCLES = 1_500
@@ -119,6 +120,49 @@ def test_torque_and_delay(recording: Path, rows: Rows) -> None:
     assert (times[0], times[-1]) == (0, (CYCLES - 1) * NS_PER_MS)
 
 
+def test_uncertain_readings_are_marked_at_their_delay(tmp_path: Path, rows: Rows) -> None:
+    doubtful = rows[:40].copy()
+    doubtful["certain"][5:9] = 0
+    path = write_run(plan_for(tmp_path), doubtful)
+    times, at_us = numbers(path, "/axis1/delay/uncertain")
+    np.testing.assert_array_equal(times, doubtful["due_at"][5:9] - ORIGIN)
+    expected = np.where(doubtful["delay_ns"] == NOTHING, 0, doubtful["delay_ns"])[5:9] / NS_PER_US
+    np.testing.assert_allclose(at_us, expected)
+
+
+def test_the_way_of_the_commands(tmp_path: Path, rows: Rows) -> None:
+    sent = rows[:40].copy()
+    sent["command_on_bus_at"] = sent["command_handed_at"] + 90 * NS_PER_US
+    sent["command_acts_by"][7] = NOTHING
+    sent["command_fate"][7] = COMMAND_FATES.index(CommandFate.LOST)
+    path = write_run(plan_for(tmp_path), sent)
+    assert set(numbers(path, "/axis1/commands/on_bus")[1].tolist()) == {90.0}
+    times, acting = numbers(path, "/axis1/commands/acting")
+    assert set(acting.tolist()) == {300.0}
+    assert times.size == 39
+    assert numbers(path, "/axis1/commands/lost")[0].tolist() == [7 * NS_PER_MS]
+
+
+def test_the_clock_is_shown_from_where_it_began_with_its_bounds(tmp_path: Path, rows: Rows) -> None:
+    told = rows[:40].copy()
+    told["clock_offset_ns"] = 123_456 + 500 * np.arange(40)
+    told["clock_offset_ns"][0] = NOTHING
+    path = write_run(plan_for(tmp_path), told)
+    times, offset = numbers(path, "/axis1/clock/offset")
+    np.testing.assert_array_equal(times, told["due_at"][1:] - ORIGIN)
+    np.testing.assert_allclose(offset, 0.5 * np.arange(39))
+    _, bounds = numbers(path, "/axis1/clock/bounds")
+    np.testing.assert_allclose(bounds, np.stack((offset - 1.2, offset + 1.2), axis=1))
+
+
+def test_cycles_without_sync_have_a_lane_of_their_own(tmp_path: Path) -> None:
+    rows = plain_rows(6, fate=[0, 0, FATE_MISSED, FATE_MISSED, 0, 0])
+    path = write_run(plan_for(tmp_path), rows, events=())
+    times, states = columns(path, "/state/4_host", "StateChange:state")
+    assert states == [["In time"], ["MISSED"], ["In time"]]
+    assert times.tolist() == [0, 2 * NS_PER_MS, 4 * NS_PER_MS]
+
+
 def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
     times, states = columns(recording, "/state/1_axis1_drive", "StateChange:state")
     assert list(zip(times.tolist(), states, strict=True)) == [
@@ -158,6 +202,10 @@ def test_the_recording_carries_its_layout(recording: Path) -> None:
         for name in _view_names(chunk.to_record_batch())
     }
     assert {"States", "Speed [rpm]", "Speed error [rpm]", "Torque [N m]", "Verdict", "Events"} <= names
+    assert {
+        "Commands, from hand-over [us]",
+        "Clock offset since the start, with its bounds [us]",
+    } <= names
     assert {"Delay of the readings [us]", "Delay histogram: readings over us"} <= names
 
 
