@@ -1,6 +1,6 @@
 """A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
 from drivers.drive_setup import (
     DriveSettings,
@@ -28,26 +28,15 @@ from drivers.profile402 import DriveCommand, Mode, State, state_of
 from drivers.readings import ReadingAssembler, Seen
 from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
-from drivers.supervision import CommandSupervision, end_heartbeat
+from drivers.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
-OLDER_WORDS_LIMIT: Final = Duration(50 * NS_PER_MS)
-"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 
 _CONNECT_TRY_S: Final = 0.1
 _SETTLE_NS: Final = 50 * NS_PER_MS
-
-
-class Release(NamedTuple):
-    """How a drive was left."""
-
-    at_rest: bool
-    state: State | None
-    evidence: str = ""
-    """What went wrong on the way; empty if nothing did."""
 
 
 class ServoDrive(Drive):
@@ -150,17 +139,8 @@ class ServoDrive(Drive):
         self.control.clear_bits(MODE_BITS)
         self.modes.prime(self.modes.mode)
         self.control.walk(State.OPERATION_ENABLED, deadline)
-        self._await_older_words(deadline)
+        self.control.await_older_words(self.plan, deadline)
         self._watch.begin()
-
-    def _await_older_words(self, deadline: Instant) -> None:
-        """Let the statuswords of the way here come in: a slow PDO would tell later that it fell back."""
-        status = None if self.plan is None else self.plan.tpdo_with(Object.STATUSWORD)
-        if status is None or status.synchronous:
-            return
-        until = min(deadline, self.network.deadline_after(OLDER_WORDS_LIMIT))
-        while state_of(self._told.by_pdo) is not State.OPERATION_ENABLED and self.network.pump_one(until):
-            pass
 
     def disable(self, deadline: Instant) -> None:
         """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""

@@ -9,6 +9,7 @@ from drivers.errors import DriveInFault, PeerFault
 from drivers.nmt import Emergency
 from drivers.objects import RemoteObjects
 from drivers.objects402 import Object
+from drivers.pdo import PdoPlan
 from drivers.profile402 import (
     CONTROLWORDS,
     DriveCommand,
@@ -18,7 +19,7 @@ from drivers.profile402 import (
 )
 from drivers.readings import Seen
 from drivers.setpoint import SetPoint
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NS_PER_MS, Duration, Instant
 
 ERROR_REGISTER, ERROR_HISTORY = 0x1001, 0x1003
 NONE_SENT = -1
@@ -28,6 +29,8 @@ _RESEND_NS = 50 * NS_PER_MS
 """A controlword that shows no effect for so long is sent again."""
 _ASK_S = 0.01
 """Wait for a statusword that is asked for in the middle of a cycle: ten SDO transfers on a full bus."""
+_OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
+"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
 _EMERGENCIES_KEPT = 8
 _EMERGENCIES_SHOWN = 2
 
@@ -55,6 +58,16 @@ class StateControl:
     def read_state(self) -> State | None:
         """The state by SDO, now; None if the statusword is no coding of the standard."""
         return state_of(self.read_status())
+
+    def await_older_words(self, plan: PdoPlan | None, deadline: Instant) -> None:
+        """Let the statuswords of the way to OPERATION ENABLED come in by PDO: a slow one would tell later that
+        the drive fell back."""
+        status = None if plan is None else plan.tpdo_with(Object.STATUSWORD)
+        if status is None or status.synchronous:
+            return
+        until = min(deadline, self.network.deadline_after(_OLDER_WORDS_LIMIT))
+        while state_of(self._told.by_pdo) is not State.OPERATION_ENABLED and self.network.pump_one(until):
+            pass
 
     def read_status(self) -> int:
         """The statusword by SDO, now."""

@@ -7,7 +7,7 @@ nothing stops the drive     the host withholds its heartbeat: 1016h and 6007h of
 """
 
 from contextlib import suppress
-from typing import Final
+from typing import Final, NamedTuple
 
 from drivers.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
 from drivers.drive_setup import DriveSettings
@@ -18,12 +18,21 @@ from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.pdo_planner import features_of
 from drivers.pdo_plans import TARGETS
-from drivers.profile402 import Mode
+from drivers.profile402 import Mode, State
 from drivers.readings import ReadingAssembler
 from drivers.timebase import NS_PER_MS, Duration
 
 _EVENT_TIMER: Final = 5
 """Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
+
+
+class Release(NamedTuple):
+    """How a drive was left."""
+
+    at_rest: bool
+    state: State | None
+    evidence: str = ""
+    """What went wrong on the way; empty if nothing did."""
 
 
 class CommandSupervision:

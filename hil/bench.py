@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,6 @@ from hil import assembly
 from hil.axis import Axis
 from hil.commissioned_drive import as_the_loop_counts, write_commissioned
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_errors import raise_all
-from hil.configuration.network_file import load_network
 from hil.connecting import connect
 from hil.controllers import Controller
 from hil.drive_settings import data_sheets, drive_settings, identity_notes
@@ -27,7 +25,7 @@ from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import StopRequest, stop_signals
-from hil.network_guard import NetworkGuard, allowed, made_for, static_faults
+from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
@@ -81,7 +79,7 @@ def run_bench(
     brought to rest and the recording is closed first.
     """
     sheets = data_sheets(config)
-    worse = _worse_network(config, network, allow_worse_network, set(controllers or {}))
+    worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     paced = check_time(spec, time)
     seed = config.bench.seed if seed is None else seed
@@ -170,7 +168,7 @@ class _Run:
         stop: StopRequest,
         progress: Progress,
         controllers: Mapping[str, Controller],
-        worse: "_WorseNetwork",
+        worse: WorseNetwork,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
@@ -399,25 +397,6 @@ class _Run:
 
     def _say(self, text: str, level: str = "INFO") -> None:
         self._recorder.event(self._world.clock.now(), level, text)
-
-
-@dataclass(slots=True)
-class _WorseNetwork:
-    """What is done about a network worse than a controller was made for, and what was seen of it."""
-
-    refuse: bool
-    notes: list[str] = field(default_factory=list)
-
-
-def _worse_network(
-    config: BenchConfig, network: Path | None, allow: bool, replaced: set[str]
-) -> _WorseNetwork:
-    """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
-    measured = {} if network is None else {f"--network {network}": load_network(network)}
-    faults = static_faults(config, measured, replaced)
-    if faults and not allow:
-        raise_all(faults)
-    return _WorseNetwork(not allow, [str(fault) for fault in faults])
 
 
 def _cut_short(reason: str) -> RunOutcome:

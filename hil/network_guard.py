@@ -6,14 +6,16 @@ cycle records as they are made.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive, StampCompensator, StateFeedbackController
-from hil.configuration.network_file import Network, commands_unknown
+from hil.configuration.config_errors import raise_all
+from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.speed_controller_file import MadeFor, Plant
 from hil.samples import CycleRecord, Sample
 
@@ -204,3 +206,22 @@ class NetworkGuard:
         if self._refuse:
             raise LimitExceeded(text, remedy=REMEDY)
         self._tell(text)
+
+
+@dataclass(slots=True)
+class WorseNetwork:
+    """What is done about a network worse than a controller was made for, and what was seen of it."""
+
+    refuse: bool
+    notes: list[str] = field(default_factory=list)
+
+
+def worse_network(
+    config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str]
+) -> WorseNetwork:
+    """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
+    measured = {} if network is None else {f"--network {network}": load_network(network)}
+    faults = static_faults(config, measured, replaced)
+    if faults and not allow:
+        raise_all(faults)
+    return WorseNetwork(not allow, [str(fault) for fault in faults])
