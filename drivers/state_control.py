@@ -60,8 +60,8 @@ class StateControl:
         return state_of(self.read_status())
 
     def await_older_words(self, plan: PdoPlan | None, deadline: Instant) -> None:
-        """Let the statuswords of the way to OPERATION ENABLED come in by PDO: a slow one would tell later that
-        the drive fell back."""
+        """Let the statuswords of the way to OPERATION ENABLED come in by PDO: a slow one would tell later
+        that the drive fell back."""
         status = None if plan is None else plan.tpdo_with(Object.STATUSWORD)
         if status is None or status.synchronous:
             return
