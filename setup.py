@@ -29,7 +29,9 @@ HOT_MODULES = [
         "drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"
     ),
     *_below("drivers", "servo setpoint supervision timebase"),
-    *_below("hil", "attribution axis clock_map command_meter compensation controllers delay loop safety"),
+    *_below(
+        "hil", "attribution axis clock_map command_meter compensation controllers delay loop pace safety"
+    ),
     *_below("hil", "samples scenario syncs ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),

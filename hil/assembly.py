@@ -48,14 +48,18 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
         decide_after=config.loop.decide_after,
         settle=Duration(config.loop.deadline + config.loop.period),
         actuation=Actuation(config.loop.actuation),
-        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
+        sync_latency=_own_sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
         command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
     )
 
 
 def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
     """From handing a SYNC over until its end on an idle segment; None: the first one."""
-    return timing_at(config, config.bitrate_on(segment)).sync_latency
+    return _own_sync_latency(config.bitrate_on(segment))
+
+
+def _own_sync_latency(bitrate: int) -> Duration:
+    return bits_duration(frame_bits(SYNC_FRAME), bitrate)
 
 
 def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
