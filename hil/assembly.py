@@ -1,6 +1,7 @@
 """From a checked bench file to the parts of a run."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
@@ -21,12 +22,13 @@ from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
+from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
 from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
-from hil.world import SegmentPlan
+from hil.world import SegmentPlan, World
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.frame import Frame
 
@@ -49,14 +51,18 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
         decide_after=config.loop.decide_after,
         settle=Duration(config.loop.deadline + config.loop.period),
         actuation=Actuation(config.loop.actuation),
-        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
+        sync_latency=_own_sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
         command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
     )
 
 
 def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
     """From handing a SYNC over until its end on an idle segment; None: the first one."""
-    return timing_at(config, config.bitrate_on(segment)).sync_latency
+    return _own_sync_latency(config.bitrate_on(segment))
+
+
+def _own_sync_latency(bitrate: int) -> Duration:
+    return bits_duration(frame_bits(SYNC_FRAME), bitrate)
 
 
 def _settles(timing: LoopTiming) -> Duration:
@@ -181,3 +187,36 @@ def axis(
         commands=CommandMeter(config.loop.horizon_periods, _settles(timing)),
     )
     return Axis(number, parts, timing.period, record, Duration(later))
+
+
+def recording_plan(
+    config: BenchConfig, world: World, folder: Path, seed: int, bus: str, view: bool
+) -> RecordingPlan:
+    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run."""
+    axes = tuple(
+        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
+        for name, drive in sorted(config.drive.items())
+    )
+    first = config.drive[config.axes[0]]
+    return RecordingPlan(
+        folder=folder,
+        name=config.bench.name,
+        seed=seed,
+        bus=bus,
+        real_time=world.real_time,
+        deadline=config.loop.deadline,
+        review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
+        bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
+        wall_offset=world.wall_offset,
+        frames=config.recording.frames,
+        segments=tuple(segment.name for segment in config.bus.segment),
+        faults=config.faults is not None,
+        period_us=config.loop.period_us,
+        view=view,
+        notes={
+            "motor": first.motor.motor.name,
+            "controller": first.controller.kind,
+            "compensator": first.compensator.kind,
+            "bus": bus,
+        },
+    )

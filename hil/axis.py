@@ -155,10 +155,16 @@ class Axis:
                 self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
         return bool(readings)
 
+    def discard(self) -> None:
+        """Let go of what has come: it answers SYNCs from before."""
+        self._readings += len(self._drive.take_readings())
+        self._drive.take_readbacks()
+        self._drive.take_demand_changes()
+
     def begin(self, tick: Tick) -> None:
-        """A SYNC has gone out."""
+        """A SYNC has gone out, or was heard."""
         decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
-        decision.mark = self.parts.syncs.marks[-1]
+        decision.mark = self.parts.syncs.last_of(tick.sequence)
         self._decisions.append(decision)
         self.meter.sync_sent(tick.sequence, tick.due_at)
 

@@ -1,7 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,13 @@ from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
+from hil.pace import OwnSync, Pace
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.samples import CycleRecord
-from hil.segments import masters, record_frames, sync_log
+from hil.segments import heard_syncs, masters, record_frames, sync_log
 from hil.simulated_drives import simulated_drives
+from hil.sync_source import SyncSource, check_sync_source, kernel_sync
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
 from hil.timing_report import distrust, timing_report
@@ -82,6 +83,7 @@ def run_bench(
     worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
     paced = check_time(spec, time)
+    check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
     background = tuple(entry.stream for entry in config.bus.background)
@@ -98,7 +100,7 @@ def run_bench(
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
         folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
-        plan = _recording_plan(config, world, folder, seed, str(spec), view)
+        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view)
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
@@ -123,38 +125,6 @@ def _timing_conditions(privileged: bool) -> Iterator[Sequence[str]]:
     else:
         with quiet_garbage_collector():
             yield ()
-
-
-def _recording_plan(
-    config: BenchConfig, world: World, folder: Path, seed: int, bus: str, view: bool
-) -> RecordingPlan:
-    axes = tuple(
-        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
-        for name, drive in sorted(config.drive.items())
-    )
-    first = config.drive[config.axes[0]]
-    return RecordingPlan(
-        folder=folder,
-        name=config.bench.name,
-        seed=seed,
-        bus=bus,
-        real_time=world.real_time,
-        deadline=config.loop.deadline,
-        review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
-        bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
-        wall_offset=world.wall_offset,
-        frames=config.recording.frames,
-        segments=tuple(segment.name for segment in config.bus.segment),
-        faults=config.faults is not None,
-        period_us=config.loop.period_us,
-        view=view,
-        notes={
-            "motor": first.motor.motor.name,
-            "controller": first.controller.kind,
-            "compensator": first.compensator.kind,
-            "bus": bus,
-        },
-    )
 
 
 class _Run:
@@ -182,6 +152,7 @@ class _Run:
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._networks, self._master = masters(self._network, world)
+        self._sync_source = SyncSource(config.loop.sync)
         self._axes: list[Axis] = []
         self._syncs: dict[str, SyncLog] = {}
         self._drives = [
@@ -228,10 +199,7 @@ class _Run:
         config, world = self._config, self._world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
-        syncs = {
-            segment: sync_log(network, assembly.sync_latency(config, segment), timing.period)
-            for segment, network in self._networks.items()
-        }
+        syncs, pace = self._listen_for_syncs(timing)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
         axes = [
             assembly.axis(
@@ -250,8 +218,30 @@ class _Run:
             for own in [self._controllers.get(drive.name)]
         ]
         self._axes = axes
+        loop = Loop(self._master, world.clock, axes, pace, timing, self._load.chore)
+        with self._sync_producer(timing):
+            return self._calibrate_and_run(loop, timing)
+
+    def _listen_for_syncs(self, timing: LoopTiming) -> tuple[dict[str | None, SyncLog], Pace]:
+        """The SYNCs of each segment, and what starts the cycles."""
+        config, world = self._config, self._world
         stall = None if world.faults is None else world.faults.host_stall
-        loop = Loop(self._master, world.clock, axes, list(syncs.values()), timing, self._load.chore, stall)
+        if self._sync_source is not SyncSource.OWN:
+            log, heard = heard_syncs(self._network, world.clock, timing.period, stall)
+            return {None: log}, heard
+        syncs = {
+            segment: sync_log(network, assembly.sync_latency(config, segment), timing.period)
+            for segment, network in self._networks.items()
+        }
+        return syncs, OwnSync(self._master, world.clock, timing.period, list(syncs.values()), stall)
+
+    def _sync_producer(self, timing: LoopTiming) -> AbstractContextManager[None]:
+        """Who makes SYNCs on behalf of this process, as long as it is entered."""
+        if self._sync_source is SyncSource.KERNEL:
+            return kernel_sync(self._world.link.bus, timing.period)
+        return nullcontext()
+
+    def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> RunOutcome:
         self._enter("calibrating")
         loop.calibrate()
         self._stop.check()
@@ -314,7 +304,9 @@ class _Run:
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
         if ended.cycles_missed:
-            self._say(f"{ended.cycles_missed} cycles went without SYNC: the host was too late for it", "WARN")
+            own = self._sync_source is SyncSource.OWN
+            why = "the host was too late for it" if own else "it was not heard, or not in time"
+            self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
         if ended.interrupted:
             self._say(f"ended by {self._stop.signal_name}", "WARN")
         doubts = distrust(self._axes, self._config.loop.period)

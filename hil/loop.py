@@ -8,8 +8,8 @@ Time passes only inside ``network.rest``, ``network.pump`` and ``network.pump_on
 bus's ``recv``; on hardware that blocks, in simulation it steps the event heap. The
 loop cannot tell which.
 
-Every tick of the grid is a cycle and has a fate. One for which the host comes more than half a period too
-late, or whose SYNC would be handed over while the last one has not come to the bus, goes without SYNC.
+Every tick is a cycle and has a fate, also one that goes without SYNC. What a tick is, and who makes its SYNC,
+is the business of the loop's pace (:mod:`hil.pace`).
 """
 
 from collections.abc import Callable, Sequence
@@ -21,11 +21,8 @@ from drivers.errors import LimitExceeded, NoAnswer
 from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
-from hil.syncs import SyncLog
-from hil.ticker import ticks_missed
+from hil.pace import Pace, Start
 
-CALIBRATION_SYNCS: Final = 16
-"""Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
 PROGRESS_EVERY_CYCLES: Final = 50
 BEYOND_ANY_HORIZON: Final = 1 << 30
 
@@ -35,17 +32,6 @@ class Actuation(Enum):
 
     ON_ARRIVAL = "on_arrival"
     ON_SYNC = "on_sync"
-
-
-class SyncSource(Enum):
-    """Who makes the SYNC."""
-
-    OWN = "own"
-    """This process, at each tick."""
-    KERNEL = "kernel"
-    """The bus's cyclic sender, e.g. SocketCAN's broadcast manager, on behalf of this process."""
-    FOREIGN = "foreign"
-    """A drive or another master."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +45,7 @@ class LoopTiming:
     """How long readings may still come in after the last cycle."""
     actuation: Actuation
     sync_latency: Duration
-    """From handing a SYNC over until its end on an idle bus."""
+    """From a tick until the end of its SYNC on an idle bus: none where that is the tick."""
     command_latency: Duration
     """The same for a command."""
 
@@ -85,40 +71,30 @@ class Loop:
         network: Master,
         clock: Clock,
         axes: Sequence[Axis],
-        syncs: Sequence[SyncLog],
+        pace: Pace,
         timing: LoopTiming,
         chore: Callable[[Instant], None] | None = None,
-        stall: Callable[[Instant], Duration] | None = None,
     ) -> None:
-        """``syncs``: of each segment. ``chore``: done at the end of each cycle, when the commands are out; it
-        must not wait. ``stall``: for how long the host, which is to act now, is kept from it."""
+        """``pace``: starts the cycles. ``chore``: done at the end of each cycle, when the commands are out;
+        it must not wait."""
         self._network = network
         self._clock = clock
         self._now = clock.now
         self._axes = tuple(axes)
-        self._syncs = tuple(syncs)
+        self._pace = pace
         self._timing = timing
         self._chore = chore
-        self._stall = stall
         self._started_at = Instant(0)
         self._number = 0
         self._missed = 0
 
     def calibrate(self) -> None:
-        """Learn the drives' clocks from SYNCs so far apart that each reading answers the last one.
-
-        Raises ``NoAnswer`` if an axis stays silent throughout.
-        """
-        answered = [False] * len(self._axes)
-        for _ in range(CALIBRATION_SYNCS):
-            sent_at = self._send_sync(0)
-            self._network.pump(Instant(sent_at + self._timing.settle))
-            for number, axis in enumerate(self._axes):
-                answered[number] |= axis.calibrate()
+        """Learn the drives' clocks. Raises ``NoAnswer`` if an axis stays silent throughout."""
+        answered = self._pace.calibrate(self._axes, self._timing.settle)
         for axis, came in zip(self._axes, answered, strict=True):
             if not came:
                 raise NoAnswer(
-                    f"{axis.parts.name}: no reading came in answer to {CALIBRATION_SYNCS} SYNCs",
+                    f"{axis.parts.name}: no reading came in answer to any SYNC",
                     remedy="check that the drive is operational and that its TPDOs are synchronous",
                 )
 
@@ -133,11 +109,9 @@ class Loop:
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
-        period = self._timing.period
-        planned = -(-duration // period)
-        due = Instant(self._now() + period)
-        self._started_at = due
-        on_start(due)
+        planned = -(-duration // self._timing.period)
+        self._started_at = self._pace.begin(self._axes)
+        on_start(self._started_at)
         interrupted = False
         self._number = self._missed = 0
         try:
@@ -145,7 +119,7 @@ class Loop:
                 if should_stop():
                     interrupted = True
                     break
-                due = self._serve(due, planned)
+                self._serve(self._pace.next())
                 if self._number % PROGRESS_EVERY_CYCLES == 0:
                     progress(self._number)
             ended_at = self._now()
@@ -155,55 +129,11 @@ class Loop:
                 axis.settle_all(BEYOND_ANY_HORIZON)
         return LoopOutcome(self._number, self._missed, self._started_at, ended_at, interrupted)
 
-    def _serve(self, due: Instant, planned: int) -> Instant:
-        """Wait for the tick at ``due`` and serve it, or the first after it that can be; the next tick."""
-        period = self._timing.period
-        self._network.rest(due)
-        woke_at = self._wake()
-        missed = ticks_missed(due, period, woke_at)
-        if missed:
-            for _ in range(min(missed, planned - self._number)):
-                self._miss(due, None)
-                due = Instant(due + period)
-            if self._number >= planned or due > woke_at:
-                # The next tick is still to come.
-                return due
-        if self._may_hand_over(due):
-            self._cycle(due, woke_at)
+    def _serve(self, start: Start) -> None:
+        if start.served and start.woke_at is not None:
+            self._cycle(start.due_at, start.woke_at)
         else:
-            self._miss(due, woke_at)
-        return Instant(due + period)
-
-    def _wake(self) -> Instant:
-        """The host's instant, after what keeps it."""
-        now = self._now()
-        if self._stall is not None:
-            stalled = self._stall(now)
-            if stalled > 0:
-                self._clock.sleep_until(Instant(now + stalled))
-                now = self._now()
-        return now
-
-    def _may_hand_over(self, due: Instant) -> bool:
-        """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
-        half = self._timing.period // 2
-        now = self._now()
-        earliest = now
-        for syncs in self._syncs:
-            if not syncs.may_hand_over(now):
-                return False
-            earliest = max(earliest, Instant(syncs.last_on_bus + half))
-        if earliest > due + half:
-            return False
-        if earliest > now:
-            self._network.pump(earliest)
-        return True
-
-    def _send_sync(self, sequence: int) -> Instant:
-        at = self._network.send_sync()
-        for syncs in self._syncs:
-            syncs.handed(sequence, at)
-        return at
+            self._miss(start.due_at, start.woke_at)
 
     def _miss(self, due: Instant, woke_at: Instant | None) -> None:
         """A tick goes without SYNC."""
@@ -223,12 +153,10 @@ class Loop:
         probe = False
         for axis in axes:
             probe = probe or axis.wants_probe
-        if probe:
-            self._network.pump(Instant(due + self._timing.period // 4))
-        self._send_sync(self._number)
+        probed = self._pace.sync(self._number, due, probe)
         tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
         for axis in axes:
-            if probe:
+            if probed:
                 axis.probed()
             axis.begin(tick)
         self._await_readings(tick)

@@ -10,9 +10,11 @@ the order of the segments where it arrives at one instant.
 from collections.abc import Callable, Sequence
 
 from drivers.exchange import Master
-from drivers.frame_port import FrameTap
+from drivers.frame_port import EchoBasis, FrameTap
+from drivers.frame_pump import SYNC
 from drivers.network import CanopenNetwork
-from drivers.timebase import Duration, Instant
+from drivers.timebase import Clock, Duration, Instant
+from hil.pace import HeardSync, Stall
 from hil.syncs import SyncLog
 from hil.world import FurtherSegment, World
 
@@ -57,13 +59,29 @@ class SegmentMasters(Master):
 
 
 def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
-    """The SYNCs of a network's segment, which hears their echoes from now on.
+    """The SYNCs that are sent on a network's segment. It hears their echoes from now on, and others' SYNCs.
 
     ``latency``: from handing one over until its end on an idle bus.
     """
     log = SyncLog(latency, period, network.link.echoes)
     network.frame_pump.on_sync_echo = log.came
+    network.listen(SYNC, lambda _data, at: log.stray(at))
     return log
+
+
+def heard_syncs(
+    network: CanopenNetwork, clock: Clock, period: Duration, stall: Stall | None
+) -> tuple[SyncLog, HeardSync]:
+    """The SYNCs that somebody else makes on a network's segment, and the pace that they set from now on.
+
+    SocketCAN's cyclic sender has a socket of its own: what it sends is received here as from another node.
+    """
+    basis = network.link.echoes
+    log = SyncLog(Duration(0), period, EchoBasis.RECEIPT if basis is EchoBasis.NONE else basis)
+    pace = HeardSync(network.frame_pump, clock, period, log, stall)
+    network.frame_pump.on_sync_echo = pace.hear
+    network.listen(SYNC, lambda _data, at: pace.hear(at))
+    return log, pace
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:

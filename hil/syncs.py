@@ -51,7 +51,7 @@ class SyncLog:
         """In the order of handing over; the last :data:`REMEMBERED`."""
         self.echoes = echoes
         self.surplus = 0
-        """SYNCs on the bus that nobody here handed over."""
+        """SYNCs on the bus that belong to no cycle: echoes beyond what was handed over, another master's."""
         self.crowded = 0
         """SYNCs that ended on the bus less than half a period after the one before."""
         self._latency = latency
@@ -95,6 +95,11 @@ class SyncLog:
         self._put_on_bus(mark, at)
         return mark
 
+    def stray(self, at: Instant) -> None:
+        """A SYNC that nobody here expects ended on the bus."""
+        self.surplus += 1
+        self.heard(SURPLUS, at)
+
     def came(self, at: Instant) -> None:
         """The echo of one of our SYNCs."""
         pending, instants = self._pending, self._instants
@@ -110,8 +115,7 @@ class SyncLog:
                 mark.sure = sure
             self._note_spacing(at)
         else:
-            self.surplus += 1
-            self.heard(SURPLUS, at)
+            self.stray(at)
 
     def may_hand_over(self, now: Instant) -> bool:
         """Whether no echo is awaited that may still come."""
@@ -124,6 +128,10 @@ class SyncLog:
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus
+
+    def last_of(self, sequence: int) -> SyncMark | None:
+        """The last SYNC of a cycle; None if it is not remembered."""
+        return next((mark for mark in reversed(self.marks) if mark.sequence == sequence), None)
 
     def nearest(self, at: Instant) -> SyncMark | None:
         """The SYNC whose end on the bus is nearest to ``at``."""

@@ -22,6 +22,7 @@ from hil.controllers import Controller
 from hil.delay import DelayMeter
 from hil.loop import Loop, LoopTiming
 from hil.order_attribution import OrderAttribution
+from hil.pace import OwnSync
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.scenario import LoadProfile, Segment, SpeedProfile
@@ -191,7 +192,8 @@ class Exerciser:
         records: list[CycleRecord] = []
         syncs = sync_log(self._network, self.timing.sync_latency, self.timing.period)
         axis = self._axis(controller, reference or [], syncs, records, guard_speed)
-        loop = Loop(self._network.frame_pump, self._network.clock, [axis], [syncs], self.timing)
+        pump, clock = self._network.frame_pump, self._network.clock
+        loop = Loop(pump, clock, [axis], OwnSync(pump, clock, self.timing.period, [syncs]), self.timing)
         # A reading that is still on its way from before would be taken for the answer to the first SYNC.
         self._network.pump(Instant(self._network.clock.now() + self.timing.settle))
         self.port.take_readings()

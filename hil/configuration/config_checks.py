@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import MISSING, BadInput
+from drivers.frame_pump import SYNC
 from drivers.key_advice import nearest
 from drivers.pdo import PdoPlan
 from drivers.pdo_plans import torque_plan
@@ -58,6 +59,14 @@ def _segments(config: BenchConfig) -> Iterator[Fault]:
     if names and config.bus.spec != "simulated":
         expected = "no further segments: they are made on the bus 'simulated' only"
         yield "bus.segment", f"{len(names)} on {config.bus.spec}", expected, "a bench has one real bus"
+    if names and config.loop.sync != "own":
+        expected = "no further segments: SYNCs are heard on one segment"
+        yield (
+            "bus.segment",
+            f'{len(names)}, with loop.sync = "{config.loop.sync}"',
+            expected,
+            'loop.sync = "own"',
+        )
     for axis in config.axes:
         segment = config.drive[axis].segment
         if segment is not None and segment not in names:
@@ -161,6 +170,10 @@ def _background(config: BenchConfig) -> Iterator[Fault]:
         traffic.append((f"bus.segment[{place}].background", segment.background))
     for key, entries in traffic:
         for index, entry in enumerate(entries):
+            if entry.can_id == SYNC and not entry.extended and config.loop.sync == "foreign":
+                if entry.bytes_max or entry.remote:
+                    yield f"{key}[{index}].bytes_max", entry.bytes_max, "0: a SYNC without counter", ""
+                continue
             taken = entry.can_id in _BROADCASTS or (entry.can_id > 0x80 and entry.can_id & 0x7F in nodes)
             if taken and not entry.extended:
                 expected = (

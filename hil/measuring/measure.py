@@ -24,6 +24,7 @@ from hil.measuring.network import network_of
 from hil.measuring.probe import Change, acting
 from hil.measuring.request import MeasureRequest
 from hil.measuring.subject import Subject, affordable, timing_of
+from hil.pace import OwnSync
 from hil.recording.records import Rows
 from hil.segments import sync_log
 from hil.syncs import SyncLog
@@ -105,7 +106,9 @@ class _Measurement:
         syncs = sync_log(self._network, timing.sync_latency, timing.period)
         self._axes = [subject.join(number, syncs, self._say) for number, subject in enumerate(self._subjects)]
         stall = None if world.faults is None else world.faults.host_stall
-        loop = Loop(self._network.frame_pump, world.clock, self._axes, [syncs], timing, None, stall)
+        pump = self._network.frame_pump
+        pace = OwnSync(pump, world.clock, timing.period, [syncs], stall)
+        loop = Loop(pump, world.clock, self._axes, pace, timing)
         self._progress("calibrating", 0.0)
         loop.calibrate()
         self._stop.check()

@@ -235,6 +235,8 @@ class Run:
         """
         __tracebackhide__ = True
         rules: list[Intended] = []
+        if self.config.loop.sync != "own":
+            rules.append(Intended("080#", False))
         for name, plan in pdo_plans(self.config).items():
             rules += intended_frames(self.config.host.node, self.config.drive[name].node, plan)
         self.wire.assert_only(rules, allow)

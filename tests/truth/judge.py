@@ -34,6 +34,8 @@ class Timing:
     period: Duration
     deadline: Duration
     horizon: int
+    syncs_heard: bool = False
+    """Cycles start at SYNCs that the loop does not make, and their grid follows those."""
 
 
 @dataclass(slots=True)
@@ -135,19 +137,34 @@ class _Judge:
     def _unaccounted(self) -> int:
         """Cycles of the grid without a row, and hand-overs without one."""
         period = self._timing.period
+        if self._timing.syncs_heard:
+            return self._unaccounted_heard()
         planned = 1 + (self._last_due - self._first_due) // period
         handed = self._truth.handed_between(self._first_due, self._last_due + period)
         known = set(self._told["sync_handed_at"].tolist())
         unknown = sum(sync.handed_at not in known for sync in handed)
         return abs(planned - np.unique(self._told["sequence"]).size) + unknown
 
+    def _unaccounted_heard(self) -> int:
+        """Numbers without a row, and SYNCs on the bus without one that are no tick of a missed cycle."""
+        told = self._told
+        known = set(told["sync_handed_at"].tolist()) | set(told["due_at"][told["fate"] == MISSED].tolist())
+        syncs = self._truth.handed_between(int(told["due_at"][0]), self._last_due + 1)
+        unknown = sum(sync.on_bus_at not in known for sync in syncs)
+        return int(told["sequence"].max()) - np.unique(told["sequence"]).size + unknown
+
     def _wrong(self, row: Any, fate: int) -> str:
         """What is wrong with the fate that a row tells; empty if nothing is."""
         due, handed_at = int(row["due_at"]), int(row["sync_handed_at"])
         period = self._timing.period
-        if due != self._first_due + (int(row["sequence"]) - 1) * period:
+        if self._timing.syncs_heard:
+            if fate != MISSED and due != handed_at:
+                return "its due is not the end of its SYNC"
+        elif due != self._first_due + (int(row["sequence"]) - 1) * period:
             return "its due is not on the grid"
         if fate == MISSED:
+            if self._timing.syncs_heard:
+                return ""  # late hosts and frames lost on the way to them are not known here
             return "missed, and its SYNC went out" if self._truth.handed_between(due, due + period) else ""
         place = self._truth.place_of.get(handed_at)
         if place is None:

@@ -8,7 +8,7 @@ within 2 us (p99) and no instant of sampling is further off than its row says.
 
 import tomllib
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 DELAY_ERROR_P99_US: Final = 2.0
 NO_LIMIT: Final = float("inf")
@@ -38,11 +38,22 @@ class Plan:
     """The data decide which SYNC every reading answers; else rows may be uncertain anywhere."""
     delay_us: float = DELAY_ERROR_P99_US
     """Largest error of the delay, p99."""
+    sync: Literal["own", "kernel", "foreign"] = "own"
+    """Who makes the SYNC."""
+    producer_period_us: int = 1000
+    """Of another node that makes the SYNC, by the bench's clock."""
+    producer_jitter_us: int = 0
+    """Each of its SYNCs comes up to so much later."""
     commands: bool = False
     """The reference moves so fast that hardly any two neighbouring commands are equal, and the way of the
     commands is asked for too: losses within 1 percentage point."""
     command_delay_us: float = 100.0
     """Largest error of the delays told of the commands: p50, p99 and largest."""
+
+    @property
+    def heard(self) -> bool:
+        """Whether the loop makes no SYNC itself."""
+        return self.sync != "own"
 
     def fault_tables(self) -> dict[str, Any]:
         """As a fault plan file has them."""
@@ -84,6 +95,7 @@ _BEHIND: Final = 'side = "drive"'
 _BARS: Final = "edges_us = [100, 200, 400, 900, 3500], counts = [60, 30, 8, 2]"
 _LOSS: Final = _fault("loss", "probability = 0.1", _IN)
 _SYNC_LOSS: Final = _fault("loss", "probability = 0.05", _SYNC)
+_SYNC_PDO_LOSS: Final = _fault("loss", "probability = 0.1", 'frames = ["pdo", "sync"]')
 _JITTER: Final = _delay(0, 1500)
 _GATEWAY: Final = _delay(5000, None, "from_s = 0.5")
 COMMANDS_LATE: Final = _fault("loss", "probability = 0.1", _OUT) + _fault("delay", "delay_us = 600", _OUT)
@@ -108,7 +120,7 @@ PLANS: Final = (
     Plan("blackouts", _BLACKOUTS),
     Plan("SYNCs lost", _SYNC_LOSS),
     Plan("SYNCs lost in bursts", _fault("burst", "p_good_to_bad = 0.01, p_bad_to_good = 0.2", _SYNC)),
-    Plan("SYNCs and PDOs lost", _fault("loss", "probability = 0.1", 'frames = ["pdo", "sync"]')),
+    Plan("SYNCs and PDOs lost", _SYNC_PDO_LOSS),
     # delays
     Plan("delay 600 us", _delay(600)),
     Plan("delay 3300 us", _delay(3300), deadline_us=5000),
@@ -166,6 +178,28 @@ PLANS: Final = (
     # behind the echo
     Plan("SYNCs lost behind the echo", _fault("loss", "probability = 0.05", _SYNC, _BEHIND)),
     Plan("readings lost at the drive", _fault("loss", "probability = 0.1", _IN, _BEHIND)),
+    # SYNCs of others
+    Plan("kernel's SYNCs", sync="kernel"),
+    Plan("kernel's SYNCs and PDOs lost", _SYNC_PDO_LOSS, sync="kernel"),
+    Plan("kernel's SYNCs, on_sync", sync="kernel", actuation="on_sync", acts_at_age_us=2000),
+    Plan("kernel's SYNCs, host 0-5 ms late", _late(0, 5000), sync="kernel"),
+    Plan("another's SYNCs", sync="foreign"),
+    Plan(
+        "another's SYNCs, jitter and drift",
+        sync="foreign",
+        producer_period_us=1001,
+        producer_jitter_us=200,
+        drift_ppm=-1000,
+    ),
+    Plan(
+        "another's SYNCs not heard",
+        _fault("loss", "probability = 0.05", _IN, 'frames = ["sync"]'),
+        sync="foreign",
+    ),
+    Plan("another's SYNCs, host 0-5 ms late", _late(0, 5000), sync="foreign", producer_jitter_us=200),
+    Plan("another's SYNCs, overtaking", _delay(0, 2500, "reorder = true"), sync="foreign"),
+    Plan("another's SYNCs, clock steps -350 us", _step(-350), sync="foreign", producer_jitter_us=200),
+    Plan("another's SYNCs, commands", COMMANDS_LATE, sync="foreign", commands=True),
     # commands
     Plan("commands", commands=True, command_delay_us=10),
     Plan("commands, three axes", commands=True, axes=3, period_us=2000, command_delay_us=10),
@@ -186,6 +220,9 @@ SHORT: Final = (
     "SYNCs 1200 us late",
     "host 0-5 ms late",
     "no stamps, loss",
+    "kernel's SYNCs and PDOs lost",
+    "another's SYNCs, jitter and drift",
+    "another's SYNCs, host 0-5 ms late",
     "three axes, loss and delay",
     "commands lost and late",
     "commands behind the echo",

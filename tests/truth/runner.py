@@ -14,7 +14,7 @@ from hil.configuration.config_errors import BadInputs
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
-from tests.truth.rows import READING_IS_A_SET, told_by
+from tests.truth.rows import MISSED, READING_IS_A_SET, told_by
 from tests.truth.tapped_run import run_with_taps
 from tests.truth.taps import SYNC_ID
 from tests.truth.truth import axis_truth, spacings_below
@@ -54,6 +54,7 @@ class Outcome:
             ("uncertain far from a step", 0 if not plan.decides else readings.uncertain_far, 0),
             ("instants of SYNCs on the bus wrong", readings.echo_wrong, 0),
             ("sampled_at_error_ns broken", readings.bound_broken, 0),
+            ("missed without a cause", readings.fates[MISSED] if plan.heard and not plan.faults else 0, 0),
             ("SYNC bursts handed over", self.bursts_handed, 0),
         )
         found += [f"{what}: {count}" for what, count, most in asked if count > most]
@@ -98,9 +99,10 @@ def run_plan(plan: Plan, cycles: int) -> Outcome:
 def _run(config: BenchConfig, outcome: Outcome) -> None:
     run = run_with_taps(config, outcome.plan.clock_starts_at_us)
     outcome.ended_by = run.ended_by
-    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods)
+    heard = outcome.plan.heard
+    timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods, heard)
     for axis, name in enumerate(config.axes):
-        truth = axis_truth(run.log, config.drive[name].node, READING_IS_A_SET)
+        truth = axis_truth(run.log, config.drive[name].node, READING_IS_A_SET, heard)
         told = told_by(run.rows, axis, timing.period)
         outcome.readings.add(judge_axis(told, truth, timing))
         outcome.commands.add(judge_commands(told, truth))
@@ -133,10 +135,19 @@ def _tables(plan: Plan, cycles: int) -> dict[str, Any]:
             "actuation": plan.actuation,
             "position_every_cycles": DENSE_BUS_EVERY if sparse else 1,
             "command_readback": "event" if plan.commands else "sync",
+            "sync": plan.sync,
         },
         "drive": {name: _drive(plan, number) for number, name in enumerate(names)},
         "reference": {name: [_reference(plan)] for name in names},
     }
+    if plan.sync == "foreign":
+        producer = {
+            "can_id": SYNC_ID,
+            "bytes_max": 0,
+            "period_us": plan.producer_period_us,
+            "jitter_us": plan.producer_jitter_us,
+        }
+        tables["bus"] = {"background": [producer]}
     if faults := plan.fault_tables():
         tables["faults"] = faults
     return tables

@@ -73,17 +73,20 @@ class AxisTruth:
         return self.syncs[first:last]
 
 
-def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool) -> AxisTruth:
+def axis_truth(log: TapLog, node_id: int, reading_is_a_set: bool, syncs_heard: bool = False) -> AxisTruth:
     """What happened at the drive of ``node_id``.
 
     ``reading_is_a_set``: a reading has come with the last of the TPDOs of its SYNC, else with its speed.
+    ``syncs_heard``: the loop hands no SYNC over, so the end of one on the bus stands for its hand-over.
     """
     drive = log.drives[node_id]
     layout = drive.layout
     if layout is None:
         raise ValueError(f"node {node_id} never answered a SYNC")
     awaited = frozenset(layout.each_sync) if reading_is_a_set else frozenset({layout.sent[SPEED].can_id})
-    handed = [passed for passed in log.handed if passed.frame.can_id == SYNC_ID]
+    handed = [
+        passed for passed in (log.on_bus if syncs_heard else log.handed) if passed.frame.can_id == SYNC_ID
+    ]
     places = {id(passed.frame): place for place, passed in enumerate(handed)}
     on_bus = _first(log.on_bus)
     fetched = {id(passed.frame): (order, passed.at) for order, passed in reversed([*enumerate(log.fetched)])}

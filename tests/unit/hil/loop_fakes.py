@@ -1,6 +1,6 @@
 """A master and drives on a made-up bus, for the tests of axis and loop: time is a number they own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from heapq import heappop, heappush
@@ -16,6 +16,7 @@ from hil.compensation import Arrival, Compensator
 from hil.delay import DelayMeter
 from hil.loop import Actuation, Loop, LoopTiming
 from hil.order_attribution import OrderAttribution
+from hil.pace import OwnSync
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile, Step
@@ -110,6 +111,20 @@ class FakeBus(Master):
         self.handed_at.append(self.at)
         on_bus_at = Instant(self.at + SYNC_LATENCY)
         self.call_at(on_bus_at, lambda: self._echo(on_bus_at))
+        self._answer(on_bus_at)
+        return self.at
+
+    def produce(self, instants: Iterable[int], hear: Callable[[Instant], None]) -> None:
+        """Another node sends SYNCs that end on the bus at ``instants``."""
+        for at in map(Instant, instants):
+            self.call_at(at, partial(self._on_foreign_sync, at, hear))
+
+    def _on_foreign_sync(self, at: Instant, hear: Callable[[Instant], None]) -> None:
+        self.sync_count += 1
+        hear(at)
+        self._answer(at)
+
+    def _answer(self, on_bus_at: Instant) -> None:
         for drive in self.drives:
             delay = drive.delay(self.sync_count)
             if delay is None:
@@ -117,7 +132,6 @@ class FakeBus(Master):
             stamp = on_bus_at + DEVICE_CLOCK_OFFSET_NS if drive.has_clock else None
             reading = reading_at(Instant(on_bus_at + delay), stamp, drive.velocity_rad_s)
             self.call_at(reading.received_at, partial(drive.readings.append, reading))
-        return self.at
 
     def _echo(self, at: Instant) -> None:
         if self.on_sync_echo is not None:
@@ -189,4 +203,5 @@ def make_loop(
     """A loop whose SYNC log hears the bus's echoes; the axes share the log of the first."""
     log = axes[0].parts.syncs
     bus.on_sync_echo = log.came
-    return Loop(bus, bus, axes, [log], replace(TIMING, actuation=actuation), stall=stall)
+    pace = OwnSync(bus, bus, PERIOD, [log], stall)
+    return Loop(bus, bus, axes, pace, replace(TIMING, actuation=actuation))

@@ -115,6 +115,24 @@ def test_resolved_text_holds_what_the_command_line_changed() -> None:
     assert (raw["bus"]["spec"], raw["bench"]["seed"]) == ("hub:a", 7)
 
 
+@pytest.mark.parametrize("source", ["kernel", "foreign"])
+def test_syncs_are_heard_on_one_segment(source: str) -> None:
+    raw = tomllib.loads((EXAMPLES / "two_segments.toml").read_text())
+    raw.setdefault("loop", {})["sync"] = source
+    error = only_error_of(raw)
+    assert (error.key, error.remedy) == ("bus.segment", 'loop.sync = "own"')
+
+
+def test_another_node_of_the_simulated_bus_may_make_the_sync() -> None:
+    raw = edited("loop", "sync", value="foreign")
+    raw["bus"]["background"] = [{"can_id": 0x080, "bytes_max": 0, "period_us": 1000}]
+    load(raw)
+    raw["bus"]["background"][0]["bytes_max"] = 1
+    assert only_error_of(raw).key == "bus.background[0].bytes_max"
+    raw["loop"]["sync"] = "own"
+    assert only_error_of(raw).key == "bus.background[0].can_id"
+
+
 def test_controller_may_be_a_file(tmp_path: Path) -> None:
     (tmp_path / "pid.toml").write_text('[controller]\nkind = "pid"\nproportional_nm_s_rad = 0.5\n')
     raw = edited("drive", "axis1", "controller", value=str(tmp_path / "pid.toml"))

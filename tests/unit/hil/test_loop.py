@@ -9,7 +9,8 @@ from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.compensation import Stamp
-from hil.loop import CALIBRATION_SYNCS, Actuation, LoopOutcome
+from hil.loop import Actuation, LoopOutcome
+from hil.pace import CALIBRATION_SYNCS
 from hil.safety import SafetyLimits
 from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import PERIOD, FakeBus, FakeDrive, make_axis, make_loop

@@ -1,0 +1,63 @@
+"""Who makes the SYNC, and whether they can on a bus."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from enum import Enum
+
+import can
+
+from drivers.adapters import HUB, SOCKETCAN, BusSpec
+from drivers.errors import BadInput, BusDown
+from drivers.frame_pump import SYNC
+from drivers.timebase import NS_PER_S, Duration
+from hil.configuration.config import BenchConfig
+
+
+class SyncSource(Enum):
+    """Who makes the SYNC."""
+
+    OWN = "own"
+    """This process, at each tick."""
+    KERNEL = "kernel"
+    """The bus's cyclic sender, e.g. SocketCAN's broadcast manager, on behalf of this process."""
+    FOREIGN = "foreign"
+    """A drive or another master."""
+
+
+@contextmanager
+def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
+    """The bus's own cyclic sender makes SYNCs. Raises BusDown if it cannot."""
+    message = can.Message(arbitration_id=SYNC, is_extended_id=False)
+    try:
+        task = bus.send_periodic(message, period / NS_PER_S)
+    except (can.CanError, OSError, NotImplementedError) as error:
+        raise BusDown("the bus's cyclic sender cannot make SYNCs", str(error)) from error
+    try:
+        yield
+    finally:
+        # If the interface is down, it sends none; the kernel forgets them when the bus is closed.
+        with suppress(can.CanError, OSError):
+            task.stop()
+
+
+def check_sync_source(config: BenchConfig, spec: BusSpec) -> None:
+    """Raises BadInput if nobody can make the SYNCs of ``config`` as it wants on the bus ``spec``."""
+    source = SyncSource(config.loop.sync)
+    if source is SyncSource.KERNEL and not spec.simulated and spec.interface != SOCKETCAN:
+        expected = f"'own' or 'foreign' on the bus {spec}"
+        why = "only SocketCAN and the bus 'simulated' send cyclic frames by themselves"
+        if spec.interface == HUB:
+            why += "; on a hub it would be a thread of this process"
+        raise BadInput(config.source, "loop.sync", source.value, expected, why)
+    if source is SyncSource.FOREIGN and spec.simulated and not _produces_sync(config):
+        raise BadInput(
+            config.source,
+            "loop.sync",
+            source.value,
+            "'own' or 'kernel' on the bus 'simulated', where nobody else makes SYNCs",
+            "or let a [[bus.background]] with can_id = 0x080 and bytes_max = 0 make them",
+        )
+
+
+def _produces_sync(config: BenchConfig) -> bool:
+    return any(entry.can_id == SYNC and not entry.extended for entry in config.bus.background)
