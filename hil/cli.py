@@ -127,8 +127,8 @@ def run(
     Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     with reported_errors():
+        from drivers.bounded_file import NamedBy
         from hil.configuration.bench_file import load_bench, load_faults
-        from hil.configuration.config_files import NamedBy
 
         config = load_bench(bench)
         if replay_faults is not None:
