@@ -3,6 +3,10 @@
 What a command needs is imported inside it, so that ``hil --help`` answers at once.
 """
 
+from hil.hidden_rooms import refuse_hidden_rooms
+
+refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
+
 import json
 import sys
 from enum import StrEnum
