@@ -10,6 +10,7 @@ from pathlib import Path
 
 from canopen.objectdictionary import ObjectDictionary
 
+from drivers.bounded_file import read_bytes
 from drivers.eds.compact_pdo import add_compact_pdos
 from drivers.eds.information import (
     Commissioning,
@@ -30,9 +31,10 @@ from drivers.errors import BadInput
 
 __all__ = ["LoadedDictionary", "Repair", "load_dictionary", "parse_dictionary"]
 
-_EXPECTED = "an EDS or DCF file (CiA 306-1)"
-_SIZE_MAX = 32 << 20
-"""Bytes; the largest data sheets of servo drives have one or two million."""
+_WHAT = "EDS or DCF file (CiA 306-1)"
+_EXPECTED = f"an {_WHAT}"
+_SIZE_MAX_BYTES = 8_000_000
+"""The largest data sheets of servo drives have one or two million."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +57,7 @@ def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:
 
     Raises BadInput if the file cannot be read, or holds no object.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(_SIZE_MAX + 1)
-    except OSError as error:
-        raise BadInput(str(path), "", error.strerror or str(error), "a readable EDS or DCF file") from error
-    if len(data) > _SIZE_MAX:
-        raise BadInput(str(path), "", f"more than {_SIZE_MAX >> 20} MiB", _EXPECTED)
-    return parse_dictionary(data, str(path), node_id)
+    return parse_dictionary(read_bytes(path, _WHAT, size_max_bytes=_SIZE_MAX_BYTES), str(path), node_id)
 
 
 def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> LoadedDictionary:

@@ -9,6 +9,11 @@ A failure carries its evidence, and its message says what to do next.
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.printable import printable
+
+VALUE_SHOWN_MAX = 200
+"""Characters of a value that a message repeats: two lines of a terminal."""
+
 
 class BenchError(Exception):
     """Root of every error that a user may see without a traceback."""
@@ -35,8 +40,11 @@ class BadInput(BenchError):
 
     def __str__(self) -> str:
         place = f"{self.source}: {self.key}" if self.key else self.source
-        text = f"{place}: found {self.value!r}, expected {self.expected}"
-        return f"{text}; {self.remedy}" if self.remedy else text
+        found = repr(self.value)
+        if len(found) > VALUE_SHOWN_MAX:
+            found = f"{found[:VALUE_SHOWN_MAX]}..."
+        text = f"{place}: found {found}, expected {self.expected}"
+        return printable(f"{text}; {self.remedy}" if self.remedy else text)
 
 
 class Missing:

@@ -5,6 +5,7 @@ from struct import error as struct_error
 
 from drivers.errors import PeerFault, TransferAborted
 from drivers.network import CanopenNetwork
+from drivers.printable import printable
 from drivers.sdo import object_name
 
 _STRUCTS = {code: Struct(f"<{code}") for code in "bBhHiIqQ"}
@@ -41,12 +42,12 @@ class RemoteObjects:
             return None
 
     def read_text(self, index: int, sub: int = 0) -> str:
-        """A VISIBLE_STRING; empty if the node has none. Octets beyond Latin-1 do not occur."""
+        """A VISIBLE_STRING, printable; empty if the node has none. Octets beyond Latin-1 do not occur."""
         try:
             data = self.network.upload(self.node_id, index, sub)
         except TransferAborted:
             return ""
-        return data.split(b"\0", 1)[0].decode("latin-1").strip()
+        return printable(data.split(b"\0", 1)[0].decode("latin-1").strip())
 
     def write(self, index: int, sub: int, code: str, value: int) -> None:
         """Write an integer object and wait for the confirmation. Raises ValueError if it does not fit."""

@@ -3,6 +3,10 @@
 What a command needs is imported inside it, so that ``hil --help`` answers at once.
 """
 
+from hil.hidden_rooms import refuse_hidden_rooms
+
+refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
+
 import json
 import sys
 from enum import StrEnum
@@ -129,8 +133,8 @@ def run(
     Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     with reported_errors():
+        from drivers.bounded_file import NamedBy
         from hil.configuration.bench_file import load_bench, load_faults
-        from hil.configuration.config_files import NamedBy
 
         config = load_bench(bench)
         if replay_faults is not None:

@@ -7,9 +7,9 @@ from pathlib import Path
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.adapters import BusSpec, parse_bus_spec
+from drivers.bounded_file import NamedBy
 from drivers.errors import BadInput
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_files import NamedBy
 from hil.configuration.current_controller_file import CurrentController, read_current_controller
 from hil.device_files import DeviceFiles
 from hil.machine.realtime import realtime_process

@@ -11,7 +11,7 @@ from design.mixed_sensitivity import axis_plant
 from design.motor import PmsmParameters
 from design.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
 from design.statespace import StateSpace, series
-from hil.configuration.config_files import NamedBy
+from drivers.bounded_file import NamedBy
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.toml_text import toml_text
 

@@ -26,6 +26,9 @@ class Formula(NamedTuple):
         return (self.factor * node_id + self.base) & 0xFFFF_FFFF
 
 
+LENGTH_MAX = 128
+"""Characters of a number or formula: 64 bits in binary take half of them. Turning digits into an integer
+takes the square of their number, and nested parentheses a call each."""
 _DECIMAL = re.compile(r"[+-]?\d+")
 _HEX = re.compile(r"[+-]?0[xX][0-9A-Fa-f]+")
 _ODD_HEX = (
@@ -52,6 +55,8 @@ _FUNCTION_CODE = 0x80
 def integer(text: str) -> Spelled | None:
     """A whole number in any of the spellings that occur; None if it is none."""
     bare = text.strip()
+    if len(bare) > LENGTH_MAX:
+        return None
     if _DECIMAL.fullmatch(bare):
         return _decimal(bare)
     if _HEX.fullmatch(bare):
@@ -117,6 +122,8 @@ def formula(text: str) -> Formula | None:
     ``$NODEID+180`` is 180h, ``$NODEID+384`` is 384.
     """
     compact = text.strip()
+    if len(compact) > LENGTH_MAX:
+        return None
     parser = _Parser(_NODE_ID.sub(" N ", compact.strip("\"'")))
     found = parser.expression()
     if found is None or not parser.at_end():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.eds.repairs import RepairLog
+from drivers.printable import printable
 
 
 class Option(NamedTuple):
@@ -45,7 +46,7 @@ class ObjectName:
 
 Sections = dict[str, Section]
 
-_HEADER = re.compile(r"^\[\s*([^\]]*?)\s*\](.*)$")
+_HEADER = re.compile(r"^\[([^\]]*)\](.*)$")
 _TORN_HEADER = re.compile(
     r"^\[\s*((?:0[xX])?[0-9A-Fa-f]{4}(?:\s*sub\s*[0-9A-Fa-f]{1,2})?)\s*$", re.IGNORECASE
 )
@@ -54,6 +55,8 @@ _LOOSE_OBJECT = re.compile(
     r"^(?:0x)?([0-9A-F]{4})h?(?:[\s_.,:/-]*(?:sub[\s_-]*(?:index)?[\s_-]*|(?<=[.,:/_-]))(?:0x)?([0-9A-F]{1,2})h?)?$",
     re.IGNORECASE,
 )
+_OBJECT_NAME_MAX = 60
+"""Characters: twice what ``0x1A00 - sub-index 0x02 h`` has. The pattern takes the square of their number."""
 _TABLE = re.compile(r"^([0-9A-F]{4})(Name|Value|Denotation|ObjectLinks)$", re.IGNORECASE)
 COMMISSIONING = "DeviceComissioning"
 """The section that makes a DCF; CiA 306-1 spells it with one m, and who spells it right means the same."""
@@ -112,8 +115,17 @@ def read_sections(lines: list[str], log: RepairLog) -> Sections:
     for number, raw in enumerate(lines, start=1):
         line = raw.strip(" \t\0\x1a\ufeff\xa0\v\f")
         if line and line[0] not in ";#":
-            reader.take(line, number)
+            reader.take(_shown(line, number, log), number)
     return reader.sections
+
+
+def _shown(line: str, number: int, log: RepairLog) -> str:
+    """A line that can go to a terminal; a tab is a blank."""
+    line = line.replace("\t", " ")
+    shown = printable(line)
+    if shown != line:
+        log.add("file", "a control character", f"read as text: {shown[:40]}", number)
+    return shown
 
 
 class _Reader:
@@ -131,7 +143,7 @@ class _Reader:
         self._take_option(line, number)
 
     def _begin(self, header: re.Match[str], line: str, number: int) -> None:
-        written = header[1]
+        written = header[1].strip()
         name = _canonical(written)
         rest = header[2].strip() if header.re is _HEADER else "no closing bracket"
         if rest and rest[0] not in ";#":
@@ -198,7 +210,7 @@ class _Reader:
 
 def _canonical(written: str) -> str:
     """``1A00sub2`` whatever the case and padding it is written with."""
-    loose = _LOOSE_OBJECT.match(written)
+    loose = _LOOSE_OBJECT.match(written) if len(written) <= _OBJECT_NAME_MAX else None
     if loose is not None:
         return section_name(int(loose[1], 16), None if loose[2] is None else int(loose[2], 16))
     table = table_of(written)

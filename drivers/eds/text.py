@@ -28,7 +28,7 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16", "UTF-16"),
     (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
 )
-_LINE_END = re.compile(rb"\r*\n|\r")
+_LINE_END = re.compile(rb"\r{0,2}\n|\r")
 _UNITS_BESIDE_NUMBERS = "°µ²³±\xd7·½¼¾"
 _MARKS_OF_TRADE = "®©™§•"
 _APOSTROPHE = "\u2019"

@@ -67,7 +67,7 @@ _SHORT_NAMES = {"BOOL": 0x01, "STRING": 0x09, "VISSTRING": 0x09, "FLOAT": 0x08, 
 def type_by_name(text: str) -> int | None:
     """``UNSIGNED16``, ``Integer 16``, ``U16``, ``uint16_t``, ``VISIBLE_STRING``; None for what is no name."""
     bare = re.sub(r"[\s_]", "", text).upper().removesuffix("T")
-    match = re.fullmatch(r"(U|UINT|UNSIGNED|UI|I|S|INT|INTEGER|SINT|SIGNED)(\d+)", bare)
+    match = re.fullmatch(r"(U|UINT|UNSIGNED|UI|I|S|INT|INTEGER|SINT|SIGNED)(\d{1,2})", bare)
     if match is not None:
         table = UNSIGNED_BITS if match[1][0] == "U" else SIGNED_BITS
         return next((code for code, bits in table.items() if bits == int(match[2]) and bits > 1), None)

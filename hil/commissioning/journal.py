@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from drivers.bounded_file import NamedBy, parse_json, read_lines
 from drivers.errors import MISSING, BadInput
 
 VERSION = 1
@@ -138,11 +139,8 @@ def read_journal(path: Path) -> JournalContents:
 
     A torn line is a change that was never made: it was to be on the disk first.
     """
-    try:
-        lines = path.read_bytes().splitlines(keepends=True)
-    except OSError as error:
-        raise BadInput("JOURNAL", "", str(path), "a readable journal", error.strerror or "") from error
-    whole = [line for line in lines if line.endswith(b"\n")]
+    lines = read_lines(path, "journal", NamedBy("JOURNAL", "", str(path)))
+    whole = [line for line in lines if line.endswith("\n")]
     records = list(_records(path, whole))
     if not records or "journal" not in records[0]:
         raise BadInput(str(path), "line 1", MISSING if not records else records[0], "the head of a journal")
@@ -156,14 +154,9 @@ def read_journal(path: Path) -> JournalContents:
     return contents
 
 
-def _records(path: Path, lines: list[bytes]) -> Iterator[dict[str, Any]]:
+def _records(path: Path, lines: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
-        try:
-            record = json.loads(line)
-        except ValueError as error:
-            raise BadInput(
-                str(path), f"line {number}", line[:60], "a line of a journal", str(error)
-            ) from None
+        record = parse_json(line, str(path), "a line of a journal", f"line {number}")
         if not isinstance(record, dict):
             raise BadInput(str(path), f"line {number}", line[:60], "a line of a journal")
         yield record
@@ -181,8 +174,8 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
 
 def _change(path: Path, number: int, record: dict[str, Any]) -> Change:
     try:
-        index, _, sub = str(record["object"]).partition(":")
-        key = ObjectKey(int(index, 16), int(sub, 16))
+        index, sub = bytes.fromhex(record["object"][:4]), bytes.fromhex(record["object"][5:7])
+        key = ObjectKey(int.from_bytes(index), int.from_bytes(sub))
         return Change(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None

@@ -5,9 +5,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.config_files import Section
 from virtual_bus.background import Stream
 
 

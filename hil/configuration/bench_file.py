@@ -7,12 +7,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput, BenchError
 from hil.configuration.config import BenchConfig, Faults
 from hil.configuration.config_axis import Controller, ControllerFile, StateFeedbackController
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
-from hil.configuration.config_files import NamedBy, read_toml, require_file
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
@@ -32,8 +32,7 @@ def load_faults(path: Path, named_by: NamedBy | None = None) -> Faults:
     Raises BadInput or BadInputs.
     """
     if path.suffix == ".jsonl":
-        require_file(path, "file of recorded faults", named_by)
-        return Faults(tables={"plan": FAULTS_FILE}, plan=read_recorded(path))
+        return Faults(tables={"plan": FAULTS_FILE}, plan=read_recorded(path, named_by))
     return faults_from(read_toml(path, "fault plan", named_by), str(path))
 
 

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from design.statespace import StateSpace, from_zpk
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.config_files import Section
 
 Root = Annotated[tuple[float, float], Field(strict=False)]
 Roots = Annotated[tuple[Root, ...], Field(strict=False)]

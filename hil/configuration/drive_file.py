@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.scaling import ScaleOverride
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.config_files import Section
 
 Sign = Literal[-1, 1]
 

@@ -7,8 +7,9 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from design.motor import PmsmParameters, Transform
+from drivers.bounded_file import NamedBy, read_toml
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.config_files import Section
 
 RAD_S_PER_RPM = math.tau / 60.0
 

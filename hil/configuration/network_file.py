@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml
+from hil.configuration.config_files import Section
 from hil.configuration.toml_text import toml_text
 
 NETWORK_FILE = "network.toml"

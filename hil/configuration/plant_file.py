@@ -1,6 +1,5 @@
 """Plant files: the standard problem of an H-infinity synthesis, as TOML or JSON."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,9 +7,10 @@ from pydantic import Field, ValidationError
 
 from design.hinf_plant import GeneralisedPlant
 from design.statespace import state_space
+from drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import NamedBy, Section, read_toml, require_file
+from hil.configuration.config_files import Section
 
 Row = Annotated[tuple[Annotated[float, Field(strict=False)], ...], Field(strict=False)]
 Matrix = Annotated[tuple[Row, ...], Field(strict=False)]
@@ -49,11 +49,7 @@ def load_plant(path: Path) -> GeneralisedPlant:
 def _tables(path: Path, named_by: NamedBy) -> dict[str, Any]:
     if path.suffix != ".json":
         return read_toml(path, "plant file", named_by)
-    require_file(path, "plant file", named_by)
-    try:
-        tables = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise BadInput(str(path), "", "no JSON", f"a JSON object ({error})") from None
+    tables = parse_json(read_text(path, "plant file", named_by), str(path), "a JSON object with A, B, C, D")
     if not isinstance(tables, dict):
         raise BadInput(str(path), "", type(tables).__name__, "a JSON object with A, B, C, D")
     return tables

@@ -4,7 +4,6 @@ import json
 import os
 import socket
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
@@ -24,6 +23,7 @@ from hil.recording.records_file import RECORDS_FILE, RecordsWriter
 from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.telemetry import RERUN_FILE, Telemetry
+from virtual_bus.child_python import python_command, python_environment
 
 _BLOCK_ROWS = 8_192
 _LIVE_MEMORY = "256MiB"
@@ -258,9 +258,9 @@ def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
 
 def _start_viewer(*arguments: str) -> None:
     """Start the viewer as a process that outlives this one."""
-    command = [sys.executable, "-m", "rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments]
     subprocess.Popen(
-        command,
+        python_command("rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments),
+        env=python_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

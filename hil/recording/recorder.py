@@ -4,9 +4,7 @@ No disk, no log, no telemetry here: another process (:mod:`hil.recording.logger`
 """
 
 import json
-import os
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,6 +31,7 @@ from hil.recording.side_rows import (
     event_fields,
 )
 from hil.samples import CycleRecord
+from virtual_bus.child_python import python_command, python_environment
 from virtual_bus.fault_injection.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16
@@ -233,7 +232,7 @@ class FolderRecorder:
         descriptors = [ring.descriptor for ring in self._rings]
         with open(plan.folder / _LOGGER_LOG, "w") as log:
             logger = subprocess.Popen(
-                [sys.executable, "-m", "hil.recording.logger", *map(str, descriptors)],
+                python_command("hil.recording.logger", *map(str, descriptors)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -242,7 +241,7 @@ class FolderRecorder:
                 # a session of its own: an interrupt from the terminal is for the loop, not for the logger
                 start_new_session=True,
                 # Rerun's analytics are off wherever CI is set
-                env={**os.environ, "CI": "1"},
+                env=python_environment(CI="1"),
             )
         assert logger.stdin is not None
         logger.stdin.write(json.dumps(plan.as_json()) + "\n")

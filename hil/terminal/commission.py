@@ -131,9 +131,9 @@ def rehearse(
 ) -> None:
     """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
     with reported_errors():
+        from drivers.bounded_file import NamedBy
         from hil.commissioning.rehearsal import rehearse as serve_unknown
         from hil.configuration.bench_file import load_faults
-        from hil.configuration.config_files import NamedBy
 
         plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
         serve_unknown(

@@ -109,8 +109,8 @@ def current(
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
     with reported_errors():
         from design.reduction import Method
+        from drivers.bounded_file import NamedBy
         from drivers.errors import BadInput
-        from hil.configuration.config_files import NamedBy
         from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor
         from hil.configuration.weights_file import load_weights
         from hil.current_control import design_current
@@ -144,7 +144,7 @@ def current(
 
 def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """The continuous controller in ``path``, made for the axis that is not designed."""
-    from hil.configuration.config_files import NamedBy
+    from drivers.bounded_file import NamedBy
     from hil.configuration.current_controller_file import load_current_controller
     from hil.current_request import OtherAxis
 

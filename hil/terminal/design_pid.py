@@ -37,7 +37,7 @@ def pid(
 ) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     with reported_errors():
-        from hil.configuration.config_files import NamedBy
+        from drivers.bounded_file import NamedBy
         from hil.configuration.motor_file import load_motor
         from hil.current_control import write_text
         from hil.speed_pid import PidRequest, controller_text, design_pid, pid_figures

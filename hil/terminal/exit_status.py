@@ -9,6 +9,7 @@ from enum import IntEnum
 import typer
 
 from drivers.errors import BenchError
+from drivers.printable import printable
 
 
 class ExitStatus(IntEnum):
@@ -59,7 +60,7 @@ def complain(error: BenchError) -> int:
 
 def error_text(error: BenchError) -> str:
     """The error as a user reads it: one line, or one line for each of several."""
-    lines = str(error).splitlines()
+    lines = [printable(line) for line in str(error).split("\n")]
     if len(lines) == 1:
         return f"hil: error: {lines[0]}"
     return "\n".join([f"hil: {len(lines)} errors:", *(f"  {line}" for line in lines)])

@@ -83,9 +83,9 @@ def simulate(
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
     with reported_errors():
+        from drivers.bounded_file import NamedBy
         from hil.configuration.background import load_background
         from hil.configuration.bench_file import load_faults
-        from hil.configuration.config_files import NamedBy
         from hil.configuration.motor_file import LING2012, load_motor
         from hil.device_files import DeviceFiles
         from hil.terminal.node_list import node_ids

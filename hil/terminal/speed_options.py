@@ -45,7 +45,7 @@ JsonOption = Annotated[
 
 def motor_of(path: Path) -> "PmsmParameters":
     """The motor in a file. Raises BadInput or BadInputs."""
-    from hil.configuration.config_files import NamedBy
+    from drivers.bounded_file import NamedBy
     from hil.configuration.motor_file import load_motor
 
     return load_motor(path, NamedBy("MOTOR.toml", "", str(path))).parameters

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.adapters import parse_bus_spec
+from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BenchError
 from drivers.timebase import Duration, wall_clock_offset
 from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_files import NamedBy, read_toml
 from hil.configuration.motor_file import MotorFile
 from hil.controllers import Controller
 from hil.machine.stopping import Interrupted

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.adapters import parse_bus_spec
+from drivers.bounded_file import NamedBy
 from drivers.drive_setup import DriveSettings
 from drivers.exchange import Command, Reading
 from drivers.network import CanopenNetwork
@@ -15,7 +16,6 @@ from drivers.profile402 import State, error_text
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 from hil.configuration.bench_file import faults_from, load_faults
-from hil.configuration.config_files import NamedBy
 from hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from hil.device_files import DeviceFiles
 from hil.testing.hosted import DriveHost, DriveProcess

@@ -4,7 +4,6 @@ import itertools
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, duration_s
 from hil.configuration.motor_file import MotorFile
 from hil.configuration.toml_text import toml_text
+from virtual_bus.child_python import python_command, python_environment
 
 START_LIMIT_S = 60.0
 END_LIMIT_S = 20.0
@@ -28,7 +28,11 @@ class DriveProcess:
         self._forgiven = False
         with log.open("wb") as said:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env={**os.environ, "CI": "true"}
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                env=python_environment(CI="true"),
             )
         self._await_announcement()
 
@@ -118,7 +122,7 @@ class DriveHost:
         options += ["--eds", str(eds)] if eds is not None else []
         options += ["--store", str(store)] if store is not None else []
         log = self._scratch / f"drive-{number}.log"
-        process = DriveProcess([sys.executable, "-m", "hil.cli", "simulate", *options], log)
+        process = DriveProcess(python_command("hil.cli", "simulate", *options), log)
         self._processes.append(process)
         self.nodes.update(nodes)
         return process

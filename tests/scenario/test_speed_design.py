@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from design.papers.ling2012 import TABLE_2, table2_row
 from design.speed_loop import Units
+from drivers.bounded_file import read_toml
 from drivers.errors import LimitExceeded
 from hil.bench import run_bench
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_bench, load_controller
-from hil.configuration.config_files import read_toml
 from hil.configuration.network_file import load_network
 from hil.delay_design import paper_runs, reproduction
 from hil.delay_design.paper_runs import VARIANTS, bench_tables

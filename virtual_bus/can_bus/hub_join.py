@@ -2,8 +2,6 @@
 
 import socket
 import subprocess
-import sys
-from pathlib import Path
 
 import can
 
@@ -16,6 +14,7 @@ from virtual_bus.can_bus.hub_protocol import (
     decode_answer,
     encode_hello,
 )
+from virtual_bus.child_python import python_command, python_environment
 
 DEFAULT_BITRATE_BIT_S = 1_000_000
 _ANSWER_PATIENCE_S = 10.0
@@ -77,12 +76,12 @@ def _answered(place: HubPlace, connection: socket.socket, packet: bytes) -> tupl
 
 def _start(place: HubPlace, bitrate_bit_s: int) -> None:
     """Start the broker; it runs when this returns. Call it under the hub's lock."""
-    command = [sys.executable, "-m", "virtual_bus.can_bus.hub_process", place.name, str(bitrate_bit_s)]
+    command = python_command("virtual_bus.can_bus.hub_process", place.name, str(bitrate_bit_s))
     with place.log.open("wb") as log:
         try:
             status = subprocess.run(
                 command,
-                cwd=Path(__file__).parents[1],
+                env=python_environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

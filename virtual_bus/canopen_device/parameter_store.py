@@ -2,13 +2,19 @@
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Protocol
 
+from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.errors import BadInput
 
 Parameters = dict[tuple[int, int], bytes]
 """Raw bytes, as over SDO, by index and sub-index."""
+
+_KEY = re.compile(r"([0-9A-Fa-f]{1,4}):([0-9A-Fa-f]{1,2})")
+_EXPECTED = "stored parameters, a JSON object"
+_REMEDY = "delete the file to begin anew"
 
 
 class ParameterStore(Protocol):
@@ -47,14 +53,22 @@ class FileStore:
     def load(self) -> Parameters:
         """The file's parameters; empty without a file. Error: BadInput if it is no such file."""
         try:
-            found = json.loads(self._path.read_text(encoding="ascii"))
-            return {_key(name): bytes.fromhex(value) for name, value in found.items()}
-        except FileNotFoundError:
+            text = read_text(self._path, "file of stored parameters")
+        except NoSuchFile:
             return {}
-        except (ValueError, AttributeError, TypeError) as error:
-            raise BadInput(
-                str(self._path), "", str(error), "stored parameters", "delete the file to begin anew"
-            ) from error
+        found = parse_json(text, str(self._path), _EXPECTED)
+        if not isinstance(found, dict):
+            raise BadInput(str(self._path), "", found, _EXPECTED, _REMEDY)
+        return dict(self._parameter(name, value) for name, value in found.items())
+
+    def _parameter(self, name: str, value: object) -> tuple[tuple[int, int], bytes]:
+        match = _KEY.fullmatch(name)
+        if match is None:
+            raise BadInput(str(self._path), name, value, 'a key such as "6072:00"', _REMEDY)
+        try:
+            return (int(match[1], 16), int(match[2], 16)), bytes.fromhex(str(value))
+        except ValueError:
+            raise BadInput(str(self._path), name, value, 'octets such as "e803"', _REMEDY) from None
 
     def save(self, parameters: Parameters) -> None:
         """Write beside the file, then put in its place."""
@@ -64,8 +78,3 @@ class FileStore:
         beside = self._path.with_name(self._path.name + ".new")
         beside.write_text(text + "\n", encoding="ascii")
         os.replace(beside, self._path)
-
-
-def _key(name: str) -> tuple[int, int]:
-    index, subindex = name.split(":")
-    return int(index, 16), int(subindex, 16)

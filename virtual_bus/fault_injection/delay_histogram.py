@@ -5,34 +5,26 @@ begin with ``#`` and a head line of words are passed over. ``.json``: an object 
 and ``counts`` (n), or one that holds such an object under ``delay_histogram``.
 """
 
-import json
+import re
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import BadInput
+from drivers.bounded_file import NamedBy, parse_json, read_text
 from virtual_bus.fault_injection.plan_checks import require
 
-SIZE_MAX_BYTES = 4_000_000
+_COUNT = re.compile(r"[0-9]{1,18}")
+"""Below 2**63."""
 _EXPECTED = "a histogram: .csv lines of from_us,to_us,count, or .json with edges_us and counts"
 
 
 def read_histogram(path: Path) -> tuple[list[Any], list[Any]]:
     """Edges, us, and counts, as they stand in the file. Raises BadInput about the key ``file``."""
-    try:
-        require(path.stat().st_size <= SIZE_MAX_BYTES, "file", str(path), "a short file")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise BadInput("", "file", str(path), "a file that can be read", error.strerror or "") from None
-    except UnicodeDecodeError as error:
-        raise BadInput("", "file", str(path), _EXPECTED, error.reason) from None
+    text = read_text(path, "delay histogram", NamedBy("", "file", str(path)))
     return _from_json(path, text) if path.suffix == ".json" else _from_csv(path, text)
 
 
 def _from_json(path: Path, text: str) -> tuple[list[Any], list[Any]]:
-    try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise BadInput("", "file", str(path), _EXPECTED, str(error)) from None
+    found = parse_json(text, str(path), _EXPECTED, "file")
     if isinstance(found, dict):
         found = found.get("delay_histogram", found)
     usable = isinstance(found, dict) and all(
@@ -49,7 +41,9 @@ def _from_csv(path: Path, text: str) -> tuple[list[Any], list[Any]]:
         fields = [field.strip() for field in line.split(",")]
         if not line.strip() or line.startswith("#") or (not counts and not _is_number(fields[0])):
             continue
-        good = len(fields) == 3 and all(map(_is_number, fields[:2])) and fields[2].isdigit()
+        good = (
+            len(fields) == 3 and all(map(_is_number, fields[:2])) and _COUNT.fullmatch(fields[2]) is not None
+        )
         require(good, "file", f"{path}, line {line_number}: {line.strip()[:60]}", "from_us,to_us,count")
         low, high = float(fields[0]), float(fields[1])
         if not edges:

@@ -23,6 +23,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
 from virtual_bus.fault_injection.fault_plan import EXTENDED_ID_MAX, STANDARD_ID_MAX, Direction
 from virtual_bus.fault_injection.node_fault_plan import DriveFailure
@@ -211,13 +212,15 @@ def _struck(entry: Entry, kind: str) -> dict[str, Any]:
 def read_line(text: str, source: str, line: int) -> Entry:
     """Inverse of :func:`entry_line`; ``line``: its number in the file ``source``. Raises BadInput."""
     place = f"line {line}"
-    try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise BadInput(source, place, text[:60], "a line of a recorded run's faults", str(error)) from None
+    found = parse_json(text, source, "a line of a recorded run's faults", place)
     if not isinstance(found, dict) or found.get("kind") not in KIND_CODES:
         value = found.get("kind") if isinstance(found, dict) else found
-        raise BadInput(source, place, value, f"an object whose kind is one of {', '.join(KINDS)}")
+        raise BadInput(
+            source,
+            place,
+            type(value).__name__ if isinstance(value, dict | list) else value,
+            f"an object whose kind is one of {', '.join(KINDS)}",
+        )
     return _Line(found, source, place).entry()
 
 

@@ -17,7 +17,6 @@ Every table may also hold direction ("host_to_drive", "drive_to_host"; "both" if
 """
 
 import difflib
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,6 +57,7 @@ from virtual_bus.fault_injection.toml_values import (
     fixed_or_range,
     integer,
     is_integer,
+    is_number,
     nanoseconds,
     nodes,
     number,
@@ -203,8 +203,7 @@ def _measured_delay(table: Table) -> Fault:
     require(isinstance(edges, list), "edges_us", edges, lists)
     require(isinstance(counts, list) and all(map(is_integer, counts)), "counts", counts, "whole numbers")
     for edge in edges:
-        usable = isinstance(edge, int | float) and not isinstance(edge, bool) and math.isfinite(edge)
-        require(usable, "edges_us", edge, "numbers")
+        require(is_number(edge), "edges_us", edge, "numbers")
     return MeasuredDelay(
         selection=_selection(table),
         edges_ns=tuple(Duration(round(edge * NS_PER_US)) for edge in edges),

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.errors import BadInput
+from drivers.bounded_file import NamedBy, read_lines
 from drivers.timebase import Duration, Instant
 from virtual_bus.fault_injection.fates import LOST, FateSource
 from virtual_bus.fault_injection.fault_log import (
@@ -21,6 +21,8 @@ from virtual_bus.fault_injection.fault_plan import Direction, node_of
 from virtual_bus.fault_injection.special_faults import Instead, instead_of, replaced
 from virtual_bus.frame import Frame
 
+SIZE_MAX_BYTES = 4_000_000_000
+"""Three hours at 1 kHz in which every frame is delayed."""
 _GOES_ON = frozenset({"corruption", "duplicate"})
 
 
@@ -47,14 +49,10 @@ class RecordedFaults:
         return frozenset(entry.at_drive for entry in self.entries if entry.kind in FRAME_KINDS) - {0}
 
 
-def read_recorded(path: Path) -> RecordedFaults:
-    """The faults that a run has recorded in the file ``path``. Raises BadInput."""
-    try:
-        with path.open(encoding="utf-8") as lines:
-            entries = [read_line(text, str(path), n) for n, text in enumerate(lines, start=1) if text.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise BadInput(str(path), "", found, "a readable file of recorded faults") from None
+def read_recorded(path: Path, named_by: NamedBy | None = None) -> RecordedFaults:
+    """The faults that a run has recorded in ``path``; ``named_by``: who names it. Raises BadInput."""
+    lines = read_lines(path, "file of recorded faults", named_by, SIZE_MAX_BYTES)
+    entries = [read_line(text, str(path), n) for n, text in enumerate(lines, start=1) if text.strip()]
     return RecordedFaults(tuple(entries))
 
 

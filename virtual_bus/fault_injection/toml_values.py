@@ -1,6 +1,5 @@
 """Values out of the tables of a fault plan: each is checked, and blamed by its key."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,14 +10,22 @@ from virtual_bus.fault_injection.plan_checks import require
 Table = Mapping[str, Any]
 NS_PER_UNIT = {"us": 1_000, "ms": 1_000_000, "s": NS_PER_S}
 _TIME_MAX_S = 1e8
+NUMBER_MAX = 1e12
+"""Above every time in every unit: ten days in us. What is larger has no product in float."""
+INTEGER_MAX = 2**31 - 1
+"""Frames: at the 20 000 per second of a full bus, a day."""
 
 
 def number(table: Table, key: str, default: float | None = None) -> float:
-    """A finite number."""
+    """A number that times and probabilities can be made of."""
     value = table.get(key, MISSING if default is None else default)
-    usable = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(usable, key, value, "a number")
+    require(is_number(value), key, value, f"a number, at most {NUMBER_MAX:g}")
     return float(value)
+
+
+def is_number(value: Any) -> bool:
+    """Neither a boolean nor nan, nor beyond ``NUMBER_MAX``."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= NUMBER_MAX
 
 
 def is_integer(value: Any) -> bool:
@@ -29,7 +36,8 @@ def is_integer(value: Any) -> bool:
 def integer(table: Table, key: str) -> int:
     """A whole number."""
     value = table.get(key, MISSING)
-    require(is_integer(value), key, value, "a whole number")
+    usable = is_integer(value) and abs(value) <= INTEGER_MAX
+    require(usable, key, value, f"a whole number, at most {INTEGER_MAX}")
     return int(value)
 
 

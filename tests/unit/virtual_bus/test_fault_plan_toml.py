@@ -111,7 +111,7 @@ def test_there_are_examples() -> None:
         ("[[delay]]\ndelay = 300", "delay[0].delay", 300, "delay_us (the unit", "write delay_us"),
         ("[[delay]]\ndelay_us = 1\nfrom_ms = 5", "delay[0].from_ms", 5, "from_s", "write from_s = 0.005"),
         ("[[delay]]\ndelay_us = -1", "delay[0].delay_us", -1, "from 0 to 10000000 us", ""),
-        ("[[delay]]\ndelay_us = 1e300", "delay[0].delay_us", 1e300, "from 0 to 10000000 us", ""),
+        ("[[delay]]\ndelay_us = 1e300", "delay[0].delay_us", 1e300, "at most 1e+12", ""),
         ("[[delay]]\ndelay_us = 1\ndelay_max_us = 2", "delay[0].delay_max_us", 2, "nothing beside", ""),
         ("[[delay]]\ndelay_min_us = 1", "delay[0].delay_max_us", MISSING, "a number", ""),
         ("[[delay]]\ndelay_min_us = 5\ndelay_max_us = 2", "delay[0].delay_max_us", 2, "delay_min_us = 5", ""),

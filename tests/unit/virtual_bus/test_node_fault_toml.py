@@ -154,7 +154,12 @@ def test_every_further_kind_is_read_and_survives_being_written() -> None:
             None,
             "numbers",
         ),
-        ("[[measured_delay]]\nfile = 'none.csv'", "measured_delay[0].file", None, "a file that can be read"),
+        (
+            "[[measured_delay]]\nfile = 'none.csv'",
+            "measured_delay[0].file",
+            None,
+            "the path of a delay histogram",
+        ),
         (
             "[[measured_delay]]\nfile = 'a'\ncounts = [1]",
             "measured_delay[0].counts",
