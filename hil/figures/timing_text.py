@@ -41,11 +41,13 @@ def _sync_line(told: Mapping[str, Any]) -> str:
 def _axis_line(told: Mapping[str, Any]) -> str:
     """Accuracy of its samples, clock, and what was not plain."""
     clock = told.get("clock")
-    parts = [f"samples within {told['error_us_max']:.3g} us" if told["placed"] else "no reading placed"]
+    error_us = told["error_us_max"]
+    bound = f"{error_us:.0f}" if error_us >= 100 else f"{error_us:.3g}"
+    parts = [f"sampled +-{bound} us" if told["placed"] else "no reading placed"]
     if told["by_order"]:
         parts.append("placed by order")
     if clock is not None:
-        parts.append(f"clock {clock['drift_ppm']:+.1f} ppm (+-{clock['drift_error_ppm']:.1f})")
+        parts.append(f"clock {clock['drift_ppm']:+.1f} ppm")
     if steps := told["clock_steps"]:
         parts.append(f"set {'once' if steps == 1 else f'{steps} times'}")
     return ", ".join(parts + _counts(told, _AXIS_COUNTS))

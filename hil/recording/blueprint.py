@@ -10,7 +10,8 @@ from hil.recording.recording_plan import RecordingPlan
 TIMELINE = "run_time"
 STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"
 _RPM = 30.0 / math.pi
-_STATES_SHARE, _LANE_SHARE, _PLOTS_SHARE = 0.34, 0.33, 6.0
+_STATES_SHARE, _LANE_SHARE, _STATES_SHARE_MAX = 0.055, 0.04, 0.5
+"""Of the height of a window of 1080 lines, so that each lane is seen whole."""
 
 
 def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint:
@@ -19,13 +20,14 @@ def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint
     plots = [_axis_plots(name, plan, summary) for name in names]
     # One lane for each axis' drive and link, one for the phase, one for the host
     lanes = 2 * len(names) + 2
+    states_share = min(_STATES_SHARE + _LANE_SHARE * lanes, _STATES_SHARE_MAX)
     states = rrb.StateTimelineView(
         origin=STATE_ROOT, name="States", time_view=rrb.TimeAxis(link="LinkToGlobal")
     )
     left = rrb.Vertical(
         states,
         plots[0] if len(plots) == 1 else rrb.Tabs(*plots),
-        row_shares=[_STATES_SHARE + _LANE_SHARE * lanes, _PLOTS_SHARE],
+        row_shares=[states_share, 1.0 - states_share],
     )
     columns = rrb.archetypes.TextLogColumns(
         timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]

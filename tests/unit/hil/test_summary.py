@@ -136,7 +136,7 @@ def timing(**changes: object) -> dict[str, Any]:
 def test_a_plain_run_has_a_line_for_sync_and_one_for_its_axis() -> None:
     assert timing_lines(timing()) == {
         "SYNC": "by its echo, stamped by the kernel",
-        "Timing": "samples within 9.25 us, clock -1000.0 ppm (+-1.5)",
+        "Timing": "sampled +-9.25 us, clock -1000.0 ppm",
     }
     assert timing_lines(None) == {}
 
@@ -146,7 +146,7 @@ def test_what_was_not_plain_is_told() -> None:
     told["sync"]["bus"] |= {"basis": "none", "surplus": 1, "crowded": 2}
     assert timing_lines(told) == {
         "SYNC": "no echo: the instant is that of its hand-over, 1 of others, 2 closer than half a period",
-        "Timing": "samples within 9.25 us, clock -1000.0 ppm (+-1.5), set 2 times, 7 uncertain,"
+        "Timing": "sampled +-9.25 us, clock -1000.0 ppm, set 2 times, 7 uncertain,"
         " 3 came twice, 4 answer no SYNC, 5 demands of no command",
     }
 
@@ -154,7 +154,7 @@ def test_what_was_not_plain_is_told() -> None:
 def test_a_drive_without_a_clock_is_placed_by_order() -> None:
     told = timing(by_order=190, error_us_max=100.0)
     del told["axes"]["a"]["clock"]
-    assert timing_lines(told)["Timing"] == "samples within 100 us, placed by order"
+    assert timing_lines(told)["Timing"] == "sampled +-100 us, placed by order"
 
 
 def test_no_accuracy_is_told_where_nothing_was_placed() -> None:
@@ -183,5 +183,5 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     assert "| dropouts [%] | 4 | 10 | kept |" in page
     assert "8 of 400 (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
     assert "controller `pid`" in page
-    assert "| Timing | samples within 9.25 us" in verdict_markdown(plan, summary_with(timing=timing()))
+    assert "| Timing | sampled +-9.25 us" in verdict_markdown(plan, summary_with(timing=timing()))
     assert verdict_markdown(plan, None).startswith("# synthetic · running")
