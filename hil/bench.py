@@ -249,7 +249,6 @@ class _Run:
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
-        for drive in self._drives:
             self._tell_guard(drive)
         self._stop.check()
         self._enter("running")
