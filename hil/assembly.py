@@ -220,3 +220,10 @@ def recording_plan(
             "bus": bus,
         },
     )
+
+
+def planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
+    """What the bench file plans for an axis: seconds from the run's start, and in words."""
+    events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
+    events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
+    return sorted(events)

@@ -298,7 +298,7 @@ class _Run:
         if self._world.faults is not None:
             self._world.faults.start(at)
         for name in self._config.axes:
-            for when_s, text in _planned_events(self._config, name):
+            for when_s, text in assembly.planned_events(self._config, name):
                 self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
@@ -392,9 +392,3 @@ class _Run:
 
 def _cut_short(reason: str) -> RunOutcome:
     return RunOutcome(bus_load_percent=0.0, realtime_factor=0.0, completed=False, reason=reason)
-
-
-def _planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
-    events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
-    events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
-    return sorted(events)

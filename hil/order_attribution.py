@@ -86,9 +86,9 @@ class OrderAttribution:
             error_ns = self._error_ns + received_at - self._oldest_at(mark)
         else:
             error_ns = self._error_ns
+            health.error_ns_max = error_ns
             if age < self._transit - error_ns:
                 health.below_transit += 1
-        health.error_ns_max = max(health.error_ns_max, error_ns)
         return new_sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:

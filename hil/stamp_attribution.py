@@ -313,8 +313,7 @@ class StampAttribution:
         if line.steps:
             step_us = (self.clock.place(pairs[0][0]) - pairs[0][1]) / NS_PER_US
             self._tell(
-                f"its clock was set by {step_us:+.0f} us;"
-                f" {len(self._suspects)} readings since then are uncertain"
+                f"its clock was set by {step_us:+.0f} us, which {len(self._suspects)} readings have shown"
             )
             self.clock.start_anew(sorted(pairs), self._variance)
             self._late_ns = 0.0

@@ -84,9 +84,9 @@ def measure(
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     with reported_errors():
+        from drivers.bounded_file import NamedBy
         from drivers.scaling import RAD_S_PER_RPM
         from hil.configuration.bench_file import load_faults
-        from hil.configuration.config_files import NamedBy
         from hil.configuration.motor_file import load_motor
         from hil.measuring.request import MeasureRequest
         from hil.terminal.measure_files import require_places, write_files

@@ -384,24 +384,3 @@ def test_the_report_names_every_stage(tmp_path: Path, monkeypatch: pytest.Monkey
         assert title in text
     assert "not measured: the drive is disabled" in text
     assert "drift" in text
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (["--node", "200"], "--node"),
-        (["--node", "unconfigured"], "--node"),
-        (["--node", "1", "--motor", "nowhere.toml"], "--motor"),
-        (["--node", "1", "--faults", "nowhere.toml"], "--faults"),
-        (["--node", "1", "--out", "/nowhere/network.toml"], "--out"),
-        (["--node", "1", "--picture", "stages.gif"], "--picture"),
-        (["--node", "1", "--bus", "hub:none", "--motor", "MOTOR"], "--motor"),
-    ],
-)
-def test_bad_input_is_named(options: list[str], named: str) -> None:
-    motor = Path(__file__).parents[2] / "examples" / "motors" / "ling2012.toml"
-    status, text, said = typed(*[str(motor) if option == "MOTOR" else option for option in options])
-    assert status == 2
-    assert text == ""
-    assert named in said
-    assert "Traceback" not in said

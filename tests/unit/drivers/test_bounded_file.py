@@ -1,7 +1,6 @@
 """No file that a user names can stop a loader, keep it busy, or reach a terminal as it is."""
 
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,6 +32,12 @@ READERS: list[Callable[[Path], object]] = [
     lambda path: list(read_lines(path, "thing")),
     load_dictionary,
 ]
+
+
+def processor_s() -> float:
+    """Of this process, user and system."""
+    times = os.times()
+    return times.user + times.system
 
 
 @pytest.mark.parametrize("read", READERS)
@@ -104,10 +109,10 @@ def test_size_length_and_encoding_are_bounded(tmp_path: Path) -> None:
     ],
 )
 def test_what_no_key_takes_is_refused_at_once(text: str, expected: str) -> None:
-    begun = time.process_time()
+    begun = processor_s()
     with pytest.raises(BadInput) as caught:
         parse_toml(text, "bench.toml")
-    assert time.process_time() - begun < PROCESSOR_S_MAX
+    assert processor_s() - begun < PROCESSOR_S_MAX
     assert expected in caught.value.expected
     assert len(str(caught.value)) < 600
 
@@ -147,9 +152,9 @@ def test_json_is_held_to_the_same_limits(text: str) -> None:
     ],
 )
 def test_no_data_sheet_keeps_its_reader_busy(data: bytes) -> None:
-    begun = time.process_time()
+    begun = processor_s()
     loaded = parse_dictionary(data, "drive.eds", 1)
-    assert time.process_time() - begun < PROCESSOR_S_MAX
+    assert processor_s() - begun < PROCESSOR_S_MAX
     assert 0x1000 in loaded.dictionary
 
 

@@ -52,8 +52,8 @@ def test_the_environment_of_a_child_holds_our_root_and_not_the_users_folder(
 
 def test_other_entries_of_pythonpath_stay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder.parent)
-    monkeypatch.setenv("PYTHONPATH", f"user:{ROOT}:/opt/python")
-    assert python_environment(A="b")["PYTHONPATH"].split(":") == [str(ROOT), str(folder), "/opt/python"]
+    monkeypatch.setenv("PYTHONPATH", f"user:{ROOT}:/elsewhere/python")
+    assert python_environment(A="b")["PYTHONPATH"].split(":") == [str(ROOT), str(folder), "/elsewhere/python"]
     assert python_environment(A="b")["A"] == "b"
 
 
