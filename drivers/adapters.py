@@ -9,6 +9,7 @@ pcan:PCAN_USBBUS1, kvaser:0   any other interface that python-can knows
 
 import errno
 import logging
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -28,6 +29,12 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 SIMULATED = "simulated"
 HUB = "hub"
+_HUB_NAME_LENGTH_MAX = 48
+"""Characters: what a socket's path of 107 bytes leaves below the usual folders."""
+HUB_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{_HUB_NAME_LENGTH_MAX - 1}}}")
+HUB_NAME_EXPECTED = (
+    f"1 to {_HUB_NAME_LENGTH_MAX} letters, digits, '_', '-' or '.', the first a letter or a digit"
+)
 SOCKETCAN = "socketcan"
 SLCAN = "slcan"
 SERIAL_INTERFACES = (SLCAN, "serial", "robotell", "seeedstudio")
@@ -109,6 +116,8 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
         raise BadInput(source, key, text, "'simulated' without a channel")
     if interface in (HUB, SOCKETCAN, *SERIAL_INTERFACES) and not channel:
         raise BadInput(source, key, text, f"a channel, e.g. {_example(interface)!r}")
+    if interface == HUB and HUB_NAME.fullmatch(channel) is None:
+        raise BadInput(source, key, text, f"hub:NAME with a name of {HUB_NAME_EXPECTED}")
     line_baud = None
     if interface in SERIAL_INTERFACES and "@" in channel:
         channel, _, baud = channel.rpartition("@")

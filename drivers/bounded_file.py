@@ -20,7 +20,7 @@ from drivers.errors import MISSING, BadInput
 from drivers.printable import printable
 
 SIZE_MAX_BYTES = 1_000_000
-"""Ten times the largest table of a bench; tomllib takes about a second for it."""
+"""Far beyond any bench file; the parser takes less than a second for as much."""
 LINE_MAX_BYTES = 4096
 """Ten times the longest line that a recording or a journal holds."""
 DEPTH_MAX = 32

@@ -11,8 +11,8 @@ from typing import Any
 
 from drivers.printable import printable
 
-VALUE_SHOWN_MAX = 200
-"""Characters of a value that a message repeats: two lines of a terminal."""
+PART_SHOWN_MAX = 400
+"""Characters of each part of a message: a file may hold keys and names as long as itself."""
 
 
 class BenchError(Exception):
@@ -39,12 +39,14 @@ class BadInput(BenchError):
     exit_status = 2
 
     def __str__(self) -> str:
-        place = f"{self.source}: {self.key}" if self.key else self.source
-        found = repr(self.value)
-        if len(found) > VALUE_SHOWN_MAX:
-            found = f"{found[:VALUE_SHOWN_MAX]}..."
-        text = f"{place}: found {found}, expected {self.expected}"
-        return printable(f"{text}; {self.remedy}" if self.remedy else text)
+        key, value = _shortened(self.key), _shortened(repr(self.value))
+        place = f"{self.source}: {key}" if key else self.source
+        text = f"{place}: found {value}, expected {_shortened(self.expected)}"
+        return printable(f"{text}; {_shortened(self.remedy)}" if self.remedy else text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= PART_SHOWN_MAX else f"{text[:PART_SHOWN_MAX]}..."
 
 
 class Missing:

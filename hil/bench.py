@@ -17,6 +17,7 @@ from hil import assembly
 from hil.axis import Axis
 from hil.commissioned_drive import as_the_loop_counts, write_commissioned
 from hil.configuration.config import BenchConfig
+from hil.configuration.quantities import odd_values
 from hil.connecting import connect
 from hil.controllers import Controller
 from hil.drive_settings import data_sheets, drive_settings, identity_notes
@@ -260,7 +261,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in self._worse.notes:
+        for note in (*self._worse.notes, *odd_values(self._config)):
             self._say(note, "WARN")
         self._enter("connecting")
         for drive in self._drives:

@@ -141,6 +141,11 @@ def run(
             named_by = NamedBy("--replay-faults", "", str(replay_faults))
             config = config.with_faults(load_faults(replay_faults, named_by))
 
+        from hil.configuration.quantities import odd_values
+
+        for note in odd_values(config):
+            typer.echo(f"hil: note: {note}", err=True)
+
         from hil.bench import run_bench
         from hil.terminal.progress import TerminalProgress
 

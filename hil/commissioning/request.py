@@ -10,27 +10,28 @@ from drivers.bounded_file import NamedBy, read_toml
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
 from hil.configuration.motor_file import RAD_S_PER_RPM
+from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
 
 class PlateMotor(Section):
     """``[motor]``: what is known of the winding; all optional."""
 
     name: str = "motor"
-    resistance_ohm: float | None = Field(default=None, gt=0)
-    inductance_d_h: float | None = Field(default=None, gt=0)
-    inductance_q_h: float | None = Field(default=None, gt=0)
+    resistance_ohm: Resistance | None = None
+    inductance_d_h: Inductance | None = None
+    inductance_q_h: Inductance | None = None
     pole_pairs: int | None = Field(default=None, gt=0, le=200)
 
 
 class PlateRating(Section):
     """``[rating]``: what is printed on the motor; all optional."""
 
-    torque_nm: float | None = Field(default=None, gt=0)
-    speed_rpm: float | None = Field(default=None, gt=0)
-    current_a: float | None = Field(default=None, gt=0)
+    torque_nm: Torque | None = None
+    speed_rpm: Speed | None = None
+    current_a: Current | None = None
     """Rms, as 0x6075 is."""
-    current_max_a: float | None = Field(default=None, gt=0)
-    dc_bus_voltage_v: float | None = Field(default=None, gt=0)
+    current_max_a: Current | None = None
+    dc_bus_voltage_v: Voltage | None = None
 
 
 class PlateEncoder(Section):
@@ -42,7 +43,7 @@ class PlateEncoder(Section):
 class PlateLimits(Section):
     """``[limits]``: how far commissioning may go; each has a cautious default."""
 
-    speed_max_rpm: float | None = Field(default=None, gt=0)
+    speed_max_rpm: Speed | None = None
     """Half of the rated speed if absent."""
     torque_max_percent: float = Field(default=50.0, gt=0, le=300)
     """Of the rated torque."""

@@ -14,6 +14,7 @@ from hil.configuration.background import BackgroundTables
 from hil.configuration.config_axis import Drive, LoadStep, Reference
 from hil.configuration.config_files import Section
 from hil.configuration.config_load_machine import LoadMachine
+from hil.configuration.quantities import HeartbeatTimeout
 from hil.configuration.toml_text import toml_text
 from hil.figures.summary import VerdictLimits
 from virtual_bus.fault_injection.injection import Faults as InjectedFaults
@@ -59,7 +60,7 @@ class Host(Section):
 
     node: int = Field(default=127, ge=1, le=127)
     heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
-    heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)
+    heartbeat_timeout_ms: HeartbeatTimeout = 150
     """A drive that does not hear the host for so long stops by itself (CiA 301, 0x1016)."""
 
     connect_timeout_s: float = Field(default=3.0, gt=0, le=600)

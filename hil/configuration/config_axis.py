@@ -9,6 +9,19 @@ from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.drive_file import DriveFile
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
+from hil.configuration.quantities import (
+    DropoutsInARow,
+    Frequency,
+    Gain,
+    HeartbeatTimeout,
+    PositiveGain,
+    SignedSpeed,
+    SignedTorque,
+    SlewRate,
+    Speed,
+    TimeConstant,
+    Torque,
+)
 from hil.configuration.speed_controller_file import Certificate, MadeFor
 from virtual_bus.servo_drive.lacks import PATTERN
 
@@ -43,12 +56,12 @@ class Simulation(Section):
 class Limits(Section):
     """``limits``: what the host lets through to the drive, whatever the controller asks."""
 
-    speed_max_rpm: float = Field(gt=0, description="the speed at which the bench stops the drive, r/min")
-    torque_max_nm: float = Field(gt=0, description="the largest torque set-point, N m")
-    torque_slew_max_nm_s: float | None = Field(default=None, gt=0)
-    dropouts_consecutive_max: int = Field(default=100, ge=1)
+    speed_max_rpm: Speed = Field(description="the speed at which the bench stops the drive, r/min")
+    torque_max_nm: Torque = Field(description="the largest torque set-point, N m")
+    torque_slew_max_nm_s: SlewRate | None = None
+    dropouts_consecutive_max: DropoutsInARow = 100
     """With more cycles in a row without a reading the bench stops the drive."""
-    quick_stop_deceleration_rpm_s: float | None = Field(default=None, gt=0)
+    quick_stop_deceleration_rpm_s: SlewRate | None = None
     """What the drive stops with when it is told to, or misses the host (0x6085); its own if absent."""
 
     @property
@@ -84,17 +97,17 @@ class PidController(Section):
     """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
 
     kind: Literal["pid"]
-    proportional_nm_s_rad: float = Field(ge=0, description="Kp, N m per rad/s")
-    integral_nm_rad: float = Field(default=0.0, ge=0)
-    derivative_nm_s2_rad: float = Field(default=0.0, ge=0)
-    derivative_filter_s: float = Field(default=0.002, gt=0)
-    anti_windup_s: float | None = Field(default=None, gt=0)
+    proportional_nm_s_rad: PositiveGain = Field(description="Kp, N m per rad/s")
+    integral_nm_rad: PositiveGain = 0.0
+    derivative_nm_s2_rad: PositiveGain = 0.0
+    derivative_filter_s: TimeConstant = 0.002
+    anti_windup_s: TimeConstant | None = None
     """Time constant of back-calculation; Kp/Ki if absent."""
-    feedforward_nm_s_rad: float = 0.0
+    feedforward_nm_s_rad: Gain = 0.0
     """Torque per reference speed, usually the viscous friction."""
 
 
-Gain = Annotated[tuple[float, ...], Field(strict=False, min_length=2, max_length=3)]
+Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]
 
 
 class StateFeedbackController(Section):
@@ -104,8 +117,8 @@ class StateFeedbackController(Section):
     """
 
     kind: Literal["state_feedback"]
-    gain: Gain = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
-    feedforward_load_nm: float = 0.0
+    gain: Gains = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
+    feedforward_load_nm: SignedTorque = 0.0
     """Load torque that the nominal current carries beside the friction."""
     made_for: MadeFor | None = None
     """The network that it was designed for; ``hil run`` refuses a worse one."""
@@ -131,7 +144,7 @@ class Drive(Section):
     """Bear a drive without 1016h or 1017h: then one side does not notice that the other is gone."""
     heartbeat_ms: int = Field(default=50, ge=1, le=65_535)
     """Period of the drive's own heartbeat (0x1017)."""
-    heartbeat_timeout_ms: int = Field(default=150, ge=2, le=65_535)
+    heartbeat_timeout_ms: HeartbeatTimeout = 150
     """A drive that is silent for so long counts as lost."""
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
@@ -151,7 +164,7 @@ class StepReference(Section):
 
     kind: Literal["step"]
     at_s: float = Field(ge=0, description="the time since the run began, s")
-    speed_rpm: float = Field(description="the speed to go to, r/min")
+    speed_rpm: SignedSpeed = Field(description="the speed to go to, r/min")
 
     @property
     def speed_rad_s(self) -> float:
@@ -168,8 +181,8 @@ class RampReference(Section):
 
     kind: Literal["ramp"]
     at_s: float = Field(ge=0, description="the time since the run began, s")
-    speed_rpm: float = Field(description="the speed to go to, r/min")
-    over_s: float = Field(gt=0, description="how long the ramp takes, s")
+    speed_rpm: SignedSpeed = Field(description="the speed to go to, r/min")
+    over_s: TimeConstant = Field(description="how long the ramp takes, s")
 
     @property
     def speed_rad_s(self) -> float:
@@ -186,8 +199,8 @@ class SineReference(Section):
 
     kind: Literal["sine"]
     at_s: float = Field(ge=0, description="the time since the run began, s")
-    amplitude_rpm: float = Field(gt=0, description="the amplitude of the swing, r/min")
-    frequency_hz: float = Field(gt=0, description="the frequency of the swing, Hz")
+    amplitude_rpm: Speed = Field(description="the amplitude of the swing, r/min")
+    frequency_hz: Frequency = Field(description="the frequency of the swing, Hz")
 
     @property
     def amplitude_rad_s(self) -> float:
@@ -206,7 +219,7 @@ class LoadStep(Section):
     """From ``at_s`` on: this load torque; a positive one opposes positive speed."""
 
     at_s: float = Field(ge=0, description="the time since the run began, s")
-    torque_nm: float = Field(description="the load torque, N m")
+    torque_nm: SignedTorque = Field(description="the load torque, N m")
 
 
 def peak_speed_rpm(profile: tuple[Reference, ...]) -> float:

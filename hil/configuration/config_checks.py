@@ -9,9 +9,9 @@ from drivers.frame_pump import SYNC
 from drivers.key_advice import nearest
 from drivers.pdo import PdoPlan
 from drivers.pdo_plans import torque_plan
-from drivers.timebase import NS_PER_US, Duration
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Drive, StampCompensator, peak_speed_rpm
+from hil.configuration.config_axis import Drive, SineReference, StampCompensator, peak_speed_rpm
 from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47
@@ -258,6 +258,11 @@ def _demands(axis: str, drive: Drive, config: BenchConfig) -> Iterator[Fault]:
     if peak >= limit:
         expected = f"less than drive.{axis}.limits.speed_max_rpm = {limit:g}"
         yield f"reference.{axis}", peak, expected, "the bench would stop the drive there"
+    fastest_hz = NS_PER_S / (2 * config.loop.period)
+    for index, segment in enumerate(config.reference.get(axis, ())):
+        if isinstance(segment, SineReference) and segment.frequency_hz > fastest_hz:
+            expected = f"at most {fastest_hz:g}, half the rate of the loop"
+            yield f"reference.{axis}[{index}].frequency_hz", segment.frequency_hz, expected, ""
     for index, step in enumerate(config.load.get(axis, ())):
         if abs(step.torque_nm) > drive.limits.torque_max_nm:
             expected = (

@@ -8,6 +8,7 @@ from drivers.dynamometer import BAUD, DynamometerSettings
 from drivers.magtrol import Dialect, dialect
 from drivers.timebase import NS_PER_MS, Duration
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import Torque
 
 SIMULATED = "simulated"
 
@@ -21,7 +22,7 @@ class LoadMachine(Section):
     port: str = Field(
         min_length=1, description="its serial port, or 'simulated' for one on the simulated drive's shaft"
     )
-    torque_max_nm: float = Field(gt=0, description="the largest torque that its brake may be asked for, N m")
+    torque_max_nm: Torque = Field(description="the largest torque that its brake may be asked for, N m")
     axis: str | None = None
     """On whose shaft it is; the only axis if absent."""
     baud: int = Field(default=BAUD, ge=300, le=921_600)

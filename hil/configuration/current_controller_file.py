@@ -10,9 +10,12 @@ from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import Coefficient
 
-Root = Annotated[tuple[float, float], Field(strict=False)]
-Roots = Annotated[tuple[Root, ...], Field(strict=False)]
+ORDER_MAX = 64
+"""Roots; a drive runs three or four of them 16 000 times a second."""
+Root = Annotated[tuple[Coefficient, Coefficient], Field(strict=False)]
+Roots = Annotated[tuple[Root, ...], Field(strict=False, max_length=ORDER_MAX)]
 
 
 class ContinuousController(Section):
@@ -20,10 +23,10 @@ class ContinuousController(Section):
 
     kind: Literal["continuous"]
     axis: Literal["d", "q"] = Field(description="'d' or 'q'")
-    gain: float = Field(description="the gain of the zero-pole form")
+    gain: Coefficient = Field(description="the gain of the zero-pole form")
     zeros_rad_s: Roots = Field(description="[real, imaginary] of each zero, rad/s")
     poles_rad_s: Roots = Field(description="[real, imaginary] of each pole, rad/s")
-    prewarp_rad_s: float = Field(default=0.0, ge=0)
+    prewarp_rad_s: Coefficient = Field(default=0.0, ge=0)
     """Where Tustin's rule is exact: the loop's crossover."""
 
     def at_rate(self, rate_hz: int) -> StateSpace:
@@ -42,7 +45,7 @@ class SampledController(Section):
 
     kind: Literal["sampled"]
     axis: Literal["d", "q"] = Field(description="'d' or 'q'")
-    gain: float = Field(description="the gain of the zero-pole form")
+    gain: Coefficient = Field(description="the gain of the zero-pole form")
     zeros_z: Roots = Field(description="[real, imaginary] of each zero in the z plane")
     poles_z: Roots = Field(description="[real, imaginary] of each pole in the z plane")
     sample_rate_hz: int = Field(gt=0, description="the inner rate that it was made for, Hz")

@@ -21,19 +21,19 @@ class DriveMarks(Section):
 
     node: int = Field(ge=1, le=127)
     name: str = ""
-    vendor: int = Field(ge=0)
-    product: int = Field(ge=0)
-    revision: int = Field(default=0, ge=0)
-    serial: int = Field(default=0, ge=0)
+    vendor: int = Field(ge=0, lt=1 << 32)
+    product: int = Field(ge=0, lt=1 << 32)
+    revision: int = Field(default=0, ge=0, lt=1 << 32)
+    serial: int = Field(default=0, ge=0, lt=1 << 32)
 
 
 class Scale(Section):
     """``[scale]``: factors that the drive's own objects tell wrong; absent: believe the drive."""
 
-    position_rad: float | None = Field(default=None, gt=0)
+    position_rad: float | None = Field(default=None, gt=0, le=1e6)
     """rad of the motor shaft per position unit."""
-    velocity_rad_s: float | None = Field(default=None, gt=0)
-    rated_torque_nm: float | None = Field(default=None, gt=0)
+    velocity_rad_s: float | None = Field(default=None, gt=0, le=1e6)
+    rated_torque_nm: float | None = Field(default=None, gt=0, le=1e6)
 
 
 class Signs(Section):

@@ -10,6 +10,18 @@ from design.motor import PmsmParameters, Transform
 from drivers.bounded_file import NamedBy, read_toml
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import (
+    CoulombFriction,
+    Current,
+    FluxLinkage,
+    Inductance,
+    Inertia,
+    Resistance,
+    Speed,
+    Torque,
+    ViscousFriction,
+    Voltage,
+)
 
 RAD_S_PER_RPM = math.tau / 60.0
 
@@ -18,10 +30,10 @@ class Windings(Section):
     """``[motor]``: the electric part, in the dq frame of ``transform``."""
 
     name: str = Field(min_length=1, description="the motor's name in quotes")
-    resistance_ohm: float = Field(gt=0, description="resistance of a phase, ohm")
-    inductance_d_h: float = Field(gt=0, description="d-axis inductance, H")
-    inductance_q_h: float = Field(gt=0, description="q-axis inductance, H")
-    flux_linkage_wb: float = Field(gt=0, description="permanent-magnet flux of the dq equations, Wb")
+    resistance_ohm: Resistance = Field(description="resistance of a phase, ohm")
+    inductance_d_h: Inductance = Field(description="d-axis inductance, H")
+    inductance_q_h: Inductance = Field(description="q-axis inductance, H")
+    flux_linkage_wb: FluxLinkage = Field(description="permanent-magnet flux of the dq equations, Wb")
     pole_pairs: int = Field(gt=0, le=200, description="number of pole pairs")
     transform: Literal["power_invariant", "amplitude_invariant"] = Field(
         description="'power_invariant' or 'amplitude_invariant'"
@@ -31,19 +43,19 @@ class Windings(Section):
 class Mechanics(Section):
     """``[mechanics]``: rotor and what turns with it."""
 
-    inertia_kg_m2: float = Field(gt=0, description="moment of inertia, kg m^2")
-    viscous_friction_nm_s: float = Field(default=0.0, ge=0)
+    inertia_kg_m2: Inertia = Field(description="moment of inertia, kg m^2")
+    viscous_friction_nm_s: ViscousFriction = 0.0
     """N m per rad/s."""
-    coulomb_friction_nm: float = Field(default=0.0, ge=0)
+    coulomb_friction_nm: CoulombFriction = 0.0
 
 
 class Rating(Section):
     """``[rating]``: what the motor and its inverter are made for."""
 
-    torque_nm: float = Field(gt=0, description="continuous torque, N m")
-    speed_rpm: float = Field(gt=0, description="rated speed, r/min")
-    current_max_a: float = Field(gt=0, description="largest dq current, A")
-    dc_bus_voltage_v: float = Field(gt=0, description="voltage of the inverter's DC bus, V")
+    torque_nm: Torque = Field(description="continuous torque, N m")
+    speed_rpm: Speed = Field(description="rated speed, r/min")
+    current_max_a: Current = Field(description="largest dq current, A")
+    dc_bus_voltage_v: Voltage = Field(description="voltage of the inverter's DC bus, V")
 
 
 class MotorFile(Section):

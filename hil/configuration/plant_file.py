@@ -11,9 +11,13 @@ from drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import Coefficient
 
-Row = Annotated[tuple[Annotated[float, Field(strict=False)], ...], Field(strict=False)]
-Matrix = Annotated[tuple[Row, ...], Field(strict=False)]
+ORDER_MAX = 100
+"""Rows or columns; the cost of a synthesis grows with their cube, and plants of the field have ten."""
+Number = Annotated[Coefficient, Field(strict=False)]
+Row = Annotated[tuple[Number, ...], Field(strict=False, max_length=ORDER_MAX)]
+Matrix = Annotated[tuple[Row, ...], Field(strict=False, max_length=ORDER_MAX)]
 
 
 class PlantFile(Section):

@@ -9,20 +9,21 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import Coefficient, Inductance, Inertia, Resistance, ViscousFriction
 
 _ROUNDING = 1e-9
 """Of a bandwidth that was written to a file and read again."""
 
-Rows = Annotated[tuple[Annotated[tuple[float, ...], Field(strict=False)], ...], Field(strict=False)]
+Rows = Annotated[tuple[Annotated[tuple[Coefficient, ...], Field(strict=False)], ...], Field(strict=False)]
 
 
 class Plant(Section):
     """The motor as the design saw it."""
 
-    resistance_ohm: float = Field(gt=0)
-    inductance_q_h: float = Field(gt=0)
-    inertia_kg_m2: float = Field(gt=0)
-    viscous_friction_nm_s: float = Field(ge=0)
+    resistance_ohm: Resistance
+    inductance_q_h: Inductance
+    inertia_kg_m2: Inertia
+    viscous_friction_nm_s: ViscousFriction
     torque_constant_nm_a: float = Field(gt=0)
 
 

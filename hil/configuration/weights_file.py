@@ -10,6 +10,7 @@ from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
+from hil.configuration.quantities import Coefficient
 
 
 class WeightRefused(BadInput):
@@ -26,9 +27,9 @@ class ZeroPole(Section):
     """high (s + zero)/(s + pole)."""
 
     kind: Literal["zero_pole"]
-    high: float = Field(description="gain at high frequency")
-    zero_rad_s: float = Field(description="the zero's rate, rad/s")
-    pole_rad_s: float = Field(description="the pole's rate, rad/s")
+    high: Coefficient = Field(description="gain at high frequency")
+    zero_rad_s: Coefficient = Field(description="the zero's rate, rad/s")
+    pole_rad_s: Coefficient = Field(description="the pole's rate, rad/s")
 
     def weight(self) -> Weight:
         """The weight."""
@@ -39,9 +40,9 @@ class ByCrossing(Section):
     """Both gains, and where |w| = 1."""
 
     kind: Literal["crossing"]
-    low: float = Field(gt=0, description="gain at rest")
-    high: float = Field(description="gain at high frequency")
-    crossing_rad_s: float = Field(gt=0, description="where the weight is 1, rad/s")
+    low: Coefficient = Field(gt=0, description="gain at rest")
+    high: Coefficient = Field(description="gain at high frequency")
+    crossing_rad_s: Coefficient = Field(gt=0, description="where the weight is 1, rad/s")
 
     def weight(self) -> Weight:
         """The weight. Error: ValueError unless 1 lies between the gains."""
@@ -52,9 +53,9 @@ class BySlope(Section):
     """Both gains, and the zero: the end of the slope of a falling weight, the start of a rising one's."""
 
     kind: Literal["slope"]
-    low: float = Field(gt=0, description="gain at rest")
-    high: float = Field(description="gain at high frequency")
-    slope_end_rad_s: float = Field(gt=0, description="the zero's rate, rad/s")
+    low: Coefficient = Field(gt=0, description="gain at rest")
+    high: Coefficient = Field(description="gain at high frequency")
+    slope_end_rad_s: Coefficient = Field(gt=0, description="the zero's rate, rad/s")
 
     def weight(self) -> Weight:
         """The weight."""
@@ -65,9 +66,9 @@ class ByError(Section):
     """[Azaiz2007] 3.2 for w1: 1/|w1| crosses 1 there, ends at ``peak``, starts at ``static_error``."""
 
     kind: Literal["error"]
-    crossing_rad_s: float = Field(gt=0, description="where 1/|w1| is 1, rad/s")
-    peak: float = Field(gt=1, description="1/|w1| at high frequency, above 1")
-    static_error: float = Field(lt=1, description="1/|w1| at rest, below 1")
+    crossing_rad_s: Coefficient = Field(gt=0, description="where 1/|w1| is 1, rad/s")
+    peak: Coefficient = Field(gt=1, description="1/|w1| at high frequency, above 1")
+    static_error: Coefficient = Field(lt=1, description="1/|w1| at rest, below 1")
 
     def weight(self) -> Weight:
         """The weight."""
@@ -78,7 +79,7 @@ class Constant(Section):
     """The same gain at every frequency."""
 
     kind: Literal["constant"]
-    gain: float = Field(description="the gain")
+    gain: Coefficient = Field(description="the gain")
 
     def weight(self) -> Weight:
         """The weight; its pole and zero, at 1 rad/s, cancel."""

@@ -2,29 +2,24 @@
 
 import fcntl
 import os
-import re
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import can
 
+from drivers.adapters import HUB_NAME, HUB_NAME_EXPECTED
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 
-NAME_LENGTH_MAX = 48
-_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{NAME_LENGTH_MAX - 1}}}")
 _SOCKET_PATH_BYTES_MAX = 107
 _LOCK_RETRY_NS = 5 * NS_PER_MS
 
 
 def checked_name(name: str) -> str:
     """``name`` if it can name a hub; raises can.CanInitializationError otherwise."""
-    if _NAME.fullmatch(name) is None:
-        raise can.CanInitializationError(
-            f"hub name {name!r}: expected 1 to {NAME_LENGTH_MAX} letters, digits, '_', '-' or '.',"
-            " the first a letter or a digit"
-        )
+    if HUB_NAME.fullmatch(name) is None:
+        raise can.CanInitializationError(f"hub name {name!r}: expected {HUB_NAME_EXPECTED}")
     return name
 
 
@@ -38,7 +33,8 @@ def runtime_directory() -> Path:
     user = os.getuid()
     usable = base.is_absolute() and base.is_dir() and base.stat().st_uid == user
     directory = base / "servobench" if usable else Path(f"/tmp/servobench-{user}")
-    directory.mkdir(mode=0o700, exist_ok=True)
+    with suppress(FileExistsError):  # raised for a file of that name only, which is refused below
+        directory.mkdir(mode=0o700, exist_ok=True)
     found = directory.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
         raise can.CanInitializationError(
@@ -101,5 +97,12 @@ class HubPlace:
 
 
 def known_hubs() -> list[str]:
-    """Names of the hubs that have a socket: those running, and those that were killed."""
-    return sorted(path.stem for path in runtime_directory().glob("*.sock"))
+    """Names of the hubs that have a socket: those running, and those that were killed.
+
+    None where the folder of hubs cannot be used; why, joining one says.
+    """
+    try:
+        directory = runtime_directory()
+    except can.CanInitializationError:
+        return []
+    return sorted(path.stem for path in directory.glob("*.sock"))

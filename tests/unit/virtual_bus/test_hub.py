@@ -340,6 +340,16 @@ def test_bad_names_are_refused(name: str) -> None:
         checked_name(name)
 
 
+def test_a_file_in_the_place_of_the_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "servobench").touch()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(can.CanInitializationError, match="expected a directory"):
+        HubBus("bench")
+    assert known_hubs() == []
+
+
 @pytest.mark.parametrize("name", ["bench", "a", "axis-1.test_2", "x" * 48])
 def test_good_names_pass(name: str) -> None:
     assert checked_name(name) == name

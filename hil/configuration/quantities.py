@@ -1,0 +1,87 @@
+"""Physical quantities of the files: what is absurd is refused, what is odd is told.
+
+The outer bounds are beyond any machine, from a watch's stepper to a ship's propulsion: what is beyond them is
+a slip, and would let the arithmetic of a simulation or a design overflow. The usual ones are those of servo
+drives, from a hundredth of a watt to a megawatt: a value outside is most often in another unit.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, NamedTuple, get_args
+
+from pydantic import BaseModel, Field
+from pydantic.fields import FieldInfo
+
+from hil.configuration.toml_text import key_text
+
+
+class Usual(NamedTuple):
+    """Mark of a type: from and to which value nobody wonders."""
+
+    least: float
+    most: float
+
+
+Resistance = Annotated[float, Field(ge=1e-6, le=1e5), Usual(1e-3, 200.0)]
+"""ohm"""
+Inductance = Annotated[float, Field(ge=1e-9, le=10.0), Usual(1e-6, 0.5)]
+"""H"""
+FluxLinkage = Annotated[float, Field(ge=1e-7, le=100.0), Usual(1e-4, 5.0)]
+"""Wb"""
+Inertia = Annotated[float, Field(ge=1e-11, le=1e5), Usual(1e-7, 5.0)]
+"""kg m^2"""
+ViscousFriction = Annotated[float, Field(ge=0.0, le=1e3), Usual(0.0, 1.0)]
+"""N m per rad/s"""
+CoulombFriction = Annotated[float, Field(ge=0.0, le=1e5), Usual(0.0, 100.0)]
+"""N m"""
+Torque = Annotated[float, Field(ge=1e-6, le=1e7), Usual(1e-3, 2e4)]
+"""N m, of a rating or a limit"""
+SignedTorque = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""N m"""
+Speed = Annotated[float, Field(ge=1e-3, le=1e6), Usual(1.0, 1e5)]
+"""r/min, of a rating or a limit"""
+SignedSpeed = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""r/min"""
+Current = Annotated[float, Field(ge=1e-4, le=1e5), Usual(0.05, 3e3)]
+"""A"""
+Voltage = Annotated[float, Field(ge=0.1, le=1e5), Usual(5.0, 1500.0)]
+"""V"""
+SlewRate = Annotated[float, Field(ge=1e-6, le=1e9)]
+"""N m/s, or r/min per s"""
+Gain = Annotated[float, Field(ge=-1e9, le=1e9)]
+"""Of a controller; in its own unit"""
+PositiveGain = Annotated[float, Field(ge=0.0, le=1e9)]
+TimeConstant = Annotated[float, Field(ge=1e-6, le=1e5)]
+"""s"""
+Coefficient = Annotated[float, Field(ge=-1e15, le=1e15)]
+"""Of a matrix, a weight or a transfer function: its square is far from the end of the floats."""
+Frequency = Annotated[float, Field(ge=1e-6, le=5e3), Usual(1e-3, 200.0)]
+"""Hz, of a reference: half the rate of the shortest period"""
+DropoutsInARow = Annotated[int, Field(ge=1, le=1_000_000), Usual(1, 1000)]
+"""A safety limit: beyond a second at 1 kHz the drive turns for long with nobody looking."""
+HeartbeatTimeout = Annotated[int, Field(ge=2, le=65_535), Usual(2, 2000)]
+"""ms: how long one side goes on without the other."""
+
+
+def odd_values(section: BaseModel, place: str = "") -> Iterator[str]:
+    """What to tell of each value of ``section`` that is outside of the usual, by its key in the file."""
+    for name, field in type(section).model_fields.items():
+        yield from _odd(getattr(section, name), _usual(field), f"{place}.{name}" if place else name)
+
+
+def _odd(value: Any, usual: Usual | None, place: str) -> Iterator[str]:
+    if isinstance(value, BaseModel):
+        yield from odd_values(value, place)
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            yield from _odd(item, usual, f"{place}.{key_text(str(name))}")
+    elif isinstance(value, tuple):
+        for index, item in enumerate(value):
+            yield from _odd(item, usual, f"{place}[{index}]")
+    elif usual is not None and value is not None and not usual.least <= value <= usual.most:
+        yield f"{place}: {value:g} is odd, {usual.least:g} to {usual.most:g} is usual: is it in that unit?"
+
+
+def _usual(field: FieldInfo) -> Usual | None:
+    """The mark of a field's type, or of a part of it, as in ``Torque | None``."""
+    marks = [*field.metadata, *(mark for part in get_args(field.annotation) for mark in get_args(part))]
+    return next((mark for mark in marks if isinstance(mark, Usual)), None)
