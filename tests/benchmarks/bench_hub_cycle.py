@@ -127,7 +127,8 @@ def our_cycle(spec: str, nodes: list[int]) -> Iterator[Cycle]:
     drives = [ServoDrive(network, node) for node in nodes]
     for drive in drives:
         drive.connect(network.deadline_after(PATIENCE_NS))
-        drive.configure(DriveSettings(Duration(PERIOD_NS)))
+        # Patient with the host, so that other work on this machine does not stop the drives.
+        drive.configure(DriveSettings(Duration(PERIOD_NS), host_heartbeat_timeout_ms=5_000))
     pump = network.frame_pump
 
     def cycle(number: int, due: Instant) -> tuple[Duration, bool]:
