@@ -1,5 +1,6 @@
 """The bus's own cyclic sender as the producer of SYNC: for how long, and where there is none."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -33,8 +34,14 @@ class Rig:
         self.timeline.run_until(Instant(self.timeline.now + periods * PERIOD))
 
 
-def test_syncs_come_at_the_period_until_it_is_left() -> None:
-    rig = Rig()
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    yield made
+    made.bus.shutdown()
+
+
+def test_syncs_come_at_the_period_until_it_is_left(rig: Rig) -> None:
     with kernel_sync(rig.bus, PERIOD):
         rig.pass_time(10)
     made = len(rig.ends)
@@ -44,8 +51,7 @@ def test_syncs_come_at_the_period_until_it_is_left() -> None:
     assert {later - earlier for earlier, later in pairwise(rig.ends)} == {PERIOD}
 
 
-def test_an_error_ends_them_too() -> None:
-    rig = Rig()
+def test_an_error_ends_them_too(rig: Rig) -> None:
     with pytest.raises(ValueError, match="the run failed"), kernel_sync(rig.bus, PERIOD):
         raise ValueError("the run failed")
     rig.pass_time(10)
@@ -60,18 +66,24 @@ class Refusing(SimulatedBus):
 
 
 def test_a_bus_that_cannot_is_named() -> None:
-    bus = Refusing(segment=Segment(Timeline(), 1_000_000))
-    with pytest.raises(BusDown, match="used by one thread"), kernel_sync(bus, PERIOD):
+    with (
+        Refusing(segment=Segment(Timeline(), 1_000_000)) as bus,
+        pytest.raises(BusDown, match="used by one thread"),
+        kernel_sync(bus, PERIOD),
+    ):
         pass
 
 
-def test_a_bus_that_went_away_does_not_hide_why_the_run_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_went_away_does_not_hide_why_the_run_ended(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(_task: object) -> None:
         raise can.CanOperationError("network is down")
 
-    monkeypatch.setattr("virtual_bus.can_bus.cyclic_task.TimelineCyclicTask.stop", fail)
-    with pytest.raises(ValueError, match="why"), kernel_sync(Rig().bus, PERIOD):
-        raise ValueError("why")
+    with monkeypatch.context() as failing:
+        failing.setattr("virtual_bus.can_bus.cyclic_task.TimelineCyclicTask.stop", fail)
+        with pytest.raises(ValueError, match="why"), kernel_sync(rig.bus, PERIOD):
+            raise ValueError("why")
 
 
 @pytest.mark.parametrize("spec", ["simulated", "socketcan:can0"])
