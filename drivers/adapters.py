@@ -32,6 +32,7 @@ HUB = "hub"
 _HUB_NAME_LENGTH_MAX = 48
 """Characters: what a socket's path of 107 bytes leaves below the usual folders."""
 HUB_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{_HUB_NAME_LENGTH_MAX - 1}}}")
+_BAUD = re.compile(r"[1-9][0-9]{0,7}")
 HUB_NAME_EXPECTED = (
     f"1 to {_HUB_NAME_LENGTH_MAX} letters, digits, '_', '-' or '.', the first a letter or a digit"
 )
@@ -121,7 +122,7 @@ def parse_bus_spec(text: str, source: str = "--bus", key: str = "") -> BusSpec:
     line_baud = None
     if interface in SERIAL_INTERFACES and "@" in channel:
         channel, _, baud = channel.rpartition("@")
-        if not baud.isdecimal() or not int(baud):
+        if _BAUD.fullmatch(baud) is None:
             raise BadInput(
                 source, key, text, f"a line speed in baud behind '@', e.g. {_example(interface)!r}"
             )
