@@ -7,7 +7,7 @@ plus the time of the frame on an idle bus; the SYNC may have ended later than th
     on the bus      1       2          ?               4      3 has not come back: lost in front of the bus
 
 A SYNC carries no number. While one echo at a time is awaited, it is the echo of that SYNC. Where a SYNC was
-given up and a later one handed over, one echo may be that of either: both are then unsure, until the other
+given up and a later one handed over, one echo may be that of either: both are then unsure, unless the other
 echo comes too and their order tells.
 """
 
@@ -76,18 +76,13 @@ class SyncLog:
         return mark
 
     def _end_doubt(self) -> None:
-        """Fewer echoes came than SYNCs were handed over, and what has not come by now never will.
+        """Fewer echoes came than SYNCs were handed over: the missing one is not waited for any longer.
 
-        A bus keeps the order of one identifier. So if the last echo came as soon after the last SYNC as
-        echoes do, it is that SYNC's: one that was stuck before it would have been followed by it.
+        The marks stay unsure. An echo that came soon after the last SYNC looks like that SYNC's, but a bus
+        that was stopped may give back the one before at just that time, and the last a period later.
         """
-        pending, instants = self._pending, self._instants
-        newest = pending[-1]
-        if instants[-1] - newest.handed_at < self._period // 4:
-            for mark in pending:
-                mark.sure = True
-        pending.clear()
-        instants.clear()
+        self._pending.clear()
+        self._instants.clear()
 
     def heard(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC that this host did not hand over ended on the bus."""

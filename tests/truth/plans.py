@@ -118,9 +118,13 @@ PLANS: Final = (
     Plan("loss in bursts", _fault("burst", "p_good_to_bad = 0.02, p_bad_to_good = 0.2")),
     Plan("two of three lost", _fault("periodic_loss", "lost = 2", _IN)),
     Plan("blackouts", _BLACKOUTS),
-    Plan("SYNCs lost", _SYNC_LOSS),
-    Plan("SYNCs lost in bursts", _fault("burst", "p_good_to_bad = 0.01, p_bad_to_good = 0.2", _SYNC)),
-    Plan("SYNCs and PDOs lost", _SYNC_PDO_LOSS),
+    Plan("SYNCs lost", _SYNC_LOSS, decides=False),
+    Plan(
+        "SYNCs lost in bursts",
+        _fault("burst", "p_good_to_bad = 0.01, p_bad_to_good = 0.2", _SYNC),
+        decides=False,
+    ),
+    Plan("SYNCs and PDOs lost", _SYNC_PDO_LOSS, decides=False),
     # delays
     Plan("delay 600 us", _delay(600)),
     Plan("delay 3300 us", _delay(3300), deadline_us=5000),
@@ -164,7 +168,7 @@ PLANS: Final = (
     # without stamps
     Plan("no stamps", stamps=False),
     Plan("no stamps, loss", _LOSS, stamps=False),
-    Plan("no stamps, SYNCs lost", _SYNC_LOSS, stamps=False),
+    Plan("no stamps, SYNCs lost", _SYNC_LOSS, stamps=False, decides=False),
     Plan("no stamps, delay 0-500 us", _delay(0, 500), stamps=False),
     Plan("no stamps, delay 0-1500 us", _JITTER, stamps=False, decides=False, delay_us=NO_LIMIT),
     Plan("no stamps, gateway", _GATEWAY, stamps=False, decides=False, delay_us=NO_LIMIT, deadline_us=7000),
