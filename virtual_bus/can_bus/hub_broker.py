@@ -236,6 +236,10 @@ class Broker:
             ):  # reported once if it left without reading all; what it sent is still there
                 client.deaf = True
                 continue
+            # What it sent may be younger than this turn, and must not go out before it was sent.
+            self._timeline.run_until(self._clock.now())
+            if client not in self._clients:
+                return
             if not packet:
                 self._part(client)
                 return
