@@ -7,19 +7,8 @@ order of SYNCs and readings on the bus (:mod:`hil.order_attribution`).
 from collections.abc import Callable
 from typing import Final
 
-from drivers.frame_port import EchoBasis
-from drivers.timebase import NS_PER_US
 from hil.samples import Observation, Sample
 
-ECHO_ERROR: Final = {
-    EchoBasis.BUS: 0,
-    EchoBasis.HARDWARE: NS_PER_US,
-    EchoBasis.KERNEL: 30 * NS_PER_US,
-    EchoBasis.RECEIPT: 100 * NS_PER_US,
-    EchoBasis.NONE: 30 * NS_PER_US,
-}
-"""How far the instant of an echo may lie from the end of its frame: none where it is computed, a tick of the
-adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: jitter of the hand-over."""
 HELD_MAX: Final = 64
 """Cycles for which a row waits for the answer to a question: longer than one stays open."""
 

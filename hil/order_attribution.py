@@ -4,9 +4,9 @@ from typing import Final
 
 from drivers.exchange import Reading
 from drivers.timebase import Duration, Instant
-from hil.attribution import ECHO_ERROR, Health, Question, Tell
+from hil.attribution import Health, Question, Tell
 from hil.samples import Sample, new_sample
-from hil.syncs import SURPLUS, SyncLog, SyncMark
+from hil.syncs import ECHO_ERROR, SURPLUS, SyncLog, SyncMark
 
 PROBE_AGAIN_AFTER: Final = 100
 """SYNCs from a probe that failed until the next one."""

@@ -25,11 +25,11 @@ from typing import Final
 
 from drivers.exchange import Reading
 from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.attribution import ECHO_ERROR, Health, Question, Tell
+from hil.attribution import Health, Question, Tell
 from hil.clock_map import ClockMap
 from hil.clock_question import DELAYS_WATCHED, ClockQuestion, DelayWindow, Line, Suspect
 from hil.samples import Sample, new_sample
-from hil.syncs import REMEMBERED, SURPLUS, SyncLog, SyncMark
+from hil.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
 """A stamp so near to a SYNC is its own: two steps of the stamp's resolution and one of rounding."""

@@ -6,16 +6,25 @@ plus the time of the frame on an idle bus; the SYNC may have ended later than th
     handed over   1       2       3                4
     on the bus      1       2          ?               4      3 has not come back: lost in front of the bus
 
-A SYNC carries no number. While one echo at a time is awaited, it is the echo of that SYNC. Where a SYNC was
-given up and a later one handed over, one echo may be that of either: both are then unsure, unless the other
-echo comes too and their order tells.
+A SYNC carries no number. Echoes come in the order of handing over, and none is from before its own. While one
+echo is awaited, it is the echo of that SYNC. Where a SYNC was given up and a later one handed over, one echo
+from after both may be that of either: they are then unsure, unless the other echo comes too.
 """
 
 from typing import Final
 
 from drivers.frame_port import EchoBasis
-from drivers.timebase import Duration, Instant
+from drivers.timebase import NS_PER_US, Duration, Instant
 
+ECHO_ERROR: Final = {
+    EchoBasis.BUS: 0,
+    EchoBasis.HARDWARE: NS_PER_US,
+    EchoBasis.KERNEL: 30 * NS_PER_US,
+    EchoBasis.RECEIPT: 100 * NS_PER_US,
+    EchoBasis.NONE: 30 * NS_PER_US,
+}
+"""How far the instant of an echo may lie from the end of its frame: none where it is computed, a tick of the
+adapter's clock, the latency of an interrupt, that of a wake-up. Without echoes: jitter of the hand-over."""
 REMEMBERED: Final = 128
 """SYNCs that a reading may still answer: more than any horizon, which is 50 periods at most."""
 GIVEN_UP_AFTER_PERIODS: Final = 2
@@ -61,6 +70,7 @@ class SyncLog:
         """Those whose echo may still come, in the order of handing over."""
         self._instants: list[Instant] = []
         """Echoes that came while several were pending."""
+        self._echo_error = ECHO_ERROR[echoes]
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
 
@@ -98,19 +108,32 @@ class SyncLog:
     def came(self, at: Instant) -> None:
         """The echo of one of our SYNCs."""
         pending, instants = self._pending, self._instants
-        if len(pending) == 1:
-            self._put_on_bus(pending.pop(), at)
-        elif len(pending) > len(instants):
+        before = self._handed_before(at)
+        if before == 1 and not instants:
+            self._put_on_bus(pending.pop(0), at)
+        elif before > len(instants):
             # The newest are the likelier ones, as the older ones had been given up.
             instants.append(at)
-            sure = len(instants) == len(pending)
-            for mark, instant in zip(pending[-len(instants) :], instants, strict=True):
+            for mark, instant in zip(pending[before - len(instants) : before], instants, strict=True):
                 mark.on_bus_at = instant
-            for mark in pending:
+            sure = len(instants) == before
+            for mark in pending[:before]:
                 mark.sure = sure
+            if sure:
+                del pending[:before]
+                instants.clear()
             self._note_spacing(at)
         else:
             self.stray(at)
+
+    def _handed_before(self, at: Instant) -> int:
+        """How many of the pending had been handed over when an echo is from."""
+        pending = self._pending
+        latest = at + self._echo_error
+        count = len(pending)
+        while count and pending[count - 1].handed_at > latest:
+            count -= 1
+        return count
 
     def may_hand_over(self, now: Instant) -> bool:
         """Whether no echo is awaited that may still come."""

@@ -1,4 +1,7 @@
-"""The rows of ``hil run`` on a hub, drives in another process, beside what a third, passive client heard."""
+"""The rows of ``hil run`` on a hub, drives in another process, beside what a third, passive client heard.
+
+Half an hour: ``python -m tests.benchmarks.bench_truth_hub --axes 1 --commands nowhere --cycles 1800000``.
+"""
 
 import argparse
 import tempfile
@@ -6,6 +9,7 @@ from pathlib import Path
 
 from tests.truth.hub_run import HubOutcome, run_beside_a_listener
 from tests.truth.plans import COMMANDS_LATE, Plan
+from tests.truth.process_watch import Holding, watching
 from tests.truth.rows import LATE, LOST, MISSED, STALE, USED
 
 CYCLES = 20_000
@@ -36,7 +40,10 @@ def main() -> None:
                 commands=True,
             )
             with tempfile.TemporaryDirectory() as scratch:
-                _print(plan, run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive))
+                with watching() as holdings:
+                    found = run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive)
+                _print(plan, found)
+                _print_holdings(holdings)
 
 
 def _print(plan: Plan, found: HubOutcome) -> None:
@@ -77,6 +84,15 @@ def _print(plan: Plan, found: HubOutcome) -> None:
         f" ({commands.true_loss_percent:.1f}) %, delay us {delays}"
     )
     print(f"  of them {commands.wrong} wrong, {commands.outside} outside of their interval")
+
+
+def _print_holdings(holdings: list[Holding]) -> None:
+    print("  resident memory in MB, descriptors: settled after a minute, most, last")
+    for held in holdings:
+        columns = [
+            f"{kilobytes / 1e3:.0f}, {open_}" for kilobytes, open_ in (held.settled, held.most, held.last)
+        ]
+        print(f"    {held.name}: {'; '.join(columns)}")
 
 
 if __name__ == "__main__":

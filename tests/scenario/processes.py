@@ -71,10 +71,13 @@ def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def run(bench: Path, bus: str, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """``hil run --json`` to its end: exit status, summary ({} if there is none), what it said."""
+def run(bench: Path, bus: str, folder: Path, lasts_s: float = 0.0) -> tuple[int, dict[str, Any], str]:
+    """``hil run --json`` to its end: exit status, summary ({} if there is none), what it said.
+
+    ``lasts_s``: what the bench itself lasts, if that is long.
+    """
     process = start_run(bench, bus, folder)
-    out, said = process.communicate(timeout=RUN_TIMEOUT_S)
+    out, said = process.communicate(timeout=RUN_TIMEOUT_S + lasts_s)
     return process.returncode, json.loads(out) if out.strip() else {}, said
 
 

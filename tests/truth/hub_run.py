@@ -55,7 +55,7 @@ def run_beside_a_listener(plan: Plan, cycles: int, folder: Path, drive_faults: s
     with listening(hub, folder / FRAMES):
         drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
         try:
-            status, summary, said = run(bench, f"hub:{hub}", folder / "run")
+            status, summary, said = run(bench, f"hub:{hub}", folder / "run", config.bench.duration_s)
         finally:
             drives.stop()
     return _outcome(config, folder, status, said, summary)

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.frame_port import EchoBasis
 from drivers.timebase import Instant
-from hil.syncs import SyncLog
+from hil.syncs import ECHO_ERROR, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
 
@@ -154,6 +154,38 @@ def test_two_echoes_of_two_syncs_are_told_apart_by_their_order() -> None:
     assert first.sure
     assert second.sure
     assert log.crowded == 1
+
+
+def test_an_echo_from_before_a_hand_over_is_of_an_earlier_sync() -> None:
+    """A hub that was stopped for two periods gives the first SYNC back after the second was handed over."""
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    first = log.handed(1, Instant(0))
+    second = log.handed(3, Instant(3 * PERIOD))
+    log.came(Instant(PERIOD // 2))
+    assert (first.on_bus_at, first.sure, second.on_bus_at) == (PERIOD // 2, True, None)
+    assert not log.may_hand_over(Instant(4 * PERIOD)), "the second one is still awaited"
+    log.came(Instant(3 * PERIOD + SYNC_LATENCY))
+    assert (second.on_bus_at, second.sure) == (3 * PERIOD + SYNC_LATENCY, True)
+
+
+def test_an_echo_of_one_that_is_not_waited_for_any_more_is_taken_for_no_other() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    log.handed(1, Instant(0))
+    log.handed(3, Instant(2 * PERIOD))
+    log.came(Instant(2 * PERIOD + SYNC_LATENCY))
+    last = log.handed(4, Instant(3 * PERIOD))
+    log.came(Instant(3 * PERIOD - 1))
+    assert (last.on_bus_at, log.surplus) == (None, 1)
+    log.came(Instant(3 * PERIOD + SYNC_LATENCY))
+    assert (last.on_bus_at, last.sure) == (3 * PERIOD + SYNC_LATENCY, True)
+
+
+def test_the_instant_of_an_echo_counts_for_as_much_as_its_stamps_are_worth() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.KERNEL)
+    log.handed(1, Instant(0))
+    second = log.handed(3, Instant(3 * PERIOD))
+    log.came(Instant(3 * PERIOD - ECHO_ERROR[EchoBasis.KERNEL]))
+    assert (second.on_bus_at, second.sure) == (3 * PERIOD - ECHO_ERROR[EchoBasis.KERNEL], False)
 
 
 def test_an_echo_nobody_asked_for_is_surplus() -> None:
