@@ -52,6 +52,8 @@ class DelayMeter:
         self._horizon = horizon
         self._outstanding: list[_Outstanding] = []
         self._newest = 0
+        self._newest_certain = 0
+        """As ``newest``, of readings whose place was certain: only to them another is certainly stale."""
         self._typical_ns = 0.0
         self._doubt_first = self._doubt_last = -2 * horizon
         """First and last cycle of the latest readings in a row whose place is uncertain."""
@@ -98,8 +100,12 @@ class DelayMeter:
             cause = DropoutCause.STALE
         observation: Observation = sample
         if cause is not None:
-            observation = Dropout(sequence, place.due_at, cause, certain)
+            overtaken_for_sure = sequence < self._newest_certain
+            sure = certain and (cause is DropoutCause.LATE or overtaken_for_sure)
+            observation = Dropout(sequence, place.due_at, cause, sure)
         self._newest = max(self._newest, sequence)
+        if certain:
+            self._newest_certain = max(self._newest_certain, sequence)
         place.fate = Fate(sequence, observation, delay)
         return cause is None
 

@@ -125,6 +125,9 @@ class OwnSync(Pace):
         if due > self._woke_at:
             self._network.rest(due)
             self._woke_at = self._wake()
+            if ticks_missed(due, self._period, self._woke_at):
+                # what came meanwhile is not to be given up for lost along with the ticks
+                self._network.pump(self._woke_at)
         if ticks_missed(due, self._period, self._woke_at):
             return Start(due, None, False)
         return Start(due, self._woke_at, self._may_hand_over(due))

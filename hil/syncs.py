@@ -80,6 +80,7 @@ class SyncLog:
         if self._echoed:
             if self._instants:
                 self._end_doubt()
+                mark.sure = False
             self._pending.append(mark)
         else:
             self._put_on_bus(mark, Instant(at + self._latency))
@@ -89,7 +90,9 @@ class SyncLog:
         """Fewer echoes came than SYNCs were handed over: the missing one is not waited for any longer.
 
         The marks stay unsure. An echo that came soon after the last SYNC looks like that SYNC's, but a bus
-        that was stopped may give back the one before at just that time, and the last a period later.
+        that was stopped may give back the one before at just that time, and the last a period later. So the
+        next echo may be that of the last SYNC, and is unsure too; the one after it would be from before its
+        own hand-over.
         """
         self._pending.clear()
         self._instants.clear()

@@ -62,7 +62,11 @@ def _print(plan: Plan, found: HubOutcome) -> None:
     p50, p99, most = found.delays_us
     errors = [readings.delay_error_us(percentile) for percentile in (50, 99, 100)]
     print(f"{plan.name}: {readings.rows} rows, hil run ended with {found.status}: {fates}")
+    if found.status:
+        print(f"  {found.said.strip().splitlines()[-1]}")
     print(f"  misjudged {readings.wrong} ({kinds}); uncertain {readings.uncertain}")
+    for example in readings.examples:
+        print(f"    {example}")
     print(
         f"  delays told, us: p50 {p50:.0f}, p99 {p99:.0f}, max {most:.0f}; negative {found.negative_delays}"
     )

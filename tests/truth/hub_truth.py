@@ -24,8 +24,6 @@ from virtual_bus.frame import Frame
 _SYNC: Final = Frame(SYNC_ID)
 ON_BUS_WITHIN: Final = Duration(100 * NS_PER_MS)
 """Longer no process waits for a core, even on a machine that others use too."""
-ON_BUS_EARLY: Final = Duration(4 * NS_PER_MS)
-"""The hub's stamps may be before the hand-over by as long as its process waits for a core."""
 COMMAND_WITHIN_CYCLES: Final = 16
 """No command takes longer than so many cycles to the drive."""
 
@@ -136,7 +134,7 @@ def _by_content(table: FrameTable, sent: Told) -> dict[int, Instant]:
     found: dict[int, Instant] = {}
     for row in table:
         set_point = int.from_bytes(bytes(row["data"]).ljust(8, b"\0")[2:4], "little", signed=True)
-        until = int(np.searchsorted(handed_at, row["at"] + ON_BUS_EARLY, side="right"))
+        until = int(np.searchsorted(handed_at, row["at"], side="right"))
         for place in range(until - 1, max(-1, until - 1 - COMMAND_WITHIN_CYCLES), -1):
             if raw[place] == set_point:
                 found.setdefault(int(handed_at[place]), Instant(int(row["at"])))

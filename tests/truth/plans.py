@@ -102,6 +102,7 @@ COMMANDS_LATE: Final = _fault("loss", "probability = 0.1", _OUT) + _fault("delay
 COMMANDS_LATE_BEHIND: Final = _fault("loss", "probability = 0.1", _OUT, _BEHIND) + _fault(
     "delay", "delay_us = 600", _OUT, _BEHIND
 )
+_STOPPED: Final = _fault("host_stall", "every_s = 0.0837", "late_us = 30000")
 _BLACKOUTS: Final = "blackout = [{from_s = 0.5, duration_s = 0.015}, {from_s = 1.0, duration_s = 0.06}]"
 _RANDOM_STEPS: Final = _fault(
     "clock_step", "probability_per_s = 0.9", "step_min_us = -900", "step_max_us = 900"
@@ -165,6 +166,9 @@ PLANS: Final = (
     Plan("host 900 us late", _late(900)),
     Plan("host 0-5 ms late", _late(0, 5000)),
     Plan("host 0-5 ms late, three axes", _late(0, 5000), axes=3),
+    Plan("host stopped for longer than the horizon", _STOPPED),
+    Plan("host stopped, readings under way", _delay(0, 1600) + _STOPPED),
+    Plan("host stopped, readings under way, no stamps", _delay(0, 600) + _STOPPED, stamps=False),
     # without stamps
     Plan("no stamps", stamps=False),
     Plan("no stamps, loss", _LOSS, stamps=False),

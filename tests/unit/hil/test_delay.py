@@ -53,6 +53,17 @@ def test_a_reading_overtaken_by_a_newer_one_is_stale() -> None:
     assert causes(meter) == [DropoutCause.STALE, None]
 
 
+def test_a_reading_is_certainly_stale_only_if_the_newer_one_was_certain() -> None:
+    meter = DelayMeter(DEADLINE, 5)
+    sent(meter, 1, 2, 3)
+    meter.arrived(sample(3, 100, certain=False))
+    assert not meter.arrived(sample(1, 1500))
+    meter.arrived(sample(3, 100))
+    assert not meter.arrived(sample(2, 1800))
+    certain = [fate.observation.certain for fate in meter.settle()]
+    assert certain == [False, True, True]
+
+
 def test_a_reading_not_seen_within_the_horizon_is_lost_and_keeps_its_place() -> None:
     meter = DelayMeter(DEADLINE, 3)
     sent(meter, 1, 2)
