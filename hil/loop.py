@@ -63,6 +63,11 @@ class LoopOutcome:
     interrupted: bool
 
 
+def planned_cycles(duration: Duration, period: Duration) -> int:
+    """The cycles of a run; one that has begun is whole."""
+    return -(-duration // period)
+
+
 class Loop:
     """Runs axes on one bus."""
 
@@ -109,7 +114,7 @@ class Loop:
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
-        planned = -(-duration // self._timing.period)
+        planned = planned_cycles(duration, self._timing.period)
         self._started_at = self._pace.begin(self._axes)
         on_start(self._started_at)
         interrupted = False

@@ -30,8 +30,9 @@ from hil.recording.row_states import (
     LinkStates,
 )
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.recording.verdict_text import verdict_markdown, verdict_word
+from hil.recording.verdict_text import verdict_markdown
 from hil.samples import CommandFate
+from hil.verdict import LimitResult
 
 _RPM = 30.0 / math.pi
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
@@ -341,9 +342,10 @@ class Telemetry:
 
 def _end_event(at: Instant, summary: Summary) -> TextEvent:
     verdict = summary.verdict
-    kept = sum(check.passed for check in verdict.limits)
-    text = f"run ended: {verdict_word(summary)}, {kept} of {len(verdict.limits)} limits kept"
-    return TextEvent(at, "INFO" if verdict.passed else "ERROR", f"{text}; {verdict.reason}".rstrip("; "))
+    kept = sum(check.result is LimitResult.KEPT for check in verdict.limits)
+    text = f"run ended: {verdict.outcome}, {kept} of {len(verdict.limits)} limits kept"
+    level = "ERROR" if verdict.exit_status else "INFO"
+    return TextEvent(at, level, f"{text}; {verdict.reason}".rstrip("; "))
 
 
 def _round_width(width_ns: float) -> int:
