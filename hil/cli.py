@@ -198,6 +198,8 @@ def main() -> None:
     try:
         require_fresh()
     except BadInput as error:
+        told = RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv)
+        told.failed(error.exit_status, str(error))
         sys.exit(complain(error))
     app()
 

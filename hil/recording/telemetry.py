@@ -4,6 +4,7 @@ Times are on the timeline ``run_time``, zero at the first cycle. A reading's val
 the due instant of the cycle that asked for it, so that reference and measurement agree.
 """
 
+import json
 import math
 from collections.abc import Sequence
 
@@ -15,7 +16,7 @@ from drivers.profile402 import State
 from drivers.timebase import NS_PER_US, Instant
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
-from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, TIMELINE, VERDICT, layout
+from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.row_states import (
@@ -338,6 +339,9 @@ class Telemetry:
         text = verdict_markdown(self._plan, summary)
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._stream.log(VERDICT, page, static=True)
+        if summary is not None:
+            whole = json.dumps(summary.as_json(), indent=2)
+            self._stream.log(SUMMARY, rr.TextDocument(whole), static=True)
 
 
 def _end_event(at: Instant, summary: Summary) -> TextEvent:

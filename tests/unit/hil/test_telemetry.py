@@ -1,5 +1,6 @@
 """run.rrd, read back with Rerun's own reader."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from rerun.chunk import RrdReader
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from hil.figures.review import Review
-from hil.figures.summary import summarise
+from hil.figures.summary import Summary, summarise
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.recording.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
@@ -187,6 +188,13 @@ def test_the_page_tells_the_verdict(recording: Path) -> None:
         "# synthetic · running",
         "# synthetic · PASSED",
     ]
+
+
+def test_the_whole_summary_is_in_the_recording(recording: Path, rows: Rows) -> None:
+    _, ((text,),) = columns(recording, "/summary", "TextDocument:text")
+    told = Summary.from_json(json.loads(str(text)))
+    assert told.cycles == rows.size
+    assert told.verdict.passed
 
 
 def test_the_histogram_holds_every_reading_that_came(recording: Path, rows: Rows) -> None:
