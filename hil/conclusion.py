@@ -49,7 +49,7 @@ class Conclusion:
         A host that comes back later than readings are waited for has not seen the end of its run.
         """
         self._outcome = replace(self._outcome, **found)
-        late = loop.ended_at - loop.started_at - loop.cycles * settings.period
+        late = loop.ended_at - loop.last_due_at - settings.period
         if loop.interrupted:
             self._outcome = _cut_short(self._outcome, interrupted_by, Outcome.INTERRUPTED)
         elif late > settings.horizon:
@@ -92,8 +92,9 @@ class Conclusion:
         if drive.identity is None:
             self._note(drive.name, evidence=release.evidence)  # nobody answered who could be asked
             return
-        state = _label(release.state)
-        self._note(drive.name, at_the_end=state, at_rest=release.at_rest, evidence=release.evidence)
+        # A drive that was not configured was not moved by this bench, and nobody knows its unit of speed.
+        at_rest = None if release.at_rest and drive.plan is None else release.at_rest
+        self._note(drive.name, at_the_end=_label(release.state), at_rest=at_rest, evidence=release.evidence)
 
     def told(self, drive: ServoDrive, since: Instant, zero: Instant | None) -> None:
         """Take in the EMCYs of a drive ``since`` an instant; ``zero``: when the run began, if it did."""

@@ -112,7 +112,7 @@ class BenchRunner:
                 controllers=controllers,
                 privileged=False,  # a locked memory of pytest is too much to ask of any machine
             )
-            interrupted = summary.verdict.outcome is Outcome.INTERRUPTED
+            interrupted = bool(summary.verdict.of(Outcome.INTERRUPTED))
         except Interrupted:
             interrupted = True
         except BenchError as error:

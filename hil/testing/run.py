@@ -44,7 +44,8 @@ def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["
         try:
             return method(run, *given, **named)
         except AssertionError as error:
-            raise AssertionError(f"{error}\nrecording: {run.folder}") from None
+            place = f"\nrecording: {run.folder}"
+            raise AssertionError(str(error).removesuffix(place) + place) from None
 
     return told
 

@@ -15,12 +15,11 @@ LEFT_S = 0.8
 """Of the run when the host stops; time enough for a test that is late itself."""
 
 
-@pytest.mark.parametrize("limits", [True, False])
-def test_a_host_stopped_across_the_end_never_passes(tmp_path: Path, limits: bool) -> None:
+def test_a_host_stopped_across_the_end_never_passes(tmp_path: Path) -> None:
+    """Nothing was asked: each limit would only be one more reason not to pass."""
     bench = changed_bench(tmp_path, duration_s=DURATION_S, dropouts_consecutive_max=1000)
-    if not limits:
-        text = bench.read_text(encoding="utf-8")
-        bench.write_text(text.partition("[verdict]")[0], encoding="utf-8")
+    text = bench.read_text(encoding="utf-8")
+    bench.write_text(text.partition("[verdict]")[0], encoding="utf-8")
     bus = hub_name("stopped")
     with simulated_drive(bus), observer(bus) as watching:
         process = start_run(bench, bus, tmp_path / "run")
@@ -36,6 +35,5 @@ def test_a_host_stopped_across_the_end_never_passes(tmp_path: Path, limits: bool
     verdict = told["verdict"]
     assert process.returncode == verdict["exit_status"] == 3, (out, said)
     assert not verdict["completed"]
-    assert "kept" not in [check["result"] for check in verdict["limits"]]
     assert told["dropouts"]["missed"] > 10
     assert told == json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))

@@ -1,10 +1,14 @@
-"""Which EMCYs a plan names, and when."""
+"""What is gathered of a run: how it ended, and which EMCYs its plan names, and when."""
 
 import pytest
 
+from drivers.errors import BadInput
 from drivers.nmt import Emergency
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.conclusion import named_emergencies
+from hil.conclusion import Conclusion, named_emergencies
+from hil.configuration.config import Loop
+from hil.loop import LoopOutcome
+from hil.verdict import Outcome
 from virtual_bus.fault_injection.fault_log import KINDS, Entry
 from virtual_bus.fault_injection.fault_plan import FaultPlan
 from virtual_bus.fault_injection.injection import Faults
@@ -81,3 +85,33 @@ def test_a_recorded_fault_names_its_own_emcy() -> None:
     ]
     assert not explained(recorded, 1201, 0x7305, node=2)
     assert not explained(RecordedFaults(()), 1201)
+
+
+SETTINGS = Loop(period_us=1000, decide_after_us=700, deadline_us=2000, horizon_periods=20)
+
+
+@pytest.mark.parametrize(("late_ms", "completed"), [(0.2, True), (20.9, True), (21.1, False), (4000, False)])
+def test_a_host_that_comes_back_later_than_readings_are_waited_for_has_not_seen_the_end(
+    late_ms: float, completed: bool
+) -> None:
+    """Counted from the last tick: SYNCs of others have their own period, and an hour of them drifts by ms."""
+    last = Instant(3600 * NS_PER_S)
+    loop = LoopOutcome(10, 0, Instant(0), last, Instant(last + round(late_ms * NS_PER_MS)), False)
+    conclusion = Conclusion(["axis1"], None, 10)
+    conclusion.ended(loop, "", SETTINGS, bus_load_percent=50.0)
+    conclusion.came_to_its_end()
+    found = conclusion.outcome
+    assert (found.completed, found.bus_load_percent) == (completed, 50.0)
+    assert ("came back" in found.reason) is not completed
+
+
+def test_a_run_of_which_no_end_was_told_was_ended_by_a_defect() -> None:
+    conclusion = Conclusion(["axis1"], None, 10)
+    loop = LoopOutcome(10, 0, Instant(0), Instant(9 * NS_PER_MS), Instant(10 * NS_PER_MS), False)
+    causes = [conclusion.outcome.cause]
+    conclusion.ended(loop, "", SETTINGS)
+    causes.append(conclusion.outcome.cause)
+    assert not conclusion.outcome.completed
+    conclusion.failed(BadInput("bench.toml", "", 1, "2"))
+    causes.append(conclusion.outcome.cause)
+    assert causes == [Outcome.DEFECT, Outcome.DEFECT, Outcome.BAD_INPUT]
