@@ -1,14 +1,12 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
 
 from drivers.adapters import parse_bus_spec
 from drivers.dictionary import LoadedDictionary
-from drivers.errors import BenchError, PeerFault
+from drivers.errors import BadInput, BenchError, PeerFault
 from drivers.network import CanopenNetwork
 from drivers.pdo import DONE
 from drivers.servo import ServoDrive
@@ -16,15 +14,16 @@ from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, durati
 from hil import assembly
 from hil.axis import Axis
 from hil.commissioned_drive import as_the_loop_counts, write_commissioned
+from hil.conclusion import Conclusion
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.connecting import connect
 from hil.controllers import Controller
 from hil.drive_settings import data_sheets, drive_settings, identity_notes
-from hil.figures.summary import RunOutcome, Summary
+from hil.figures.summary import Summary
 from hil.load_machines import LoadMachines
-from hil.loop import Loop, LoopOutcome, LoopTiming
-from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
+from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
 from hil.pace import OwnSync, Pace
@@ -45,16 +44,8 @@ ENABLE_TIMEOUT_S = 2.0
 RUNS_FOLDER = Path("runs")
 
 
-@dataclass(frozen=True, slots=True)
-class BenchResult:
-    """What a run came to."""
-
-    summary: dict[str, Any]
-    """What ``hil run --json`` prints."""
-    passed: bool
-    interrupted: bool
-    """A stop signal cut it short."""
-    recording: Path | None
+def _not_told(_summary: Summary) -> None:
+    """Whoever is content with what :func:`run_bench` returns."""
 
 
 def run_bench(
@@ -70,16 +61,19 @@ def run_bench(
     network: Path | None = None,
     allow_worse_network: bool = False,
     privileged: bool = True,
-) -> BenchResult:
-    """Run a bench and review it.
+    concluded: Callable[[Summary], None] = _not_told,
+) -> Summary:
+    """Run a bench and review it; from any thread.
 
     ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
     axis, what a caller puts in place of the file's. ``network``: file of one measured before, that must be
     no worse than the controllers were made for; nor may the run's own, unless ``allow_worse_network``.
     ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
     Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
-    brought to rest and the recording is closed first.
+    brought to rest and the recording is closed first. ``concluded`` is given the summary then, also of a run
+    that ends in an error.
     """
+    _check_axes(config, controllers or {})
     sheets = data_sheets(config)
     worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
@@ -106,26 +100,20 @@ def run_bench(
         if log is not None:
             log.send_to(recorder.fault_block)
         run = _Run(config, world, recorder, stop, progress, controllers or {}, worse, devices, sheets)
-        with _timing_conditions(world.real_time and privileged) as refused:
+        with timing_conditions(world.real_time and privileged) as refused:
             try:
-                summary = run.to_the_end(refused)
+                return run.to_the_end(refused, concluded)
             except PeerFault as error:
                 run.write_fault_report(folder, str(error))
                 raise
-    interrupted = stop() and not summary.verdict.completed
-    return BenchResult(summary.as_json(), summary.verdict.passed, interrupted, folder)
 
 
-@contextmanager
-def _timing_conditions(privileged: bool) -> Iterator[Sequence[str]]:
-    """What the kernel refused. Before any drive is told to listen for the host's heartbeat: to lock a large
-    memory takes up to a second."""
-    if privileged:
-        with realtime_process() as refused:
-            yield refused
-    else:
-        with quiet_garbage_collector():
-            yield ()
+def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
+    """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
+    for name in controllers:
+        if name not in config.axes:
+            source = config.source or "bench"
+            raise BadInput(source, "controllers", name, f"one of the bench's axes: {', '.join(config.axes)}")
 
 
 class _Run:
@@ -155,6 +143,10 @@ class _Run:
         self._networks, self._master = masters(self._network, world)
         self._sync_source = SyncSource(config.loop.sync)
         self._axes: list[Axis] = []
+        planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
+        self._conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        self._enabled_from: Instant | None = None
+        self._zero: Instant | None = None
         self._syncs: dict[str, SyncLog] = {}
         self._drives = [
             ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
@@ -164,24 +156,25 @@ class _Run:
         if config.recording.frames:
             record_frames(world, recorder.tap)
 
-    def to_the_end(self, refused: Sequence[str]) -> Summary:
+    def to_the_end(self, refused: Sequence[str], concluded: Callable[[Summary], None]) -> Summary:
         """Run, bring the drives to rest, close the recording; errors pass through afterwards.
 
         ``refused``: what the kernel did not grant, in words.
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
-        outcome = _cut_short("it ended by a defect of this program")
         try:
-            outcome = self._run_and_release()
+            self._run_and_release()
+            self._conclusion.came_to_its_end()
         except BenchError as error:
-            outcome = _cut_short(str(error))
+            self._conclusion.failed(error)
             self._recorder.event(self._world.clock.now(), "CRITICAL", str(error))
             raise
         finally:
             if self._world.faults is not None:
                 self._world.faults.finish()
-            summary = self._recorder.close(outcome)
+            summary = self._recorder.close(self._conclusion.outcome)
+            concluded(summary)
         return summary
 
     def write_fault_report(self, folder: Path, error: str) -> None:
@@ -190,13 +183,13 @@ class _Run:
         told = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
         write_fault_report(folder, error, told, makes, self._world.clock.now())
 
-    def _run_and_release(self) -> RunOutcome:
+    def _run_and_release(self) -> None:
         try:
-            return self._run()
+            self._run()
         finally:
             self._release()
 
-    def _run(self) -> RunOutcome:
+    def _run(self) -> None:
         config, world = self._config, self._world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
@@ -221,7 +214,7 @@ class _Run:
         self._axes = axes
         loop = Loop(self._master, world.clock, axes, pace, timing, self._load.chore)
         with self._sync_producer(timing):
-            return self._calibrate_and_run(loop, timing)
+            self._calibrate_and_run(loop, timing)
 
     def _listen_for_syncs(self, timing: LoopTiming) -> tuple[dict[str | None, SyncLog], Pace]:
         """The SYNCs of each segment, and what starts the cycles."""
@@ -242,11 +235,12 @@ class _Run:
             return kernel_sync(self._world.link.bus, timing.period)
         return nullcontext()
 
-    def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> RunOutcome:
+    def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
         self._enter("calibrating")
         loop.calibrate()
         self._stop.check()
         self._enter("enabling")
+        self._enabled_from = self._world.clock.now()
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
@@ -257,7 +251,9 @@ class _Run:
         began = wall.now()
         ended = self._cycles(loop, timing)
         took = Duration(wall.now() - began)
-        return self._outcome(ended, took)
+        self._note_ended(ended, took)
+        if not ended.interrupted:
+            self._conclusion.look_at(self._drives)
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
@@ -294,6 +290,7 @@ class _Run:
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
+        self._zero = at
         self._recorder.begin(at)
         self._load.begin(at)
         if self._world.faults is not None:
@@ -302,22 +299,23 @@ class _Run:
             for when_s, text in assembly.planned_events(self._config, name):
                 self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
-    def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
+    def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
             own = self._sync_source is SyncSource.OWN
             why = "the host was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
-        if ended.interrupted:
-            self._say(f"ended by {self._stop.signal_name}", "WARN")
+        reason = f"ended by {self._stop.signal_name}" if ended.interrupted else ""
+        if reason:
+            self._say(reason, "WARN")
         doubts = distrust(self._axes, self._config.loop.period)
         for doubt in doubts:
             self._say(f"not trustworthy: {doubt}", "ERROR")
-        bench_time = ended.ended_at - ended.started_at
-        return RunOutcome(
+        self._conclusion.ended(
+            ended,
+            reason,
+            self._config.loop,
             bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
-            realtime_factor=bench_time / max(took, 1),
-            completed=not ended.interrupted,
-            reason=f"ended by {self._stop.signal_name}" if ended.interrupted else "",
+            realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
             network_notes=self._worse.notes,
             load_machine=self._load.figures(),
             timing=timing_report(self._axes, self._syncs),
@@ -370,8 +368,12 @@ class _Run:
         for drive in self._drives:
             release = drive.release()
             self._note_state(drive)
+            self._conclusion.released(drive, release)
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
+        if self._enabled_from is not None:
+            for drive in self._drives:
+                self._conclusion.told(drive, self._enabled_from, self._zero)
         self._load.take_off(self._say)
         self._progress("stopped", self._config.bench.duration_s)
 
@@ -389,7 +391,3 @@ class _Run:
 
     def _say(self, text: str, level: str = "INFO") -> None:
         self._recorder.event(self._world.clock.now(), level, text)
-
-
-def _cut_short(reason: str) -> RunOutcome:
-    return RunOutcome(bus_load_percent=0.0, realtime_factor=0.0, completed=False, reason=reason)

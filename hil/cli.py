@@ -20,10 +20,11 @@ from hil.machine.compiled import require_fresh
 from hil.terminal.adapter import adapter
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.eds import eds
-from hil.terminal.exit_status import complain, reported_errors, status_of_run
+from hil.terminal.exit_status import complain, reported_errors
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
+from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -109,7 +110,7 @@ def _hil(
     """Hardware-in-the-loop bench for networked PMSM servo drives over CANopen."""
 
 
-@app.command()
+@app.command(cls=RunCommand)
 def run(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The bench file.")],
     bus: BusOption = None,
@@ -130,9 +131,11 @@ def run(
 ) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
 
-    Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
+    Exit status: 0 passed, or nothing was asked; 1 not passed; 2 bad input; 3 bus, drive or safety; 4 not
+    trustworthy; 5 not recorded; 6 cut short or not measured; 130 ended by a signal. docs/verdict.md
     """
-    with reported_errors():
+    told = RunObject(as_json)
+    with reported_errors(told.failed):
         from drivers.bounded_file import NamedBy
         from hil.configuration.bench_file import load_bench, load_faults
 
@@ -151,7 +154,7 @@ def run(
 
         progress = TerminalProgress(sys.stderr, config.bench.duration_s)
         try:
-            outcome = run_bench(
+            summary = run_bench(
                 config,
                 bus_spec=bus,
                 time=time.value if time else None,
@@ -161,16 +164,16 @@ def run(
                 progress=progress,
                 network=network,
                 allow_worse_network=allow_worse_network,
+                concluded=told.concluded,
             )
         finally:
             progress.clear()
-        if as_json:
-            typer.echo(json.dumps(outcome.summary, allow_nan=False))
-        else:
+        told.print(summary)
+        if not as_json:
             from hil.terminal.report import print_run
 
-            print_run(config, outcome.summary, outcome.recording, bus_spec=bus)
-        raise typer.Exit(status_of_run(passed=outcome.passed, interrupted=outcome.interrupted))
+            print_run(config, summary, bus_spec=bus)
+        raise typer.Exit(summary.verdict.exit_status)
 
 
 @app.command()
@@ -195,6 +198,8 @@ def main() -> None:
     try:
         require_fresh()
     except BadInput as error:
+        told = RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv)
+        told.failed(error.exit_status, str(error))
         sys.exit(complain(error))
     app()
 

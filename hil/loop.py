@@ -59,8 +59,15 @@ class LoopOutcome:
     cycles_missed: int
     """Those without SYNC."""
     started_at: Instant
+    last_due_at: Instant
+    """The tick of the last cycle."""
     ended_at: Instant
     interrupted: bool
+
+
+def planned_cycles(duration: Duration, period: Duration) -> int:
+    """The cycles of a run; one that has begun is whole."""
+    return -(-duration // period)
 
 
 class Loop:
@@ -84,7 +91,7 @@ class Loop:
         self._pace = pace
         self._timing = timing
         self._chore = chore
-        self._started_at = Instant(0)
+        self._started_at = self._due_at = Instant(0)
         self._number = 0
         self._missed = 0
 
@@ -109,8 +116,8 @@ class Loop:
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
-        planned = -(-duration // self._timing.period)
-        self._started_at = self._pace.begin(self._axes)
+        planned = planned_cycles(duration, self._timing.period)
+        self._started_at = self._due_at = self._pace.begin(self._axes)
         on_start(self._started_at)
         interrupted = False
         self._number = self._missed = 0
@@ -127,9 +134,10 @@ class Loop:
         finally:
             for axis in self._axes:
                 axis.settle_all(BEYOND_ANY_HORIZON)
-        return LoopOutcome(self._number, self._missed, self._started_at, ended_at, interrupted)
+        return LoopOutcome(self._number, self._missed, self._started_at, self._due_at, ended_at, interrupted)
 
     def _serve(self, start: Start) -> None:
+        self._due_at = start.due_at
         if start.served and start.woke_at is not None:
             self._cycle(start.due_at, start.woke_at)
         else:

@@ -20,7 +20,7 @@ from hil.commissioning.outcome import Verdict
 from hil.commissioning.report import REPORT_FILE, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.restore import await_answer, restore
-from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.world import WorldPlan, open_world
 from virtual_bus.fault_injection.faulty_device import SimulatedNode
@@ -59,13 +59,8 @@ def run_command(
     plan = WorldPlan(spec, request.bitrate_bit_s, False, None, rehearse or 0)
     with stop_signals() as signals, open_world(plan, devices) as world:
         stop = EmergencyStop(signals, sys.stdin)
-        if world.real_time:
-            # Before the drive listens for heartbeats: to lock a large memory takes up to a second.
-            with realtime_process():
-                result = commission(request, world, dialog, stop, sheet)
-        else:
-            with quiet_garbage_collector():
-                result = commission(request, world, dialog, stop, sheet)
+        with timing_conditions(world.real_time):
+            result = commission(request, world, dialog, stop, sheet)
     return _conclude(request, result)
 
 

@@ -166,12 +166,12 @@ def _run(variant: Variant, folder: Path, tell: Callable[[str], None]) -> PaperRu
     config = bench_from(bench_tables(variant), f"{variant.case} {variant.name}", Path())
     tell(f"{variant.case}, {variant.name}: on the simulated bench")
     record = folder / config.bench.name
-    result = run_bench(
+    summary = run_bench(
         config, bus_spec=None, time=None, seed=None, record=record, view=False, progress=no_progress
     )
     time_s, error = _errors(record)
     figures = _figures(variant, time_s, error) | {
-        "delay_p99_us": result.summary["delay_us"]["p99"],
+        "delay_p99_us": summary.delay_us.p99,
         "recording": str(record),
     }
     return PaperRun(variant.case, variant.name, time_s, error, figures)

@@ -1,11 +1,23 @@
-"""What a run came to: the figures, the limits they were held against, and the verdict.
+"""The whole of a run: its figures, its verdict, and what it rests on.
 
 The figures rest on the cycle records alone (see :mod:`hil.figures.review`), never on the telemetry.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
+
+from hil.verdict import (
+    CycleCount,
+    DriveEnd,
+    Finding,
+    Outcome,
+    RunOutcome,
+    Verdict,
+    VerdictLimits,
+    judge,
+    not_run,
+)
 
 _METRICS = {
     "speed_error_peak_percent_max": "speed error, peak [%]",
@@ -17,20 +29,6 @@ _METRICS = {
     "missed_percent_max": "cycles without SYNC [%]",
     "lateness_us_max": "lateness, largest [us]",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class VerdictLimits:
-    """Upper limits that a run must keep; None: not asked for. The names are those of the bench file."""
-
-    speed_error_peak_percent_max: float | None = None
-    after_load_percent_max: float | None = None
-    speed_error_rms_rad_s_max: float | None = None
-    dropouts_percent_max: float | None = None
-    delay_p99_us_max: float | None = None
-    bus_load_percent_max: float | None = None
-    missed_percent_max: float | None = None
-    lateness_us_max: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,74 +91,6 @@ class Figures:
         return 100.0 * self.dropouts.missed / self.rows if self.rows else None
 
 
-@dataclass(frozen=True, slots=True)
-class RunOutcome:
-    """What the records cannot tell; handed over when the run ends."""
-
-    bus_load_percent: float
-    realtime_factor: float
-    """Bench time over wall time."""
-    completed: bool = True
-    """False if the run was cut short; such a run never passes."""
-    reason: str = ""
-    """Why it was cut short."""
-    network_notes: Sequence[str] = ()
-    """In what the network was worse than a controller was made for; only where the run was to go on."""
-    load_machine: Mapping[str, Any] | None = None
-    """What the instrument that made the load came to, if there was one."""
-    timing: Mapping[str, Any] | None = None
-    """What the timing rests on (:mod:`hil.timing_report`)."""
-    distrust: Sequence[str] = ()
-    """Why what the run says of its timing is not to be trusted; such a run never passes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One limit and what was found. A value that was not measured fails."""
-
-    metric: str
-    value: float | None
-    limit: float
-    passed: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Passed if the run was completed and every limit kept."""
-
-    passed: bool
-    completed: bool
-    reason: str
-    limits: tuple[Check, ...]
-    distrust: tuple[str, ...] = ()
-    """Why the timing is not to be trusted."""
-
-
-def judge(figures: Figures, outcome: RunOutcome, limits: VerdictLimits) -> Verdict:
-    """Hold the figures against the limits of the bench file."""
-    values = {
-        "speed_error_peak_percent_max": figures.speed_error.peak_percent,
-        "after_load_percent_max": figures.speed_error.after_load_percent,
-        "speed_error_rms_rad_s_max": figures.speed_error.rms_rad_s,
-        "dropouts_percent_max": figures.dropouts_percent,
-        "delay_p99_us_max": figures.delay_us.p99,
-        "bus_load_percent_max": outcome.bus_load_percent,
-        "missed_percent_max": figures.missed_percent,
-        "lateness_us_max": figures.lateness_us.max,
-    }
-    checks = tuple(
-        Check(key, value, limit, value is not None and value <= limit)
-        for key, value in values.items()
-        if (limit := getattr(limits, key)) is not None
-    )
-    distrust = tuple(outcome.distrust)
-    passed = outcome.completed and not distrust and all(check.passed for check in checks)
-    reason = outcome.reason
-    if distrust and not reason:
-        reason = f"not trustworthy: {'; '.join(distrust)}"
-    return Verdict(passed, outcome.completed, reason, checks, distrust)
-
-
 def metric_title(key: str) -> str:
     """A limit's key in the words of a reader, with its unit."""
     return _METRICS[key]
@@ -168,20 +98,22 @@ def metric_title(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The whole of a run; ``as_json`` is what ``hil run --json`` prints."""
+    """``as_json`` is what ``hil run --json`` prints, at every exit."""
 
     cycles: int
     dropouts: DropoutCounts
     delay_us: Percentiles
     speed_error: SpeedError
-    bus_load_percent: float
-    realtime_factor: float
+    bus_load_percent: float | None
+    realtime_factor: float | None
     lateness_us: Percentiles
     verdict: Verdict
     recording: str
     """The folder of the run; empty if nothing was kept."""
-    seed: int
+    seed: int | None
     digest: str
+    drives: tuple[DriveEnd, ...] = ()
+    """How each was found when the cycles were over."""
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
     network_notes: tuple[str, ...] = ()
@@ -190,6 +122,10 @@ class Summary:
     """Identity, tally, and for each load step the torque asked for and measured (:mod:`hil.instrument`)."""
     timing: Mapping[str, Any] | None = None
     """What the timing rests on (:mod:`hil.timing_report`)."""
+
+    def also(self, finding: Finding) -> "Summary":
+        """With something that was found after the end."""
+        return replace(self, verdict=self.verdict.also(finding))
 
     def as_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
@@ -207,10 +143,8 @@ class Summary:
         values["delay_us"] = Percentiles(**values["delay_us"])
         values["lateness_us"] = Percentiles(**values["lateness_us"])
         values["speed_error"] = SpeedError(**values["speed_error"])
-        verdict = dict(values["verdict"])
-        verdict["limits"] = tuple(Check(**check) for check in verdict["limits"])
-        verdict["distrust"] = tuple(verdict.get("distrust", ()))
-        values["verdict"] = Verdict(**verdict)
+        values["verdict"] = Verdict.from_json(values["verdict"])
+        values["drives"] = tuple(DriveEnd(**drive) for drive in values["drives"])
         for name in ("recording_faults", "network_notes"):
             values[name] = tuple(values.get(name, ()))
         return cls(**values)
@@ -226,15 +160,50 @@ def summarise(
 ) -> Summary:
     """Figures, outcome and verdict in one."""
     shared = {field.name for field in fields(Figures)} & {field.name for field in fields(Summary)}
+    count = CycleCount(figures.cycles, figures.rows, figures.dropouts.missed)
+    values = _limited_values(figures, outcome)
     return Summary(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,
         realtime_factor=outcome.realtime_factor,
-        verdict=judge(figures, outcome, limits),
+        verdict=judge(outcome, count, values, limits, recording_lacks="; ".join(recording_faults)),
         recording=recording,
         seed=seed,
+        drives=tuple(outcome.drives),
         recording_faults=recording_faults,
         network_notes=tuple(outcome.network_notes),
         load_machine=outcome.load_machine,
         timing=outcome.timing,
     )
+
+
+def summary_without_run(outcome: Outcome, reason: str) -> Summary:
+    """Of what ended before there was a run: no cycle, and nothing measured."""
+    none = Percentiles(None, None, None)
+    return Summary(
+        cycles=0,
+        dropouts=DropoutCounts(0, 0, 0, 0),
+        delay_us=none,
+        speed_error=SpeedError(None, None, None, None),
+        bus_load_percent=None,
+        realtime_factor=None,
+        lateness_us=none,
+        verdict=not_run(outcome, reason),
+        recording="",
+        seed=None,
+        digest="",
+    )
+
+
+def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | None]:
+    """What the limits speak of, by their names; None: not measured."""
+    return {
+        "speed_error_peak_percent_max": figures.speed_error.peak_percent,
+        "after_load_percent_max": figures.speed_error.after_load_percent,
+        "speed_error_rms_rad_s_max": figures.speed_error.rms_rad_s,
+        "dropouts_percent_max": figures.dropouts_percent,
+        "delay_p99_us_max": figures.delay_us.p99,
+        "bus_load_percent_max": outcome.bus_load_percent,
+        "missed_percent_max": figures.missed_percent,
+        "lateness_us_max": figures.lateness_us.max,
+    }

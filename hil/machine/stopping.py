@@ -1,6 +1,7 @@
 """Ctrl-C, SIGTERM and SIGHUP as a request to end, never as an exception in the middle of a cycle."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -37,8 +38,15 @@ class StopRequest:
 
 @contextmanager
 def stop_signals() -> Iterator[StopRequest]:
-    """Inside, stop signals are noted instead of acted on; the handlers of before return afterwards."""
+    """Inside, stop signals are noted instead of acted on; the handlers of before return afterwards.
+
+    Only the main thread of a process can be asked so (:func:`signal.signal`); in another one signals are
+    left to whoever owns the process.
+    """
     request = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield request
+        return
     before = {number: signal.signal(number, request._note) for number in STOP_SIGNALS}
     try:
         yield request

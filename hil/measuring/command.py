@@ -1,14 +1,13 @@
 """The command ``hil measure`` behind its options."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import utc_stamp
 from hil.bench import RUNS_FOLDER
 from hil.configuration.motor_file import LING2012
-from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.measuring.figures import Measured
 from hil.measuring.measure import Say, measure
@@ -34,18 +33,11 @@ def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Me
         devices = [SimulatedServo(node, motor, drive, request.seed) for node in request.nodes]
     plan = WorldPlan(spec, request.bitrate_bit_s, False, request.faults, request.seed)
     folder = RUNS_FOLDER / f"measure-{utc_stamp()}"
-    with stop_signals() as stop, open_world(plan, devices) as world, _timing_conditions(world.real_time, say):
+    with (
+        stop_signals() as stop,
+        open_world(plan, devices) as world,
+        timing_conditions(world.real_time) as refused,
+    ):
+        for wish in refused:
+            say(f"not granted by the kernel: {wish}")
         return measure(request, world, stop, folder, say, progress)
-
-
-@contextmanager
-def _timing_conditions(real_time: bool, say: Say) -> Iterator[None]:
-    """Before any drive listens for the host's heartbeat: to lock a large memory takes up to a second."""
-    if not real_time:
-        with quiet_garbage_collector():
-            yield
-        return
-    with realtime_process() as refused:
-        for request in refused:
-            say(f"not granted by the kernel: {request}")
-        yield

@@ -9,6 +9,8 @@ from hil.recording.recording_plan import RecordingPlan
 
 TIMELINE = "run_time"
 STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"
+SUMMARY = "/summary"
+"""The object of summary.json, as text; in no view."""
 _RPM = 30.0 / math.pi
 _STATES_SHARE, _LANE_SHARE, _STATES_SHARE_MAX = 0.055, 0.04, 0.5
 """Of the height of a window of 1080 lines, so that each lane is seen whole."""

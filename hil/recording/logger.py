@@ -18,21 +18,20 @@ import rerun as rr
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.figures.review import Review
-from hil.figures.summary import RunOutcome, Summary, summarise
+from hil.figures.summary import Summary, summarise
 from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
 from hil.recording.log_files import Keeper, open_keepers
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
 from hil.recording.ring import RingReader
 from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
+from hil.verdict import RunOutcome
 
 _DRAIN_PERIOD_S = 0.1
 _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
-_WRITER_DIED = RunOutcome(
-    bus_load_percent=0.0, realtime_factor=0.0, completed=False, reason="the process of the loop died"
-)
+_WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
 SUMMARY_FILE = "summary.json"
 READY = "ready"
 
@@ -91,7 +90,7 @@ class Logger:
         while outcome is None and not source.ended:
             line = source.line(wait_s)
             if line is not None:
-                outcome = RunOutcome(**json.loads(line))
+                outcome = RunOutcome.from_json(json.loads(line))
             wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()

@@ -16,7 +16,7 @@ from drivers.errors import BadInput, PeerFault
 from drivers.frame_port import FrameTap
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.figures.review import Review
-from hil.figures.summary import RunOutcome, Summary, summarise
+from hil.figures.summary import Summary, summarise
 from hil.recording.recording_plan import RecordingPlan, ReviewPlan
 from hil.recording.records import ROW, ROW_DTYPE, store_record
 from hil.recording.ring import RingWriter, refuse
@@ -31,6 +31,7 @@ from hil.recording.side_rows import (
     event_fields,
 )
 from hil.samples import CycleRecord
+from hil.verdict import RunOutcome
 from virtual_bus.child_python import python_command, python_environment
 from virtual_bus.fault_injection.fault_log import BLOCK
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.timebase import Duration
-from hil.figures.summary import VerdictLimits
+from hil.verdict import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""

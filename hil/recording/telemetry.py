@@ -4,6 +4,7 @@ Times are on the timeline ``run_time``, zero at the first cycle. A reading's val
 the due instant of the cycle that asked for it, so that reference and measurement agree.
 """
 
+import json
 import math
 from collections.abc import Sequence
 
@@ -15,7 +16,7 @@ from drivers.profile402 import State
 from drivers.timebase import NS_PER_US, Instant
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
-from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, TIMELINE, VERDICT, layout
+from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.row_states import (
@@ -30,8 +31,9 @@ from hil.recording.row_states import (
     LinkStates,
 )
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.recording.verdict_text import verdict_markdown, verdict_word
+from hil.recording.verdict_text import verdict_markdown
 from hil.samples import CommandFate
+from hil.verdict import LimitResult
 
 _RPM = 30.0 / math.pi
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
@@ -337,13 +339,17 @@ class Telemetry:
         text = verdict_markdown(self._plan, summary)
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._stream.log(VERDICT, page, static=True)
+        if summary is not None:
+            whole = json.dumps(summary.as_json(), indent=2)
+            self._stream.log(SUMMARY, rr.TextDocument(whole), static=True)
 
 
 def _end_event(at: Instant, summary: Summary) -> TextEvent:
     verdict = summary.verdict
-    kept = sum(check.passed for check in verdict.limits)
-    text = f"run ended: {verdict_word(summary)}, {kept} of {len(verdict.limits)} limits kept"
-    return TextEvent(at, "INFO" if verdict.passed else "ERROR", f"{text}; {verdict.reason}".rstrip("; "))
+    kept = sum(check.result is LimitResult.KEPT for check in verdict.limits)
+    text = f"run ended: {verdict.outcome}, {kept} of {len(verdict.limits)} limits kept"
+    level = "ERROR" if verdict.exit_status else "INFO"
+    return TextEvent(at, level, f"{text}; {verdict.reason}".rstrip("; "))
 
 
 def _round_width(width_ns: float) -> int:

@@ -1,8 +1,9 @@
 """The verdict of a run as a page of Markdown."""
 
-from hil.figures.summary import Check, Percentiles, Summary, metric_title
+from hil.figures.summary import Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import RecordingPlan
+from hil.verdict import Check, LimitResult, verdict_title
 
 
 def verdict_markdown(plan: RecordingPlan, summary: Summary | None) -> str:
@@ -10,9 +11,9 @@ def verdict_markdown(plan: RecordingPlan, summary: Summary | None) -> str:
     if summary is None:
         return f"# {plan.name} · running\n\n{_notes(plan)}\n"
     verdict = summary.verdict
-    parts = [f"# {plan.name} · {verdict_word(summary)}"]
-    if verdict.reason:
-        parts.append(f"**{verdict.reason}**")
+    parts = [f"# {plan.name} · {verdict_title(verdict)}"]
+    if verdict.findings:
+        parts.append("\n".join(f"- {finding.outcome}: **{finding.text}**" for finding in verdict.findings))
     if verdict.limits:
         parts.append(
             "\n".join(["| limit | value | at most | |", "|:--|--:|--:|:--|", *map(_limit, verdict.limits)])
@@ -22,15 +23,9 @@ def verdict_markdown(plan: RecordingPlan, summary: Summary | None) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def verdict_word(summary: Summary) -> str:
-    """PASS, FAIL or CUT SHORT."""
-    verdict = summary.verdict
-    return "PASS" if verdict.passed else "FAIL" if verdict.completed else "CUT SHORT"
-
-
 def _limit(check: Check) -> str:
     value = "none" if check.value is None else f"{check.value:.4g}"
-    result = "kept" if check.passed else "**broken**"
+    result = "**broken**" if check.result is LimitResult.BROKEN else check.result.value
     return f"| {metric_title(check.metric)} | {value} | {check.limit:g} | {result} |"
 
 
@@ -44,8 +39,8 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
-        f"| bus load | {summary.bus_load_percent:.1f} % |",
-        f"| times real time | {summary.realtime_factor:.1f} |",
+        f"| bus load | {_measured(summary.bus_load_percent, ' %')} |",
+        f"| times real time | {_measured(summary.realtime_factor)} |",
         *_load(summary),
         *(f"| recording | {fault} |" for fault in summary.recording_faults),
     ]
@@ -61,6 +56,10 @@ def _load(summary: Summary) -> list[str]:
         measured = "none" if step["measured_nm"] is None else f"{step['measured_nm']:.3g} N m"
         rows.append(f"| load asked, measured | {step['asked_nm']:g} N m, {measured} |")
     return [*rows, f"| load machine | {found['identity']}: {found['readings']} readings |"]
+
+
+def _measured(value: float | None, unit: str = "") -> str:
+    return "not measured" if value is None else f"{value:.1f}{unit}"
 
 
 def _times(times: Percentiles) -> str:

@@ -10,7 +10,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.analyse_speed import StrategyName
-from hil.terminal.exit_status import ExitStatus, reported_errors
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.speed_options import (
     CURRENT_BANDWIDTH_HZ,
     CurrentBandwidthOption,
@@ -21,6 +21,7 @@ from hil.terminal.speed_options import (
     motor_of,
     print_figures,
 )
+from hil.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from design.held_loop import SampledNetwork

@@ -2,54 +2,43 @@
 
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import IntEnum
 
 import typer
 
 from drivers.errors import BenchError
 from drivers.printable import printable
+from hil.verdict import ExitStatus
 
 
-class ExitStatus(IntEnum):
-    """Exit statuses of ``hil``."""
-
-    PASSED = 0
-    FAILED = 1
-    """The run ended, and its verdict is not passed."""
-    BAD_INPUT = 2
-    """A file or an option cannot be used; nothing was started."""
-    PEER_FAULT = 3
-    """The bus or a drive failed, or a safety limit stopped the run."""
-    DEFECT = 70
-    """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
-    INTERRUPTED = 130
-    """Ctrl-C, SIGTERM or SIGHUP: whatever was found until then is no verdict (128 + SIGINT)."""
-
-
-def status_of_run(*, passed: bool, interrupted: bool) -> ExitStatus:
-    """Of a run that has ended without an error."""
-    if interrupted:
-        return ExitStatus.INTERRUPTED
-    return ExitStatus.PASSED if passed else ExitStatus.FAILED
+def _no_more(_status: int, _text: str) -> None:
+    """Of a command that says nothing but the error."""
 
 
 @contextmanager
-def reported_errors() -> Iterator[None]:
-    """Print what goes wrong inside on stderr and leave with its exit status."""
+def reported_errors(conclude: Callable[[int, str], None] = _no_more) -> Iterator[None]:
+    """Print what goes wrong inside on stderr and leave with its exit status.
+
+    ``conclude``: told the status and the error in words, right before.
+    """
     try:
         yield
     except BenchError as error:
-        raise typer.Exit(complain(error)) from None
+        raise _leave(complain(error), str(error), conclude) from None
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        raise typer.Exit(ExitStatus.INTERRUPTED) from None
+        raise _leave(ExitStatus.INTERRUPTED, "interrupted", conclude) from None
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
-    except Exception:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
+    except Exception as error:  # noqa: BLE001 - top of the process: a defect must not leave with the status of a verdict
         traceback.print_exc()
-        raise typer.Exit(ExitStatus.DEFECT) from None
+        raise _leave(ExitStatus.DEFECT, f"{type(error).__name__}: {error}", conclude) from None
+
+
+def _leave(status: int, text: str, conclude: Callable[[int, str], None]) -> typer.Exit:
+    conclude(status, text)
+    return typer.Exit(status)
 
 
 def complain(error: BenchError) -> int:

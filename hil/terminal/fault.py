@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hil.terminal.exit_status import ExitStatus, reported_errors
+from hil.terminal.exit_status import reported_errors
+from hil.verdict import ExitStatus
 
 
 def fault(

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.terminal.exit_status import reported_errors, status_of_run
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.simulate import MotorOption
+from hil.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from hil.measuring.figures import Measured
@@ -113,7 +114,9 @@ def measure(
         if not measured.interrupted:
             for line in write_files(measured, out, faults_out, picture):
                 print(line, file=sys.stderr)
-        raise typer.Exit(status_of_run(passed=not measured.distrust, interrupted=measured.interrupted))
+        if measured.interrupted:
+            raise typer.Exit(ExitStatus.INTERRUPTED)
+        raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
 
 
 def _measured(request: "MeasureRequest") -> "Measured":

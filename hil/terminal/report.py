@@ -12,34 +12,40 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
-from hil.figures.summary import Check, Percentiles, Summary, metric_title
+from hil.figures.summary import Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
+from hil.verdict import Check, LimitResult, Outcome, verdict_title
 
 WIDTH_MAX = 100
+_STYLE = {Outcome.PASSED: "green", Outcome.NOTHING_ASKED: "yellow"}
+_TOLD_ELSEWHERE = (Outcome.NOT_PASSED, Outcome.NOT_RECORDED)
+"""In the table of limits, and in what the recording lacks."""
+_MARKS = {
+    LimitResult.KEPT: ("ok", "green"),
+    LimitResult.BROKEN: ("too high", "bold red"),
+    LimitResult.NOT_MEASURED: ("not measured", "bold red"),
+}
 
 
 def print_run(
     config: BenchConfig,
-    summary: Mapping[str, Any],
-    recording: Path | None,
+    found: Summary,
     *,
     bus_spec: str | None = None,
     console: Console | None = None,
 ) -> None:
     """One screen: what was run, how well it went, the verdict, and where the recording is."""
     console = console or Console(highlight=False)
-    found = Summary.from_json(summary)
-    passed = found.verdict.passed
     panel = Panel(
         Group(_figures(config, found, bus_spec), Text(), _verdict_table(found), *_notes(found)),
-        title=Text(f"{config.bench.name}: {'PASSED' if passed else 'NOT PASSED'}", style="bold"),
+        title=Text(f"{config.bench.name}: {verdict_title(found.verdict)}", style="bold"),
         title_align="left",
-        border_style="green" if passed else "red",
+        border_style=_STYLE.get(found.verdict.outcome, "red"),
         width=min(console.width, WIDTH_MAX),
         padding=(0, 1),
     )
     console.print(panel)
-    for line in recording_lines(recording):
+    for line in recording_lines(Path(found.recording) if found.recording else None):
         console.print(Text(line), soft_wrap=True)
 
 
@@ -98,16 +104,14 @@ def _verdict_table(found: Summary) -> Table | Text:
 
 
 def _mark(check: Check) -> Text:
-    if check.passed:
-        return Text("ok", style="green")
-    return Text("not measured" if check.value is None else "too high", style="bold red")
+    return Text(*_MARKS[check.result])
 
 
 def _notes(found: Summary) -> list[Text]:
     notes = []
-    if not found.verdict.completed:
-        notes.append(Text(f"The run was cut short: {found.verdict.reason}", style="bold red"))
-    notes.extend(Text(f"Not trustworthy: {doubt}", style="bold red") for doubt in found.verdict.distrust)
+    for finding in found.verdict.findings:
+        if finding.outcome not in _TOLD_ELSEWHERE:
+            notes.append(Text(f"{finding.outcome.capitalize()}: {finding.text}", style="bold red"))
     notes.extend(Text(note, style="bold yellow") for note in found.network_notes)
     notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in found.recording_faults)
     return notes

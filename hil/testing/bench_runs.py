@@ -20,6 +20,7 @@ from hil.machine.stopping import Interrupted
 from hil.terminal.progress import no_progress
 from hil.testing.hosted import DriveHost
 from hil.testing.run import Run
+from hil.verdict import Outcome
 
 PathLike = str | os.PathLike[str]
 
@@ -100,7 +101,7 @@ class BenchRunner:
         run = Run(config, self._scratch / f"run-{next(self._numbers)}", offset)
         interrupted = False
         try:
-            interrupted = run_bench(
+            summary = run_bench(
                 config,
                 bus_spec=self.bus,
                 time=time,
@@ -110,17 +111,22 @@ class BenchRunner:
                 progress=no_progress,
                 controllers=controllers,
                 privileged=False,  # a locked memory of pytest is too much to ask of any machine
-            ).interrupted
+            )
+            interrupted = bool(summary.verdict.of(Outcome.INTERRUPTED))
         except Interrupted:
             interrupted = True
         except BenchError as error:
             if ends_in is None or not isinstance(error, ends_in):
+                error.add_note(f"recording: {run.folder}")
                 raise
             run.error = error
         if interrupted:
             raise KeyboardInterrupt  # whoever stops pytest means all of it, not this run
         if ends_in is not None and run.error is None:
-            raise AssertionError(f"the run ended without an error, {ends_in.__name__} expected")
+            expected = ends_in.__name__
+            raise AssertionError(
+                f"the run ended without an error, {expected} expected\nrecording: {run.folder}"
+            )
         return run
 
     def _put_drives_on_the_bus(self, config: BenchConfig) -> None:

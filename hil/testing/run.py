@@ -4,9 +4,10 @@ Every claim raises AssertionError with the figures that it rests on. One about a
 """
 
 import json
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -19,14 +20,34 @@ from drivers.profile402 import Mode, State
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.configuration.config import BenchConfig
 from hil.drive_settings import data_sheets
-from hil.figures.summary import Check, Summary
+from hil.figures.summary import Summary
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, read_records
 from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
+from hil.verdict import Outcome
 
 _TRACK = "drive"
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["Run", P], R]:
+    """A claim that does not hold names the recording in which to look."""
+
+    @wraps(method)
+    def told(run: "Run", /, *given: P.args, **named: P.kwargs) -> R:
+        __tracebackhide__ = True
+        try:
+            return method(run, *given, **named)
+        except AssertionError as error:
+            place = f"\nrecording: {run.folder}"
+            raise AssertionError(str(error).removesuffix(place) + place) from None
+
+    return told
 
 
 class Run:
@@ -89,17 +110,17 @@ class Run:
 
     # ---- what may be claimed --------------------------------------------------------------------------
 
+    @_claim
     def assert_passed(self) -> None:
-        """The run was completed and kept every limit of the bench file's ``[verdict]``."""
+        """The run passed, by every condition of docs/verdict.md: something was asked, and all was kept."""
         __tracebackhide__ = True
-        self._assert_completed()
         verdict = self.summary.verdict
-        if not verdict.limits:
+        if verdict.outcome is Outcome.NOTHING_ASKED:
             raise AssertionError(f"{self.config.source or 'the bench'} has no limit in [verdict] to keep")
         if not verdict.passed:
-            kept = "; ".join(_described(check) for check in verdict.limits if not check.passed)
-            raise AssertionError(f"limits not kept: {kept}; recording: {self.folder}")
+            raise AssertionError("\n".join(f"{each.outcome}: {each.text}" for each in verdict.findings))
 
+    @_claim
     def assert_settles(
         self,
         *,
@@ -130,6 +151,7 @@ class Run:
             took_s.append(_settling_s(history, stretch, within_s, band_rad_s, band_percent))
         return took_s
 
+    @_claim
     def assert_error_below(
         self,
         *,
@@ -170,6 +192,7 @@ class Run:
                 f"at most {rms_rad_s:g} rad/s rms asked for"
             )
 
+    @_claim
     def assert_dropouts_handled(
         self, *, at_least: int = 1, in_a_row_max: int | None = None, axis: str | None = None
     ) -> None:
@@ -200,8 +223,9 @@ class Run:
                 f"{history.name}: {longest.length} dropouts in a row from {history.time_s[longest.first]:.3f}"
                 f" s on, at most {in_a_row_max} asked for ({counted})"
             )
-        self.assert_stayed(State.OPERATION_ENABLED, axis=axis)
+        _stayed(history, State.OPERATION_ENABLED)
 
+    @_claim
     def assert_reached(self, state: State, *, by_s: float | None = None, axis: str | None = None) -> None:
         """The drive was seen in ``state``, from enabling it to its release; ``by_s``: no later than then."""
         __tracebackhide__ = True
@@ -216,17 +240,13 @@ class Run:
                 f"{name}: in '{state.value}' at {times[0]:.3f} s, at {by_s:g} s asked for; it was seen {told}"
             )
 
+    @_claim
     def assert_stayed(self, state: State, *, axis: str | None = None) -> None:
         """Every reading of the loop tells ``state``."""
         __tracebackhide__ = True
-        history = self.axis(axis)
-        for at_s, seen in history.states():
-            if seen is not state:
-                label = "no state of CiA 402" if seen is None else f"'{seen.value}'"
-                raise AssertionError(f"{history.name}: {label} at {at_s:.3f} s, '{state.value}' expected")
-        if not history.sampled.any():
-            raise AssertionError(f"{history.name}: no reading tells a state")
+        _stayed(self.axis(axis), state)
 
+    @_claim
     def assert_no_unintended_frame(self, *, allow: tuple[str, ...] = ()) -> None:
         """Only frames that the bench and its drives have to say to each other were on the wire.
 
@@ -247,7 +267,7 @@ class Run:
         __tracebackhide__ = True
         verdict = self.summary.verdict
         if not verdict.completed:
-            raise AssertionError(f"the run was cut short: {verdict.reason}; recording: {self.folder}")
+            raise AssertionError(f"the run was cut short: {verdict.reason}")
 
     def _scale(self, history: AxisHistory) -> float:
         scale = history.scale_rad_s
@@ -284,9 +304,14 @@ def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
     return plans
 
 
-def _described(check: Check) -> str:
-    value = "not measured" if check.value is None else f"{check.value:.4g}"
-    return f"{check.metric} = {check.limit:g}, found {value}"
+def _stayed(history: AxisHistory, state: State) -> None:
+    __tracebackhide__ = True
+    for at_s, seen in history.states():
+        if seen is not state:
+            label = "no state of CiA 402" if seen is None else f"'{seen.value}'"
+            raise AssertionError(f"{history.name}: {label} at {at_s:.3f} s, '{state.value}' expected")
+    if not history.sampled.any():
+        raise AssertionError(f"{history.name}: no reading tells a state")
 
 
 def _chosen(history: AxisHistory, after_s: float | None) -> list[Stretch]:

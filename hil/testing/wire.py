@@ -79,9 +79,12 @@ class Wire:
     host's own frames is.
     """
 
-    def __init__(self, zero: Instant = ORIGIN, frames: Iterable[SeenFrame] = ()) -> None:
-        """``zero``: times in messages count from it."""
+    def __init__(
+        self, zero: Instant = ORIGIN, frames: Iterable[SeenFrame] = (), recording: Path | None = None
+    ) -> None:
+        """``zero``: times in messages count from it. ``recording``: the folder of their run."""
         self.zero = zero
+        self.recording = recording
         self.frames: list[SeenFrame] = list(frames)
 
     def take(
@@ -104,7 +107,7 @@ class Wire:
     def between(self, from_s: float, until_s: float) -> "Wire":
         """The part of [from_s, until_s), counted from ``zero``."""
         first, end = (self.zero + round(limit * NS_PER_S) for limit in (from_s, until_s))
-        return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end])
+        return Wire(self.zero, [frame for frame in self.frames if first <= frame.at < end], self.recording)
 
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
         """A frame matches; ``times``: exactly so many do."""
@@ -162,12 +165,13 @@ class Wire:
         return words
 
     def _list(self, frames: Sequence[SeenFrame], head: str = ":") -> str:
+        named = "" if self.recording is None else f"\nrecording: {self.recording}"
         if not frames:
-            return ""
+            return named
         lines = [f"  {frame.described(self.zero)}" for frame in frames[:SHOWN_MAX]]
         if len(frames) > SHOWN_MAX:
             lines.append(f"  and {len(frames) - SHOWN_MAX} more")
-        return "\n".join([head, *lines])
+        return "\n".join([head, *lines]) + named
 
 
 class Intended(NamedTuple):
@@ -199,7 +203,7 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
 
 def read_wire(path: Path, offset: Duration, zero: Instant) -> Wire:
     """The wire as ``frames.log`` of a run keeps it. ``offset``: of its stamps from the bench's clock."""
-    found = Wire(zero)
+    found = Wire(zero, recording=path.parent)
     for line in path.read_text(encoding="ascii").splitlines():
         fields = _LINE.fullmatch(line)
         if fields is None:

@@ -53,7 +53,9 @@ def test_a_stop_signal_is_heard_while_no_drive_answers(servo_bus: str, tmp_path:
     process.send_signal(signal.SIGINT)
     out, said = process.communicate(timeout=20)
     assert process.returncode == 130, said
-    assert out == ""
+    told = json.loads(out)
+    assert (told["verdict"]["outcome"], told["verdict"]["exit_status"]) == ("interrupted", 130)
+    assert (told["cycles"], told["bus_load_percent"]) == (0, None)
     assert "ended by SIGINT" in said
 
 
@@ -101,10 +103,14 @@ def test_a_drive_that_dies_ends_the_run_with_a_named_fault(
         drive.kill()
         out, said = process.communicate(timeout=20)
     assert process.returncode == 3
-    assert out == ""
     assert "axis1" in said
     assert "Traceback" not in said
-    assert json.loads((folder / "summary.json").read_text())["verdict"]["completed"] is False
+    told = json.loads(out)
+    assert told == json.loads((folder / "summary.json").read_text())
+    verdict, (drive_end,) = told["verdict"], told["drives"]
+    assert (verdict["exit_status"], verdict["completed"]) == (3, False)
+    assert {check["result"] for check in verdict["limits"]} == {"not measured"}
+    assert (drive_end["after_last_cycle"], drive_end["at_rest"]) == (None, False)
 
 
 def test_a_lost_bus_ends_the_run_and_the_drive_process(

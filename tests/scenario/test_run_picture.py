@@ -8,9 +8,8 @@ from types import ModuleType
 import pytest
 
 from drivers.timebase import Instant
-from hil.figures.summary import RunOutcome
 from hil.recording.recorder import start_recording
-from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,7 +37,7 @@ def test_the_viewer_draws_a_run_and_no_view_complains(tmp_path: Path) -> None:
     recorder.state(Instant(0), "phase", "running")
     for record in synthetic_records(2_000):
         recorder.record(record)
-    recorder.close(RunOutcome(bus_load_percent=50.0, realtime_factor=40.0))
+    recorder.close(whole_outcome(2_000))
     picture: bytes = load_make_pictures().render(tmp_path / "run" / "run.rrd")
     assert picture.startswith(b"\x89PNG")
     assert struct.unpack(">II", picture[16:24]) == (1920, 1080)

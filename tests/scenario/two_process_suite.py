@@ -43,6 +43,8 @@ class TwoProcesses:
         status, summary, messages = run(bench, servo_bus, tmp_path / "run")
 
         assert status == 3
-        assert summary == {}
+        assert summary["verdict"]["exit_status"] == 3
+        assert "node 1" in summary["verdict"]["reason"]
+        assert summary["cycles"] == 0
         assert "node 1" in messages
         assert "Traceback" not in messages

@@ -1,10 +1,17 @@
-"""A recording plan for tests."""
+"""A recording plan, and how a run ended, for tests."""
 
 from pathlib import Path
 
-from hil.figures.summary import VerdictLimits
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.verdict import DriveEnd, RunOutcome, VerdictLimits
 from tests.unit.hil.synthetic_run import DEADLINE
+
+RESTING = DriveEnd("axis1", "operation enabled", "switch on disabled", at_rest=True)
+
+
+def whole_outcome(cycles: int) -> RunOutcome:
+    """Of a run of one axis with nothing to complain of."""
+    return RunOutcome(53.0, 40.0, cycles_planned=cycles, drives=(RESTING,))
 
 
 def plan_for(folder: Path, real_time: bool = False) -> RecordingPlan:

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,25 +10,19 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from drivers.errors import BusDown, DriveInFault, NoAnswer
+from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
 from hil.cli import app
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
+from hil.figures.summary import Summary
 from hil.machine.capability import Capability, Status
-from hil.terminal.exit_status import ExitStatus
+from hil.machine.stopping import Interrupted
 from hil.terminal.node_list import node_ids
+from hil.verdict import ExitStatus, Finding, Outcome
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 BENCH = str(EXAMPLES / "ling2012.toml")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    summary: dict[str, Any]
-    passed: bool
-    interrupted: bool
-    recording: Path | None
 
 
 class Bench:
@@ -39,15 +32,18 @@ class Bench:
         self.asked: dict[str, Any] = {}
         self.config: BenchConfig | None = None
         self.error: BaseException | None = None
-        self.passed = True
-        self.interrupted = False
+        self.summary = summary()
+        self.begins = False
+        """Whether there is a run before the error."""
 
-    def run_bench(self, config: BenchConfig, **asked: Any) -> Outcome:
+    def run_bench(self, config: BenchConfig, **asked: Any) -> Summary:
         self.config, self.asked = config, asked
+        if self.begins:
+            asked["concluded"](self.summary)
         if self.error:
             raise self.error
         asked["progress"]("running", 1.0)
-        return Outcome(summary(passed=self.passed).as_json(), self.passed, self.interrupted, Path("runs/x"))
+        return self.summary
 
     def simulate(self, **asked: Any) -> None:
         self.asked = asked
@@ -83,17 +79,18 @@ def test_a_passed_run_prints_its_summary() -> None:
 
 
 def test_a_failed_run_leaves_with_one(bench: Bench) -> None:
-    bench.passed = False
+    bench.summary = summary(passed=False)
     result = hil("run", BENCH)
     assert result.exit_code == ExitStatus.FAILED
     assert "NOT PASSED" in result.stdout
 
 
 def test_an_interrupted_run_prints_what_it_has_and_leaves_with_130(bench: Bench) -> None:
-    bench.passed, bench.interrupted = False, True
+    bench.summary = summary().also(Finding(Outcome.INTERRUPTED, "ended by SIGINT"))
     result = hil("run", BENCH)
     assert result.exit_code == ExitStatus.INTERRUPTED
-    assert "NOT PASSED" in result.stdout
+    assert "INTERRUPTED" in result.stdout
+    assert "PASSED" not in result.stdout
 
 
 def test_options_reach_the_bench(bench: Bench) -> None:
@@ -115,7 +112,7 @@ def test_options_reach_the_bench(bench: Bench) -> None:
     )
     assert bench.config is not None
     assert bench.config.bench.name == "ling2012"
-    asked = {key: value for key, value in bench.asked.items() if key != "progress"}
+    asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
     expected |= {"network": Path("n.toml"), "allow_worse_network": True}
     assert asked == expected
@@ -123,13 +120,13 @@ def test_options_reach_the_bench(bench: Bench) -> None:
 
 def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
-    asked = {key: value for key, value in bench.asked.items() if key != "progress"}
+    asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
     assert asked == expected | {"network": None, "allow_worse_network": False}
 
 
 def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:
-    bench.passed = False
+    bench.summary = summary(passed=False)
     result = hil("run", BENCH, "--json")
     assert result.exit_code == ExitStatus.FAILED
     assert json.loads(result.stdout) == json.loads(json.dumps(summary(passed=False).as_json()))
@@ -146,16 +143,51 @@ def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:
         (ZeroDivisionError("a defect"), ExitStatus.DEFECT),
     ],
 )
-@pytest.mark.parametrize("as_json", [False, True])
 def test_an_error_leaves_with_its_status_and_an_empty_stdout(
-    bench: Bench, error: BaseException, status: ExitStatus, as_json: bool
+    bench: Bench, error: BaseException, status: ExitStatus
 ) -> None:
     bench.error = error
-    result = hil("run", BENCH, *(["--json"] if as_json else []))
+    result = hil("run", BENCH)
     assert result.exit_code == status
     assert result.stdout == ""
     assert str(error) in result.stderr
     assert ("Traceback" in result.stderr) == (status is ExitStatus.DEFECT)
+
+
+ERRORS = [
+    (BadInput("bench.toml", "loop", 1, "2"), ExitStatus.BAD_INPUT),
+    (BusDown("can0 is down"), ExitStatus.PEER_FAULT),
+    (Interrupted("ended by SIGTERM"), ExitStatus.INTERRUPTED),
+    (KeyboardInterrupt(), ExitStatus.INTERRUPTED),
+    (ZeroDivisionError("a defect"), ExitStatus.DEFECT),
+]
+
+
+@pytest.mark.parametrize(("error", "status"), ERRORS)
+@pytest.mark.parametrize("begins", [False, True])
+def test_json_is_one_object_at_every_exit(
+    bench: Bench, error: BaseException, status: ExitStatus, begins: bool
+) -> None:
+    bench.error, bench.begins = error, begins
+    result = hil("run", BENCH, "--json")
+    told = Summary.from_json(json.loads(result.stdout))
+    assert result.exit_code == told.verdict.exit_status == status
+    assert str(error) in told.verdict.reason or isinstance(error, KeyboardInterrupt)
+    assert not told.verdict.passed
+    assert (told.cycles, told.recording) == ((2000, "runs/x") if begins else (0, ""))
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize(
+    "arguments",
+    [["missing.toml"], [BENCH, "--time", "sideways"], [BENCH, "--seed", "-1"], [BENCH, "--nonsense"], []],
+)
+def test_json_is_one_object_for_what_cannot_be_used(arguments: list[str]) -> None:
+    result = hil("run", *arguments, "--json")
+    told = json.loads(result.stdout)
+    assert result.exit_code == told["verdict"]["exit_status"] == ExitStatus.BAD_INPUT
+    assert told["verdict"]["reason"]
+    assert (told["cycles"], told["bus_load_percent"], told["seed"]) == (0, None, None)
 
 
 @pytest.mark.usefixtures("bench")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hil.figures.histogram import TimeHistogram
-from hil.figures.summary import Figures, RunOutcome, Summary, summarise
+from hil.figures.summary import Figures, Summary, summarise
 from hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
 from hil.recording.records import ROW_DTYPE
 from hil.recording.records_file import RecordsWriter, read_records
 from hil.recording.side_rows import FRAME, FRAME_DTYPE
-from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 from tests.unit.hil.test_summary import FIGURES
@@ -35,7 +35,7 @@ def viewers(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 
 def summary_of(figures: Figures = FIGURES) -> Summary:
-    return summarise(figures, RunOutcome(50.0, 40.0), plan_for(Path()).review.limits, "", 1)
+    return summarise(figures, whole_outcome(figures.cycles), plan_for(Path()).review.limits, "", 1)
 
 
 def test_the_live_view_is_served_on_the_loopback_and_needs_no_viewer(

@@ -4,7 +4,7 @@ import json
 import os
 import resource
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pytest
@@ -15,11 +15,12 @@ from hil.recording.logger import Input, Logger
 from hil.recording.records import ROW, row_fields
 from hil.recording.ring import RingWriter
 from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_fields
-from tests.unit.hil.recording_tools import plan_for
+from hil.verdict import Outcome
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
 CYCLES = 300
-OUTCOME = b'{"bus_load_percent": 53.0, "realtime_factor": 40.0}\n'
+OUTCOME = json.dumps(asdict(whole_outcome(CYCLES))).encode() + b"\n"
 
 
 @dataclass
@@ -114,7 +115,8 @@ def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> N
     summary = run_logger(tmp_path, rings, OUTCOME)
     assert summary.cycles == 512
     assert summary.recording_faults == ("3 cycle records lost, the logger was too slow",)
-    assert summary.verdict.reason == "cycle records were lost"
+    assert summary.verdict.outcome is Outcome.NOT_RECORDED
+    assert not summary.verdict.completed
 
 
 def test_input_comes_by_lines_however_it_is_cut() -> None:

@@ -14,14 +14,14 @@ import pytest
 
 from drivers.errors import BadInput
 from drivers.timebase import Instant
-from hil.figures.summary import RunOutcome, Summary
+from hil.figures.summary import Summary
 from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
 from hil.recording.records import record_of
 from hil.recording.records_file import read_records
-from tests.unit.hil.recording_tools import plan_for
+from hil.verdict import Outcome
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
-OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
 CYCLES = 500
 
 
@@ -34,7 +34,7 @@ def play(recorder: Recorder, cycles: int = CYCLES) -> Summary:
         recorder.frame("tx", 0x80, b"", False, False, record.due_at)
         recorder.frame("rx", 0x181, b"\x37\x16", False, False, record.due_at)
     recorder.state(Instant(3), "phase", "stop")
-    return recorder.close(OUTCOME)
+    return recorder.close(whole_outcome(CYCLES))
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_simulated_time_waits_for_the_logger_and_loses_nothing(tmp_path: Path) -
     count = 2 * ROWS_CAPACITY + 100
     for sequence in range(count):
         recorder.record(record._replace(sequence=sequence))
-    summary = recorder.close(OUTCOME)
+    summary = recorder.close(whole_outcome(CYCLES))
     assert summary.cycles == count
     assert not (tmp_path / "run" / "frames.log").exists()
 
@@ -97,12 +97,13 @@ def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
     for _ in range(3 * ROWS_CAPACITY):
         recorder.record(record)
     os.kill(logger, signal.SIGCONT)
-    summary = recorder.close(OUTCOME)
+    summary = recorder.close(whole_outcome(CYCLES))
     assert ROWS_CAPACITY <= summary.cycles < 3 * ROWS_CAPACITY
     assert not summary.verdict.passed
-    assert summary.verdict.reason == "cycle records were lost"
     lost = 3 * ROWS_CAPACITY - summary.cycles
     assert summary.recording_faults == (f"{lost} cycle records lost, the logger was too slow",)
+    assert summary.verdict.outcome is Outcome.NOT_RECORDED
+    assert summary.verdict.reason == summary.recording_faults[0]
 
 
 @pytest.mark.parametrize("real_time", [False, True])
@@ -113,7 +114,7 @@ def test_a_dead_logger_stops_no_loop_and_is_told_at_the_end(tmp_path: Path, real
     for _ in range(ROWS_CAPACITY + 10):
         recorder.record(record)
     with pytest.raises(RecordingFailed, match="status -9"):
-        recorder.close(OUTCOME)
+        recorder.close(whole_outcome(CYCLES))
 
 
 def test_interrupts_do_not_end_the_logger(tmp_path: Path) -> None:
@@ -141,7 +142,7 @@ import os, signal, sys
 from pathlib import Path
 from drivers.timebase import Instant
 from hil.recording.recorder import start_recording
-from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
 recorder = start_recording(plan_for(Path(sys.argv[1]), real_time=True))

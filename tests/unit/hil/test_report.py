@@ -8,20 +8,33 @@ import pytest
 from rich.console import Console
 
 from hil.configuration.bench_file import load_bench
-from hil.figures.summary import Check, DropoutCounts, Percentiles, SpeedError, Summary, Verdict
+from hil.figures.summary import DropoutCounts, Percentiles, SpeedError, Summary
 from hil.terminal.progress import LINE_WIDTH, TerminalProgress, bar_line
 from hil.terminal.report import print_run, recording_lines, viewer_command
+from hil.verdict import CycleCount, Finding, Outcome, RunOutcome, VerdictLimits, judge
+from tests.unit.hil.recording_tools import whole_outcome
 from tests.unit.hil.test_summary import timing
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-def summary(*, passed: bool = True, completed: bool = True, faults: tuple[str, ...] = ()) -> Summary:
-    checks = (
-        Check("speed_error_peak_percent_max", 4.25, 10.0, True),
-        Check("delay_p99_us_max", 2345.0 if not passed else 999.0, 2000.0, passed),
-        Check("after_load_percent_max", None, 5.0, False),
-    )
+LIMITS = VerdictLimits(speed_error_peak_percent_max=10.0, delay_p99_us_max=2000.0, after_load_percent_max=5.0)
+
+
+def summary(
+    *,
+    passed: bool = True,
+    completed: bool = True,
+    faults: tuple[str, ...] = (),
+    limits: VerdictLimits = LIMITS,
+) -> Summary:
+    outcome = whole_outcome(2000) if completed else RunOutcome(completed=False, reason="lost the bus")
+    values = {
+        "speed_error_peak_percent_max": 4.25,
+        "delay_p99_us_max": 999.0 if passed else 2345.0,
+        "after_load_percent_max": 3.0,
+    }
+    verdict = judge(outcome, CycleCount(2000, 2000, 0), values, limits, "; ".join(faults))
     return Summary(
         cycles=2000,
         dropouts=DropoutCounts(lost=90, late=5, stale=1, missed=0),
@@ -30,7 +43,7 @@ def summary(*, passed: bool = True, completed: bool = True, faults: tuple[str, .
         bus_load_percent=51.4,
         realtime_factor=38.2,
         lateness_us=Percentiles(0.0, 0.0, 0.0),
-        verdict=Verdict(passed, completed, "" if completed else "lost the bus", checks),
+        verdict=verdict,
         recording="runs/x",
         seed=2012,
         digest="ab" * 16,
@@ -38,10 +51,10 @@ def summary(*, passed: bool = True, completed: bool = True, faults: tuple[str, .
     )
 
 
-def printed(found: Summary, recording: Path | None = None, width: int = 100) -> str:
+def printed(found: Summary, width: int = 100) -> str:
     stream = io.StringIO()
     console = Console(file=stream, width=width, highlight=False)
-    print_run(load_bench(EXAMPLES / "ling2012.toml"), found.as_json(), recording, console=console)
+    print_run(load_bench(EXAMPLES / "ling2012.toml"), found, console=console)
     return stream.getvalue()
 
 
@@ -67,17 +80,20 @@ def test_verdict_names_each_limit_and_what_became_of_it() -> None:
     assert "NOT PASSED" in lines[0]
     row = next(line for line in lines if "delay p99" in line)
     assert row.split()[1:-1] == ["delay", "p99", "[us]", "2345", "2000", "too", "high"]
-    assert any("after load step [%]" in line and "not measured" in line for line in lines)
     assert any("speed error, peak [%]" in line and line.split()[-2] == "ok" for line in lines)
 
 
 def test_a_run_cut_short_says_why() -> None:
-    assert "The run was cut short: lost the bus" in printed(summary(passed=False, completed=False))
+    text = printed(summary(passed=False, completed=False))
+    assert "ling2012: CUT SHORT" in text
+    assert "Cut short: lost the bus" in text
+    assert " ok " not in text, "of the part that was run nothing was kept"
+    assert text.count("not measured") == 4, "three limits, and the speed error after load"
     assert "The recording lacks: 7 rows" in printed(summary(faults=("7 rows",)))
 
 
 def test_fits_one_screen() -> None:
-    lines = printed(summary(), Path("runs/x"), width=80).splitlines()
+    lines = printed(summary(), width=80).splitlines()
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 80
 
@@ -85,7 +101,7 @@ def test_fits_one_screen() -> None:
 def test_three_axes_and_their_clocks_fit_one_screen() -> None:
     told = timing(uncertain=12)
     told["axes"] |= {"b": told["axes"]["a"], "c": timing(clock_steps=1)["axes"]["a"]}
-    lines = printed(replace(summary(), timing=told), Path("runs/x"), width=80).splitlines()
+    lines = printed(replace(summary(), timing=told), width=80).splitlines()
     assert len(lines) <= 26
     assert max(map(len, lines)) <= 80
     wide = printed(replace(summary(), timing=told)).splitlines()
@@ -96,9 +112,15 @@ def test_three_axes_and_their_clocks_fit_one_screen() -> None:
 
 
 def test_a_run_that_is_not_trusted_says_why() -> None:
-    found = summary(passed=False)
-    verdict = replace(found.verdict, distrust=("axis1: 3 readings came before their SYNC",))
-    assert "Not trustworthy: axis1: 3 readings came" in printed(replace(found, verdict=verdict))
+    found = summary().also(Finding(Outcome.NOT_TRUSTWORTHY, "axis1: 3 readings came before their SYNC"))
+    assert "ling2012: NOT TRUSTWORTHY" in printed(found)
+    assert "Not trustworthy: axis1: 3 readings came" in printed(found)
+
+
+def test_a_run_of_which_nothing_was_asked_does_not_say_passed() -> None:
+    text = printed(summary(limits=VerdictLimits()))
+    assert "ling2012: COMPLETED, NOTHING WAS ASKED" in text
+    assert "PASSED" not in text
 
 
 def test_recording_is_named_with_the_command_that_opens_it(

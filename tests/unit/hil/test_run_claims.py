@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from drivers.profile402 import State
-from drivers.timebase import NS_PER_MS, Duration
+from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.bench_file import load_bench
 from hil.recording.records import NOTHING, ROW_DTYPE, Rows
 from hil.testing.run import Run
+from hil.testing.wire import SeenFrame, Wire
 from tests.unit.hil.test_report import summary
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
@@ -173,10 +174,32 @@ def test_states_by_readings_and_by_events() -> None:
 
 def test_a_verdict_names_the_limits_that_were_not_kept() -> None:
     run_of(rows_of(decaying)).assert_passed()
-    with pytest.raises(AssertionError, match=r"limits not kept: \w+ = [\d.]+, found [\d.]+"):
+    with pytest.raises(AssertionError, match=r"^not passed: \w+ = [\d.]+, found [\d.]+"):
         run_of(rows_of(decaying), passed=False).assert_passed()
 
 
 def test_an_axis_that_is_not_there_is_a_mistake_of_the_test() -> None:
     with pytest.raises(ValueError, match="say one of axis1"):
         run_of(rows_of(decaying)).assert_error_below(percent=1.0, axis="axis2")
+
+
+def test_every_claim_that_fails_names_the_recording_once() -> None:
+    run = run_of(rows_of(decaying), passed=False)
+    claims: list[Callable[[], object]] = [
+        run.assert_passed,
+        lambda: run.assert_settles(within_s=0.01),
+        lambda: run.assert_error_below(percent=1),
+        run.assert_dropouts_handled,
+        lambda: run.assert_reached(State.FAULT),
+        lambda: run.assert_stayed(State.FAULT),
+        run.assert_no_unintended_frame,
+        lambda: run.wire.assert_seen("181#*"),
+        lambda: run.wire.assert_none("7E5#*"),
+    ]
+    vars(run)["wire"] = Wire(
+        frames=[SeenFrame(Instant(0), True, 0x7E5, bytes(8), False, False)], recording=run.folder
+    )
+    for claim in claims:
+        with pytest.raises(AssertionError) as caught:
+            claim()
+        assert str(caught.value).count("recording: nowhere") == 1, str(caught.value)

@@ -11,18 +11,17 @@ from hil.figures.summary import (
     DropoutCounts,
     Figures,
     Percentiles,
-    RunOutcome,
     SpeedError,
     Summary,
-    VerdictLimits,
-    judge,
     metric_title,
     summarise,
+    summary_without_run,
 )
 from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.recording.verdict_text import verdict_markdown
-from tests.unit.hil.recording_tools import plan_for
+from hil.verdict import Check, LimitResult, Outcome, RunOutcome, Verdict, VerdictLimits
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
 FIGURES = Figures(
     cycles=200,
@@ -33,7 +32,6 @@ FIGURES = Figures(
     lateness_us=Percentiles(0.0, 0.0, 12.0),
     digest="00",
 )
-OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
 VALUES = {
     "speed_error_peak_percent_max": 5.0,
     "after_load_percent_max": 4.0,
@@ -52,33 +50,20 @@ def test_every_limit_has_a_value_and_a_title() -> None:
 
 
 @pytest.mark.parametrize(("key", "value"), VALUES.items())
-def test_a_limit_is_kept_up_to_its_value(key: str, value: float) -> None:
-    kept = judge(FIGURES, OUTCOME, VerdictLimits(**{key: value}))
-    broken = judge(FIGURES, OUTCOME, VerdictLimits(**{key: value - 0.01}))
-    assert kept.passed
-    assert not broken.passed
-    (check,) = broken.limits
-    assert (check.metric, check.value, check.passed) == (key, value, False)
+def test_each_limit_is_held_against_its_figure(key: str, value: float) -> None:
+    (check,) = judged(VerdictLimits(**{key: value})).limits
+    assert check == Check(key, value, value, LimitResult.KEPT)
+    (check,) = judged(VerdictLimits(**{key: value - 0.01})).limits
+    assert check.result is LimitResult.BROKEN
 
 
-def test_one_broken_limit_fails_the_run() -> None:
-    assert not judge(FIGURES, OUTCOME, VerdictLimits(dropouts_percent_max=1.0, delay_p99_us_max=1e9)).passed
-
-
-def test_a_figure_that_was_not_measured_keeps_no_limit() -> None:
-    unmeasured = replace(FIGURES, delay_us=Percentiles(None, None, None))
-    assert not judge(unmeasured, OUTCOME, VerdictLimits(delay_p99_us_max=1e9)).passed
-
-
-def test_a_run_that_was_cut_short_never_passes() -> None:
-    verdict = judge(FIGURES, replace(OUTCOME, completed=False, reason="Ctrl-C"), VerdictLimits())
-    assert not verdict.passed
-    assert verdict.reason == "Ctrl-C"
+def judged(limits: VerdictLimits) -> Verdict:
+    return summarise(FIGURES, whole_outcome(FIGURES.cycles), limits, "", 1).verdict
 
 
 def summary_with(**changes: object) -> Summary:
     limits = VerdictLimits(dropouts_percent_max=10.0, delay_p99_us_max=800.0)
-    return replace(summarise(FIGURES, OUTCOME, limits, "runs/x", 7), **changes)  # type: ignore[arg-type]
+    return replace(summarise(FIGURES, whole_outcome(200), limits, "runs/x", 7), **changes)  # type: ignore[arg-type]
 
 
 def test_json_has_the_promised_keys() -> None:
@@ -95,10 +80,19 @@ def test_json_has_the_promised_keys() -> None:
         "recording",
         "seed",
         "digest",
+        "drives",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
     assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
     assert list(found["speed_error"]) == ["peak_rad_s", "peak_percent", "rms_rad_s", "after_load_percent"]
+
+
+def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> None:
+    summary = summary_without_run(Outcome.BAD_INPUT, "no such file")
+    assert set(summary.as_json()) == set(summary_with().as_json())
+    assert Summary.from_json(json.loads(json.dumps(summary.as_json()))) == summary
+    assert (summary.verdict.exit_status, summary.verdict.reason) == (2, "no such file")
+    assert summary.bus_load_percent is None
 
 
 @pytest.mark.parametrize("faults", [(), ("run.rrd is incomplete",)])
@@ -178,10 +172,14 @@ def test_every_basis_of_an_echo_has_its_words() -> None:
 
 def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     page = verdict_markdown(plan, summary_with())
-    assert page.startswith("# synthetic · FAIL")
+    assert page.startswith("# synthetic · NOT PASSED")
+    assert "- not passed: **delay_p99_us_max = 800, found 900**" in page
     assert "| delay p99 [us] | 900 | 800 | **broken** |" in page
     assert "| dropouts [%] | 4 | 10 | kept |" in page
     assert "8 of 400 (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
     assert "controller `pid`" in page
     assert "| Timing | sampled +-9.25 us" in verdict_markdown(plan, summary_with(timing=timing()))
+    dead = summarise(FIGURES, RunOutcome(completed=False, reason="killed"), plan.review.limits, "", 7)
+    assert "| bus load | not measured |" in verdict_markdown(plan, dead)
+    assert "| delay p99 [us] | 900 | 5 | not measured |" in verdict_markdown(plan, dead)
     assert verdict_markdown(plan, None).startswith("# synthetic · running")

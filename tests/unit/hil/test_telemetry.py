@@ -1,5 +1,6 @@
 """run.rrd, read back with Rerun's own reader."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,13 @@ from rerun.chunk import RrdReader
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from hil.figures.review import Review
-from hil.figures.summary import RunOutcome, summarise
+from hil.figures.summary import Summary, summarise
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.recording.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.telemetry import Telemetry, _round_width
 from hil.samples import CommandFate
-from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -43,7 +44,7 @@ def write_run(plan: RecordingPlan, rows: Rows, events: tuple[RunEvent, ...] = EV
         telemetry.take_rows(block)
         telemetry.flush()
     telemetry.show_histogram(review.delay)
-    outcome = RunOutcome(50.0, 40.0)
+    outcome = whole_outcome(review.figures().cycles)
     telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1))
     return path
 
@@ -178,12 +179,22 @@ def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
 def test_events_before_time_zero_have_negative_times(recording: Path) -> None:
     times, texts = columns(recording, "/events", "TextLog:text")
     assert times.tolist() == [-7 * NS_PER_MS, NS_PER_MS, (CYCLES - 1) * NS_PER_MS]
-    assert texts == [["set up"], ["load"], ["run ended: PASS, 1 of 1 limits kept"]]
+    assert texts == [["set up"], ["load"], ["run ended: passed, 1 of 1 limits kept"]]
 
 
 def test_the_page_tells_the_verdict(recording: Path) -> None:
     _, texts = columns(recording, "/verdict", "TextDocument:text")
-    assert [str(text[0]).splitlines()[0] for text in texts] == ["# synthetic · running", "# synthetic · PASS"]
+    assert [str(text[0]).splitlines()[0] for text in texts] == [
+        "# synthetic · running",
+        "# synthetic · PASSED",
+    ]
+
+
+def test_the_whole_summary_is_in_the_recording(recording: Path, rows: Rows) -> None:
+    _, ((text,),) = columns(recording, "/summary", "TextDocument:text")
+    told = Summary.from_json(json.loads(str(text)))
+    assert told.cycles == rows.size
+    assert told.verdict.passed
 
 
 def test_the_histogram_holds_every_reading_that_came(recording: Path, rows: Rows) -> None:
@@ -232,7 +243,8 @@ def test_two_axes_have_plots_of_their_own(tmp_path: Path) -> None:
 def test_a_run_without_a_cycle_still_shows_its_events(tmp_path: Path) -> None:
     path = write_run(plan_for(tmp_path), rows_of([]), events=EVENTS[:2])
     texts = columns(path, "/events", "TextLog:text")[1]
-    assert texts == [["set up"], ["run ended: FAIL, 0 of 1 limits kept"]]
+    why = "dropouts_percent_max = 10, and nothing was measured"
+    assert texts == [["set up"], [f"run ended: not measured, 0 of 1 limits kept; {why}"]]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,53 @@
+"""The one object that ``hil run --json`` prints, whichever way it ends."""
+
+import json
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+from hil.figures.summary import Summary, summary_without_run
+from hil.verdict import ExitStatus, Finding, outcome_of_status
+
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
+"""UsageError of whichever click typer brings along."""
+
+
+class RunObject:
+    """Of one call of the command."""
+
+    def __init__(self, wanted: bool) -> None:
+        self._wanted = wanted
+        self._summary: Summary | None = None
+
+    def concluded(self, summary: Summary) -> None:
+        """The run has ended, and this came of it."""
+        self._summary = summary
+
+    def failed(self, status: int, text: str) -> None:
+        """The command leaves with an error: print what came of the run, if there was one."""
+        outcome = outcome_of_status(status)
+        found = self._summary
+        if found is None:
+            found = summary_without_run(outcome, text)
+        elif found.verdict.exit_status != status:
+            found = found.also(Finding(outcome, text))
+        self.print(found)
+
+    def print(self, summary: Summary) -> None:
+        """Print it, if it was asked for."""
+        if self._wanted:
+            typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+
+
+class RunCommand(TyperCommand):
+    """A command line that cannot be understood has its object too."""
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """As click does."""
+        wanted = "--json" in args
+        try:
+            return super().make_context(info_name, args, parent, **extra)
+        except _USAGE_ERROR as error:
+            RunObject(wanted).failed(ExitStatus.BAD_INPUT, str(error))
+            raise
