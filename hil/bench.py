@@ -1,7 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 
 from drivers.adapters import parse_bus_spec
@@ -25,14 +25,13 @@ from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
-from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
-from hil.pace import OwnSync, Pace
+from hil.network_guard import WorseNetwork, watched, worse_network
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.samples import CycleRecord
-from hil.segments import heard_syncs, masters, record_frames, sync_log
+from hil.segments import listen_for_syncs, masters, record_frames
 from hil.simulated_drives import simulated_drives
-from hil.sync_source import SyncSource, check_sync_source, kernel_sync
+from hil.sync_source import SyncSource, check_sync_source, sync_producer
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
 from hil.timing_report import distrust, timing_report
@@ -193,7 +192,7 @@ class _Run:
         config, world = self._config, self._world
         timing = assembly.loop_timing(config)
         self._prepare(timing)
-        syncs, pace = self._listen_for_syncs(timing)
+        syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
         axes = [
             assembly.axis(
@@ -204,7 +203,7 @@ class _Run:
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
-                self._watched(drive),
+                self._recorder.record if own is not None else self._watched(drive.name),
                 self._teller(drive),
                 own,
             )
@@ -213,27 +212,8 @@ class _Run:
         ]
         self._axes = axes
         loop = Loop(self._master, world.clock, axes, pace, timing, self._load.chore)
-        with self._sync_producer(timing):
+        with sync_producer(self._sync_source, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
-
-    def _listen_for_syncs(self, timing: LoopTiming) -> tuple[dict[str | None, SyncLog], Pace]:
-        """The SYNCs of each segment, and what starts the cycles."""
-        config, world = self._config, self._world
-        stall = None if world.faults is None else world.faults.host_stall
-        if self._sync_source is not SyncSource.OWN:
-            log, heard = heard_syncs(self._network, world.clock, timing.period, stall)
-            return {None: log}, heard
-        syncs = {
-            segment: sync_log(network, assembly.sync_latency(config, segment), timing.period)
-            for segment, network in self._networks.items()
-        }
-        return syncs, OwnSync(self._master, world.clock, timing.period, list(syncs.values()), stall)
-
-    def _sync_producer(self, timing: LoopTiming) -> AbstractContextManager[None]:
-        """Who makes SYNCs on behalf of this process, as long as it is entered."""
-        if self._sync_source is SyncSource.KERNEL:
-            return kernel_sync(self._world.link.bus, timing.period)
-        return nullcontext()
 
     def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
         self._enter("calibrating")
@@ -331,26 +311,10 @@ class _Run:
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
 
-    def _watched(self, drive: ServoDrive) -> Callable[[CycleRecord], None]:
-        """Where the records of an axis go: past a guard, if its controller was made for a network."""
-        wanted = made_for(self._config.drive[drive.name])
-        if wanted is None or drive.name in self._controllers:
-            return self._recorder.record
-        period = self._config.loop.period
-        limits = allowed(wanted, period)
-        return NetworkGuard(
-            drive.name,
-            limits,
-            period,
-            self._recorder.record,
-            self._worse.refuse,
-            self._note_network,
-            self._stop,
-        )
-
-    def _note_network(self, text: str) -> None:
-        self._worse.notes.append(text)
-        self._say(text, "WARN")
+    def _watched(self, axis: str) -> Callable[[CycleRecord], None]:
+        """Where the records of an axis with the bench's own controller go."""
+        tell = partial(self._say, level="WARN")
+        return watched(self._config, axis, self._worse, self._recorder.record, tell, self._stop)
 
     def _release(self) -> None:
         """Every way out of a run leads through here."""

@@ -216,6 +216,27 @@ class WorseNetwork:
     notes: list[str] = field(default_factory=list)
 
 
+def watched(
+    config: BenchConfig,
+    axis: str,
+    worse: WorseNetwork,
+    record: Record,
+    tell: Callable[[str], None],
+    stopping: Callable[[], bool],
+) -> Record:
+    """Where the records of an axis go: past a guard, if its controller was made for a network."""
+    wanted = made_for(config.drive[axis])
+    if wanted is None:
+        return record
+
+    def note(text: str) -> None:
+        worse.notes.append(text)
+        tell(text)
+
+    period = config.loop.period
+    return NetworkGuard(axis, allowed(wanted, period), period, record, worse.refuse, note, stopping)
+
+
 def worse_network(
     config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str]
 ) -> WorseNetwork:

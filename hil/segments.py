@@ -7,14 +7,17 @@ SYNC goes out on every segment at the same instant. What arrives is handled in t
 the order of the segments where it arrives at one instant.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from drivers.exchange import Master
 from drivers.frame_port import EchoBasis, FrameTap
 from drivers.frame_pump import SYNC
 from drivers.network import CanopenNetwork
 from drivers.timebase import Clock, Duration, Instant
-from hil.pace import HeardSync, Stall
+from hil.assembly import sync_latency
+from hil.configuration.config import BenchConfig
+from hil.pace import HeardSync, OwnSync, Pace, Stall
+from hil.sync_source import SyncSource
 from hil.syncs import SyncLog
 from hil.world import FurtherSegment, World
 
@@ -82,6 +85,25 @@ def heard_syncs(
     network.frame_pump.on_sync_echo = pace.hear
     network.listen(SYNC, lambda _data, at: pace.hear(at))
     return log, pace
+
+
+def listen_for_syncs(
+    config: BenchConfig,
+    world: World,
+    networks: Mapping[str | None, CanopenNetwork],
+    master: Master,
+    period: Duration,
+) -> tuple[dict[str | None, SyncLog], Pace]:
+    """The SYNCs of each segment, and what starts the cycles."""
+    stall = None if world.faults is None else world.faults.host_stall
+    if SyncSource(config.loop.sync) is not SyncSource.OWN:
+        log, heard = heard_syncs(networks[None], world.clock, period, stall)
+        return {None: log}, heard
+    syncs = {
+        segment: sync_log(network, sync_latency(config, segment), period)
+        for segment, network in networks.items()
+    }
+    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), stall)
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:

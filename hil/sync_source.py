@@ -1,7 +1,7 @@
 """Who makes the SYNC, and whether they can on a bus."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from enum import Enum
 
 import can
@@ -38,6 +38,11 @@ def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
         # If the interface is down, it sends none; the kernel forgets them when the bus is closed.
         with suppress(can.CanError, OSError):
             task.stop()
+
+
+def sync_producer(source: SyncSource, bus: can.BusABC, period: Duration) -> AbstractContextManager[None]:
+    """Who makes SYNCs on behalf of this process, as long as it is entered."""
+    return kernel_sync(bus, period) if source is SyncSource.KERNEL else nullcontext()
 
 
 def check_sync_source(config: BenchConfig, spec: BusSpec) -> None:
