@@ -33,6 +33,9 @@ EMERGENCY = 0x080
 ERROR_CONTROL = 0x700
 MASTER_NODE_ID = 127
 NODE_ID_MAX = 127
+SURPLUS_BORNE = 2
+"""SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
+request, and a dozen are needed to connect."""
 
 _OPERATIONAL = b"\x05"
 
@@ -196,7 +199,7 @@ class CanopenNetwork(canopen.Network):
     def refuse_two(self, node_id: int) -> None:
         """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
         client = self._clients.get(node_id)
-        if client is not None and client.answers.surplus:
+        if client is not None and client.answers.surplus > SURPLUS_BORNE:
             raise self._answers_twice(client, node_id)
 
     # ---- inside ---------------------------------------------------------------------------------------
@@ -256,7 +259,7 @@ class CanopenNetwork(canopen.Network):
             summary = f"node {node_id} on {self.link.name} refused to {action} {name}"
             return TransferAborted(summary, abort_text(error.code))
         client = self._clients[node_id]
-        if client.answers.surplus:
+        if client.answers.surplus > SURPLUS_BORNE:
             return self._answers_twice(client, node_id)
         waited_ms = client.RESPONSE_TIMEOUT * client.MAX_RETRIES * 1e3
         return NoAnswer(

@@ -98,6 +98,7 @@ class PumpedSdoClient(SdoClient):
         self.responses: Any = AnswerQueue(pump)
         self.answers = Owed(SDO_ATTEMPTS)
         """Of the node on this channel, to posted downloads and to the requests of others too."""
+        self.answers.expect()  # another client may have asked just before this one began to listen
         self.foreign_requests = 0
         """Requests of another client on this channel."""
         self._multiplexer = bytes(3)
