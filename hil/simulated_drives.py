@@ -115,7 +115,7 @@ def simulate(
     devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
-        refuse_taken(world.link, world.clock, _ids(nodes, store), announce, force)
+        refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
         hosted: list[Device] = list(devices)
         if world.faults is not None:
             hosted = [world.faults.wrap(device) for device in devices]
@@ -130,7 +130,7 @@ def simulate(
             serve(hosted, world.link.bus, world.clock, stop)
 
 
-def _ids(nodes: Sequence[int], store: FileStore | None) -> list[int]:
+def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:
     """Which the devices will have: the one that LSS had stored goes before the one that it was made with."""
     stored = None if store is None else store.load().get(NODE_ID_KEY)
     return [stored[0]] if stored else list(nodes)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import can
 import pytest
 
 from drivers.errors import AnswersTwice, BenchError, DriveInFault
@@ -13,7 +14,9 @@ from hil.testing.run import Run
 from tests.scenario.foreign_node import LATE, ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.frame import Frame
+from virtual_bus.hub import HubBus
 
+ANY_BUS = EXAMPLES / "any_bus.toml"
 BENCH = EXAMPLES / "ling2012.toml"
 QUIET = {"bench.duration_s": 0.5, "verdict": {}, "load": {}}
 AT_S = 0.4
@@ -141,3 +144,19 @@ def test_two_drives_on_one_id_are_named_before_anything_moves(servo_bench: Bench
     assert len(requests) < 500
     assert not ended.wire.find("601#2B4060000F00*", sent=True), "it was not enabled"
     assert ended.wire.frames[-1].at < 10 * NS_PER_S
+
+
+@pytest.mark.servo_bus("hub")
+@pytest.mark.xdist_group("real time")
+def test_on_a_hub_it_is_the_same(servo_bench: BenchRunner, servo_bus: str) -> None:
+    """By the heartbeat of a second master with the bench's own node id, which no drive can tell from it."""
+    beat = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
+    with HubBus(servo_bus.removeprefix("hub:")) as stranger:
+        frames = stranger.send_periodic(beat, 0.02)
+        told = servo_bench(ANY_BUS)
+        ended = servo_bench(ANY_BUS, {"guard": {"on_foreign": "stop"}}, ends_in=ForeignTraffic)
+        frames.stop()
+    what = "heartbeat of node 127 (77Fh) that the bench did not send"
+    assert others(told)[what] > 20
+    assert what in str(ended.error)
+    ended.assert_reached(State.SWITCH_ON_DISABLED)
