@@ -79,6 +79,10 @@ class NoAnswer(PeerFault):
     """A node did not answer within its deadline."""
 
 
+class AnswersTwice(PeerFault):
+    """More answers came from a node than it was asked for: most likely two nodes have its id."""
+
+
 class DriveInFault(PeerFault):
     """A drive reports a fault, or fell out of the state that it was to be in."""
 

@@ -12,12 +12,14 @@ from typing import Any
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from drivers.errors import NoAnswer, TransferAborted
+from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
 from drivers.frame_pump import NEVER, FramePump, Handler
 from drivers.link import BusLink
 from drivers.nmt import Emergency, NmtCommand, NodeStatus, parse_emergency
 from drivers.sdo import (
     SDO_ANSWER,
+    SDO_ATTEMPTS,
+    SDO_REQUEST,
     AnswerQueue,
     DownloadPost,
     PostedDownload,
@@ -31,8 +33,9 @@ EMERGENCY = 0x080
 ERROR_CONTROL = 0x700
 MASTER_NODE_ID = 127
 NODE_ID_MAX = 127
-SDO_ATTEMPTS = 6
-"""Requests sent before a node is given up."""
+SURPLUS_BORNE = 2
+"""SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
+request, and a dozen are needed to connect."""
 
 _OPERATIONAL = b"\x05"
 
@@ -70,6 +73,8 @@ class CanopenNetwork(canopen.Network):
         self._heartbeat_period_ns = Duration(0)
         self._heartbeat_due = NEVER
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
+        self.on_surplus_answer: Callable[[int, Instant], None] | None = None
+        """Told of an SDO answer that nobody has asked for: which node's, and when."""
 
     # ---- time -----------------------------------------------------------------------------------------
 
@@ -191,6 +196,12 @@ class CanopenNetwork(canopen.Network):
         """How many posted downloads this node refused or never confirmed."""
         return self._post(node_id).failed
 
+    def refuse_two(self, node_id: int) -> None:
+        """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
+        client = self._clients.get(node_id)
+        if client is not None and client.answers.surplus > SURPLUS_BORNE:
+            raise self._answers_twice(client, node_id)
+
     # ---- inside ---------------------------------------------------------------------------------------
 
     def connect(self, *_args: Any, **_kwargs: Any) -> "CanopenNetwork":
@@ -204,8 +215,13 @@ class CanopenNetwork(canopen.Network):
     def _post(self, node_id: int) -> DownloadPost:
         post = self._posts.get(node_id)
         if post is None:
-            self._client_of(node_id)
-            post = self._posts[node_id] = DownloadPost(node_id, self.link.send)
+            client = self._client_of(node_id)
+
+            def ask(can_id: int, data: bytes) -> Instant:
+                client.answers.expect()
+                return self.link.send(can_id, data)
+
+            post = self._posts[node_id] = DownloadPost(node_id, ask)
         return post
 
     def _client_of(self, node_id: int) -> PumpedSdoClient:
@@ -213,6 +229,7 @@ class CanopenNetwork(canopen.Network):
         if client is None:
             client = self._clients[node_id] = PumpedSdoClient(self, node_id)
             self.listen(SDO_ANSWER + node_id, lambda data, at: self._on_sdo_answer(node_id, data, at))
+            self.listen(SDO_REQUEST + node_id, client.on_foreign_request)
         return client
 
     def _client(
@@ -228,23 +245,37 @@ class CanopenNetwork(canopen.Network):
         return client
 
     def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:
-        post = self._posts.get(node_id)
+        client, post = self._clients[node_id], self._posts.get(node_id)
+        if client.answers.came() and self.on_surplus_answer is not None:
+            self.on_surplus_answer(node_id, at)
         if post is None or not post.answered(data, at):
-            self._clients[node_id].on_answer(data)
+            client.on_answer(data)
 
     def _sdo_failure(
         self, error: SdoError, node_id: int, action: str, index: int, sub: int
-    ) -> TransferAborted | NoAnswer:
+    ) -> TransferAborted | NoAnswer | AnswersTwice:
         name = object_name(index, sub)
         if isinstance(error, SdoAbortedError):
             summary = f"node {node_id} on {self.link.name} refused to {action} {name}"
             return TransferAborted(summary, abort_text(error.code))
         client = self._clients[node_id]
+        if client.answers.surplus > SURPLUS_BORNE:
+            return self._answers_twice(client, node_id)
         waited_ms = client.RESPONSE_TIMEOUT * client.MAX_RETRIES * 1e3
         return NoAnswer(
             f"node {node_id} on {self.link.name} did not answer the SDO {action} of {name}",
             f"{error} ({client.MAX_RETRIES} requests in {waited_ms:.0f} ms)",
             "check node id, bit rate and wiring",
+        )
+
+    def _answers_twice(self, client: PumpedSdoClient, node_id: int) -> AnswersTwice:
+        others = client.foreign_requests
+        others_text = f"; another master sent {others} requests on its channel" if others else ""
+        return AnswersTwice(
+            f"node {node_id} on {self.link.name} answers more often than it is asked",
+            f"{client.answers.surplus} SDO answers too many{others_text}",
+            f"two devices are likely to have the node id {node_id}: switch one of them off, "
+            "give it another id, and see with hil scan who is there",
         )
 
     def _on_emergency(self, node_id: int, data: bytes, at: Instant) -> None:

@@ -63,6 +63,7 @@ class ReadingAssembler:
         "_carried_rad",
         "_carried_to_us",
         "_changes",
+        "_inlets",
         "_last_at",
         "_last_us",
         "_leads",
@@ -132,7 +133,12 @@ class ReadingAssembler:
         self._last_at = NEVER_TOLD
         self._last_us = 0
         self._stamp_raw: int | None = None
+        self._inlets: dict[int, _Inlet] = {}
         self._subscribe(network, plan)
+
+    def frames_taken(self, cob_id: int) -> int:
+        """How many frames of a TPDO came, malformed ones among them."""
+        return self._inlets[cob_id].frames
 
     def take(self) -> list[Reading]:
         """The readings completed since the last call, oldest first."""
@@ -263,7 +269,8 @@ class ReadingAssembler:
             else Object.TORQUE_ACTUAL_VALUE
         )
         for pdo in plan.tpdos:
-            network.listen(pdo.cob_id, _Inlet(self, pdo, self._told, watched).take)
+            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, watched)
+            network.listen(pdo.cob_id, inlet.take)
 
 
 class _Inlet:
@@ -282,10 +289,12 @@ class _Inlet:
         "_unpack",
         "_velocity",
         "_watched",
+        "frames",
     )
 
     def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: Seen, watched: int) -> None:
         codec = pdo.codec()
+        self.frames = 0
         self._assembler = assembler
         self._told = told
         self._unpack = codec.unpack
@@ -301,6 +310,7 @@ class _Inlet:
 
     def take(self, data: bytes, at: Instant) -> None:
         assembler = self._assembler
+        self.frames += 1
         if len(data) != self._size:
             assembler.malformed += 1
             return

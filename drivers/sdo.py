@@ -16,6 +16,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
+from drivers.owed import Owed
 from drivers.timebase import Duration, Instant, duration_s
 
 # canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
@@ -23,6 +24,8 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 SDO_REQUEST = 0x600
 SDO_ANSWER = 0x580
+SDO_ATTEMPTS = 6
+"""Requests sent before a node is given up; so many answers may then still be under way."""
 
 _HEADER = Struct("<BHB")
 _ABORT = Struct("<BHBL")
@@ -93,6 +96,11 @@ class PumpedSdoClient(SdoClient):
         super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, dictionary or ObjectDictionary())  # type: ignore[no-untyped-call]
         self.network: Any = pump
         self.responses: Any = AnswerQueue(pump)
+        self.answers = Owed(SDO_ATTEMPTS)
+        """Of the node on this channel, to posted downloads and to the requests of others too."""
+        self.answers.expect()  # another client may have asked just before this one began to listen
+        self.foreign_requests = 0
+        """Requests of another client on this channel."""
         self._multiplexer = bytes(3)
         self._initiating = False
 
@@ -102,6 +110,16 @@ class PumpedSdoClient(SdoClient):
         if self._initiating:
             self._multiplexer = bytes(sdo_request[1:4])
         return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+
+    def send_request(self, sdo_request: bytes) -> None:
+        """Send a request, or a segment of one: each has one answer."""
+        self.answers.expect()
+        super().send_request(sdo_request)  # type: ignore[no-untyped-call]
+
+    def on_foreign_request(self, _data: bytes, _at: Instant) -> None:
+        """Another client has asked the node: its answer will be heard here."""
+        self.foreign_requests += 1
+        self.answers.expect()
 
     def on_answer(self, data: bytes) -> None:
         """Take an answer, unless it is malformed or answers a request that was given up before."""

@@ -82,7 +82,7 @@ class ServoDrive(Drive):
     # ---- set-up ---------------------------------------------------------------------------------------
 
     def connect(self, deadline: Instant) -> Identity:
-        """Wait until the node answers an SDO request, and read its identity. Raises NoAnswer, PeerFault."""
+        """Wait until the node answers, and read its identity. Raises NoAnswer, AnswersTwice, PeerFault."""
         clock = self.network.clock
         while True:
             try:
@@ -92,6 +92,7 @@ class ServoDrive(Drive):
                 if clock.now() >= deadline:
                     raise nobody_there(self.network, self.node_id, self.control.title) from error
         self.identity = identity = read_identity(self.objects)
+        self.network.refuse_two(self.node_id)
         self.control.make = (identity.vendor, identity.device_name)
         return identity
 
@@ -126,6 +127,7 @@ class ServoDrive(Drive):
         self._watch.configure(beats.produced, plan, settings.drive_heartbeat_timeout_ms)
         self.supervision.configure(settings, plan, self._assembler)
         self.motion = Motion(self.control, self.modes, scaling)
+        network.refuse_two(self.node_id)
         self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
         self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
         self.notes = notes + pdo_notes
@@ -257,23 +259,22 @@ class ServoDrive(Drive):
         return speed.bits // 8
 
     @property
-    def malformed_frames(self) -> int:
-        """PDOs of a length other than mapped; they are thrown away."""
-        return 0 if self._assembler is None else self._assembler.malformed
+    def assembler(self) -> ReadingAssembler:
+        """What takes the drive's TPDOs. RuntimeError before ``configure``."""
+        if self._assembler is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self._assembler
 
     @property
     def torque_shown(self) -> tuple[float, Instant]:
         """The torque that the drive told last, N m, and when; NaN and -1 before the first."""
-        if self._assembler is None:
-            raise RuntimeError(f"{self.name} was not configured")
-        return self._assembler.torque_nm, self._assembler.torque_told_at
+        assembler = self.assembler
+        return assembler.torque_nm, assembler.torque_told_at
 
     @property
     def rated_torque_nm(self) -> float:
         """What the drive's per-thousand torques refer to. RuntimeError before ``configure``."""
-        if self._assembler is None:
-            raise RuntimeError(f"{self.name} was not configured")
-        return self._assembler.scaling.rated_torque_nm
+        return self.assembler.scaling.rated_torque_nm
 
     # ---- modes ----------------------------------------------------------------------------------------
 

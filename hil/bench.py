@@ -13,6 +13,7 @@ from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
 from hil.axis import Axis
+from hil.bus_guard import BusGuard
 from hil.commissioned_drive import as_the_loop_counts, write_commissioned
 from hil.conclusion import Conclusion
 from hil.configuration.config import BenchConfig
@@ -152,6 +153,7 @@ class _Run:
             for name in config.axes
         ]
         self._load = LoadMachines(config, self._network, recorder, servos)
+        self._guard = BusGuard(self._networks, self._drives, config.guard, recorder.event, world.error_frames)
         if config.recording.frames:
             record_frames(world, recorder.tap)
 
@@ -211,7 +213,9 @@ class _Run:
             for own in [self._controllers.get(drive.name)]
         ]
         self._axes = axes
-        loop = Loop(self._master, world.clock, axes, pace, timing, self._load.chore)
+        self._guard.arm(syncs, own_sync=self._sync_source is SyncSource.OWN)
+        chore = self._guard.attending(self._load.chore)
+        loop = Loop(self._master, world.clock, axes, pace, timing, chore)
         with sync_producer(self._sync_source, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
 
@@ -222,7 +226,7 @@ class _Run:
         self._enter("enabling")
         self._enabled_from = self._world.clock.now()
         for drive in self._drives:
-            drive.enable(self._deadline(ENABLE_TIMEOUT_S))
+            drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
             self._note_state(drive)
             self._tell_guard(drive)
         self._stop.check()
@@ -298,7 +302,7 @@ class _Run:
             realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
             network_notes=self._worse.notes,
             load_machine=self._load.figures(),
-            timing=timing_report(self._axes, self._syncs),
+            timing=timing_report(self._axes, self._syncs, self._guard.counts),
             distrust=doubts,
         )
 
@@ -319,6 +323,7 @@ class _Run:
     def _release(self) -> None:
         """Every way out of a run leads through here."""
         self._enter("stopping")
+        self._guard.calm()
         self._load.let_go(self._say)
         if errors := self._world.error_frames():
             self._say(f"{errors} error frames on the bus", "WARN")
@@ -339,10 +344,8 @@ class _Run:
             for drive in self._drives:
                 self._conclusion.told(drive, self._enabled_from, self._zero)
         self._load.take_off(self._say)
+        self._guard.end(self._world.clock.now())
         self._progress("stopped", self._config.bench.duration_s)
-
-    def _deadline(self, timeout_s: float) -> Instant:
-        return self._network.deadline_after(duration_s(timeout_s))
 
     def _enter(self, phase: str) -> None:
         self._progress(phase, 0.0)

@@ -16,8 +16,10 @@ def connect(drive: ServoDrive, timeout_s: float, stop: StopRequest) -> Identity:
     deadline = network.deadline_after(duration_s(timeout_s))
     while True:
         stop.check()
+        slice_end = min(deadline, network.deadline_after(duration_s(_SLICE_S)))
         try:
-            return drive.connect(min(deadline, network.deadline_after(duration_s(_SLICE_S))))
+            return drive.connect(slice_end)
         except NoAnswer:
             if network.clock.now() >= deadline:
                 raise
+            network.pump(slice_end)  # a transfer that fails at once is not to flood the bus with the next

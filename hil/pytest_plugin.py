@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from hil.testing.hosted import DriveHost, DriveProcess
 
 BUS_OPTION = "--servo-bus"
+DRIVES_OPTION = "--servo-drives"
 DEFAULT_BUS = "simulated"
+SIMULATED, PRESENT = "simulated", "present"
+ONLY_SIMULATED = ("faults", "eds", "store")
+"""Wishes that only a drive of the plugin's own making can meet."""
 
 
 class MakeDrive(Protocol):
@@ -37,13 +41,19 @@ class StartDrive(Protocol):
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--servo-bus SPEC``."""
+    """``--servo-bus SPEC``, ``--servo-drives``."""
     group = parser.getgroup("servobench", "simulated servo drives")
     group.addoption(
         BUS_OPTION,
         metavar="SPEC",
         default=None,
         help="bus of the tests that choose none: simulated (default), hub, vcan, socketcan:NAME",
+    )
+    group.addoption(
+        DRIVES_OPTION,
+        choices=(SIMULATED, PRESENT),
+        default=SIMULATED,
+        help="simulated: put drives on the bus (default); present: use those that are there",
     )
 
 
@@ -63,6 +73,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("servo_bus", marker.args, indirect=True)
 
 
+def _uses_present(config: pytest.Config) -> bool:
+    return bool(config.getoption(DRIVES_OPTION) == PRESENT)
+
+
 @pytest.fixture
 def servo_bus(request: pytest.FixtureRequest) -> str:
     """SPEC of the bus that the test is on; a SocketCAN interface that is not up skips the test.
@@ -77,6 +91,11 @@ def servo_bus(request: pytest.FixtureRequest) -> str:
     from hil.testing.buses import bus_spec, require_up
 
     named = request.config.getoption(BUS_OPTION)
+    if _uses_present(request.config):
+        if getattr(request, "param", None) is not None:
+            pytest.skip("it has a bus of its own, on which no drive is present")
+        if named in (None, DEFAULT_BUS):
+            pytest.fail(f"{DRIVES_OPTION} {PRESENT} needs {BUS_OPTION} with the drives' bus", pytrace=False)
     spec = bus_spec(getattr(request, "param", None) or named or DEFAULT_BUS)
     try:
         require_up(spec)
@@ -88,11 +107,13 @@ def servo_bus(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def servo_host(servo_bus: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator["DriveHost"]:
+def servo_host(
+    servo_bus: str, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
+) -> Iterator["DriveHost"]:
     """The drive processes of the test; they end with it."""
     from hil.testing.hosted import DriveHost
 
-    host = DriveHost(servo_bus, tmp_path_factory.mktemp("servo"))
+    host = DriveHost(servo_bus, tmp_path_factory.mktemp("servo"), _uses_present(request.config))
     try:
         yield host
     finally:
@@ -113,6 +134,9 @@ def servo_process(servo_bus: str, servo_host: "DriveHost") -> StartDrive:
             pytrace=False,
         )
 
+    if servo_host.present:
+        pytest.skip(f"it makes drives of its own, and {DRIVES_OPTION} is {PRESENT}")
+
     def start(*nodes: int, **wish: Any) -> "DriveProcess":
         from hil.configuration.motor_file import LING2012
 
@@ -129,8 +153,14 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
     """
     from hil.testing.drive_rig import DriveWish, drive_rig
 
+    def make(**wish: Any) -> "DriveRig":
+        for name in ONLY_SIMULATED:
+            if servo_host.present and wish.get(name) is not None:
+                pytest.skip(f"it asks for a drive with {name}, and {DRIVES_OPTION} is {PRESENT}")
+        return stack.enter_context(drive_rig(servo_bus, servo_host, DriveWish(**wish)))
+
     with ExitStack() as stack:
-        yield lambda **wish: stack.enter_context(drive_rig(servo_bus, servo_host, DriveWish(**wish)))
+        yield make
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """``hil scan``: the adapters of this machine, and who is on the bus behind one of them."""
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -18,7 +17,7 @@ from drivers.lss import LssAddress, LssMaster
 from drivers.network import CanopenNetwork
 from drivers.serial_adapters import SerialPort, serial_adapters
 from drivers.timebase import Duration, MonotonicClock
-from virtual_bus.can_bus.hub_place import HubPlace, known_hubs, try_lock
+from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
 from virtual_bus.hub import HubBus
 
 
@@ -98,17 +97,7 @@ def find_adapters() -> Adapters:
 
 
 def _running_hubs() -> list[str]:
-    """A hub that was killed leaves its socket, but not the lock that its broker holds."""
-    running = []
-    for name in known_hubs():
-        place = HubPlace(name)
-        if place.alive.exists():
-            descriptor = try_lock(place.alive)
-            if descriptor is None:
-                running.append(name)
-            else:
-                os.close(descriptor)
-    return running
+    return [name for name in known_hubs() if HubPlace(name).serving]
 
 
 class _Opened(NamedTuple):

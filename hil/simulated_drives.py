@@ -14,10 +14,13 @@ from hil.configuration.current_controller_file import CurrentController, read_cu
 from hil.device_files import DeviceFiles
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
+from hil.node_ids_taken import refuse_taken
 from hil.simulated_load import SimulatedLoadMachine
 from hil.world import WorldPlan, open_world
 from virtual_bus.background import Stream, background_nodes
+from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
 from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
+from virtual_bus.canopen_device.parameter_store import FileStore
 from virtual_bus.fault_injection.injection import Faults
 from virtual_bus.frame import Device
 from virtual_bus.hosting import serve
@@ -90,11 +93,13 @@ def simulate(
     background: Sequence[Stream] = (),
     current_control: Sequence[Path] = (),
     load_machine: SimulatedLoadMachine | None = None,
+    force: bool = False,
 ) -> None:
     """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
 
-    ``announce`` is told once the drives are on the bus. Raises BadInput for a bus in simulated time, which
-    no other process could join, and BusDown if the bus cannot be opened or goes away.
+    ``announce`` is told once the drives are on the bus. ``force``: also where somebody has their node-IDs.
+    Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
+    somebody has, and BusDown if the bus cannot be opened or goes away.
     """
     spec = parse_bus_spec(bus_spec, "--bus")
     if spec.simulated:
@@ -110,6 +115,7 @@ def simulate(
     devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
+        refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
         hosted: list[Device] = list(devices)
         if world.faults is not None:
             hosted = [world.faults.wrap(device) for device in devices]
@@ -122,6 +128,12 @@ def simulate(
                 hosted.append(leaving.enter_context(load_machine.coupled_to(devices[0], seed, announce)))
             announce(_announcement(spec, nodes, motor))
             serve(hosted, world.link.bus, world.clock, stop)
+
+
+def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:
+    """Which the devices will have: the one that LSS had stored goes before the one that it was made with."""
+    stored = None if store is None else store.load().get(NODE_ID_KEY)
+    return [stored[0]] if stored else list(nodes)
 
 
 def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) -> str:

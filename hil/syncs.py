@@ -146,6 +146,11 @@ class SyncLog:
         return now - pending[-1].handed_at >= GIVEN_UP_AFTER_PERIODS * self._period
 
     @property
+    def counted(self) -> int:
+        """SYNCs so far, handed over or heard, surplus ones among them."""
+        return self._counted
+
+    @property
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus

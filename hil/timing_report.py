@@ -11,14 +11,17 @@ from hil.syncs import SyncLog
 Report = dict[str, Any]
 
 
-def timing_report(axes: Sequence[Axis], syncs: Mapping[str, SyncLog]) -> Report:
-    """``syncs``: by segment. Times in us."""
+def timing_report(
+    axes: Sequence[Axis], syncs: Mapping[str, SyncLog], others: Mapping[str, int] | None = None
+) -> Report:
+    """``syncs``: by segment. ``others``: what the bus guard saw, and how often. Times in us."""
     return {
         "sync": {
             name: {"basis": log.echoes.value, "surplus": log.surplus, "crowded": log.crowded}
             for name, log in syncs.items()
         },
         "axes": {axis.parts.name: _axis_report(axis) for axis in axes},
+        "others": dict(others or {}),
     }
 
 

@@ -10,6 +10,7 @@ from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
+from hil.node_ids_taken import refuse_taken
 from hil.world import WorldPlan, open_world
 from virtual_bus.fault_injection.injection import Faults
 from virtual_bus.frame import Device
@@ -48,6 +49,7 @@ def rehearse(
         _write(truth_file, text, "--truth")
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
+        refuse_taken(world.link, world.clock, [node], announce, force=False)
         device: Device = servo
         if world.faults is not None:
             device = world.faults.wrap(servo)

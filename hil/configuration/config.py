@@ -22,6 +22,9 @@ from virtual_bus.fault_injection.injection import Faults as InjectedFaults
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""
 
+Rule = Literal["tell", "stop"]
+"""What the bus guard does on what it sees."""
+
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -149,6 +152,18 @@ class Recording(Section):
     """Whether every frame goes to frames.log as well."""
 
 
+class Guard(Section):
+    """``[guard]``: what others do on the bus is told; ``stop`` ends the run as well."""
+
+    on_foreign: Rule = "tell"
+    """Another sends as the bench or as one of its drives: NMT, SYNC, the bench's heartbeat, SDO requests or
+    commands to its drives, more readings than SYNCs, more SDO answers than requests."""
+    on_boot: Rule = "tell"
+    """A node starts in mid-run: a boot-up message."""
+    on_bus_errors: Rule = "tell"
+    """Error frames become frequent, 16 within a second."""
+
+
 class Faults(Section):
     """``[faults]``: what the bench does to the frames of its own bus connection."""
 
@@ -172,6 +187,7 @@ class BenchConfig(Section):
     faults: Faults | None = None
     verdict: Verdict = Verdict()
     recording: Recording = Recording()
+    guard: Guard = Guard()
     _source: str = PrivateAttr(default="")
 
     def named(self, source: str) -> "BenchConfig":

@@ -77,6 +77,9 @@ def simulate(
     bitrate: Annotated[
         int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
     ] = 1_000_000,
+    force: Annotated[
+        bool, typer.Option("--force", help="Join although a node with such an id is on the bus.")
+    ] = False,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
     ] = None,
@@ -118,4 +121,5 @@ def simulate(
             background=others,
             current_control=current_control or (),
             load_machine=instrument,
+            force=force,
         )

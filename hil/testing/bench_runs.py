@@ -132,7 +132,7 @@ class BenchRunner:
     def _put_drives_on_the_bus(self, config: BenchConfig) -> None:
         missing: list[tuple[MotorFile, list[int]]] = []
         for drive in config.drive.values():
-            if drive.node in self._host.nodes:
+            if not self._host.missing([drive.node]):
                 continue
             for motor, nodes in missing:
                 if motor == drive.motor:

@@ -242,7 +242,7 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
         motor = wish.motor_file.parameters
         devices = [SimulatedServo(wish.node, motor, None, wish.seed, memory, vendor)]
         plan = wish.plan
-    elif wish.node not in host.nodes:
+    elif host.missing([wish.node]):
         process = host.start(
             [wish.node],
             wish.motor,

@@ -92,14 +92,20 @@ class DriveProcess:
 class DriveHost:
     """The drive processes of one test."""
 
-    def __init__(self, spec: str, scratch: Path) -> None:
-        """``scratch``: a folder of the test's own, for the files that the processes are given."""
+    def __init__(self, spec: str, scratch: Path, present: bool = False) -> None:
+        """``scratch``: a folder of the test's own, for the files that the processes are given. ``present``:
+        the drives of the tests are on the bus already, and are not of this host's making."""
         self.spec = spec
+        self.present = present
         self.nodes: set[int] = set()
         """On the bus, or they have been."""
         self._scratch = scratch
         self._processes: list[DriveProcess] = []
         self._numbers = itertools.count(1)
+
+    def missing(self, nodes: Sequence[int]) -> list[int]:
+        """Those of ``nodes`` that have to be started."""
+        return [] if self.present else [node for node in nodes if node not in self.nodes]
 
     def start(
         self,

@@ -132,7 +132,7 @@ def test_each_sync_gives_one_reading_with_a_stamp_of_its_sync(bench: Bench) -> N
     assert len(stamps) == 200
     # A SYNC may have to wait for a frame, and a stamp be one inner tick of 62.5 us old.
     assert all(abs(later - stamp - PERIOD) < 200 * NS_PER_US for stamp, later in pairwise(stamps))
-    assert bench.drive.malformed_frames == 0
+    assert bench.drive.assembler.malformed == 0
 
 
 def test_torque_moves_the_shaft_as_newton_says(bench: Bench) -> None:

@@ -17,7 +17,7 @@ from drivers.profile402 import State
 from hil.pytest_plugin import MakeDrive, StartDrive
 from hil.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
-from tests.scenario.processes import EXAMPLES, observer, quiet_environment
+from tests.scenario.processes import EXAMPLES, hub_name, observer, quiet_environment, serving
 from tests.scenario.test_data_sheet_run import changes, sheet
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -260,3 +260,37 @@ def test_drives_of_a_foreign_master_are_processes_and_end_with_the_test(
         assert watching.state() is State.SWITCH_ON_DISABLED
     assert "node 1, 2" in process.said
     assert process.stop() == 0
+
+
+def test_drives_that_are_there_are_used_by_an_option(tmp_path: Path) -> None:
+    text = """
+        import pytest
+
+        def test_of_the_drive(servo_drive):
+            rig = servo_drive(node=3)
+            rig.enable()
+            assert rig.process is None
+
+        def test_of_a_faulty_drive(servo_drive):
+            servo_drive(node=3, faults={"drive_fault": [{"fault": "over_temperature", "at_s": 0.6}]})
+
+        def test_of_a_process(servo_process):
+            servo_process(3)
+
+        @pytest.mark.servo_bus("hub")
+        def test_on_a_bus_of_its_own(servo_drive):
+            servo_drive(node=3)
+    """
+    bus = hub_name("present")
+    folder = project(tmp_path, text)
+    present = ("--servo-bus", bus, "--servo-drives", "present", "-q")
+    with serving(["simulate", "--bus", bus, "--node", "3"]):
+        status, said = run_pytest(folder, *present)
+        assert status == 0, said
+        assert "1 passed, 3 skipped" in said
+        status, said = run_pytest(folder, "--servo-bus", bus, "-q", "-k", "test_of_the_drive")
+        assert status == 1
+        assert "node 3 is there: " in said
+    status, said = run_pytest(folder, "--servo-drives", "present", "-q", "-k", "test_of_the_drive")
+    assert status == 1
+    assert "needs --servo-bus" in said

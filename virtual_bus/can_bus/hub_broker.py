@@ -287,7 +287,8 @@ class Broker:
     def _status(self, port: Port, *, asked: bool) -> bytes:
         segment, now = self._segment, self._timeline.now
         load = segment.load_percent(Instant(now - NS_PER_S), now)
-        return encode_status(port, load, segment.frames, asked=asked)
+        alone = len(self._clients) == 1
+        return encode_status(port, load, segment.frames, asked=asked, alone=alone)
 
     def _welcome(self, client: Client, hello: Hello) -> None:
         if client.hello_deadline is not None:

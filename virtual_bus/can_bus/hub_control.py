@@ -12,7 +12,7 @@ _REQUEST = struct.Struct("<4sB")
 _REQUEST_MAGIC = b"SBct"
 _STATUS = struct.Struct("<4sBBBHHI")
 _STATUS_MAGIC = b"SBst"
-_ASKED, _UNPLUGGED, _LISTEN_ONLY = 1, 2, 4
+_ASKED, _UNPLUGGED, _LISTEN_ONLY, _ALONE = 1, 2, 4, 8
 _STATES = tuple(ErrorState)
 
 
@@ -40,6 +40,8 @@ class HubStatus(NamedTuple):
     """Of the last second, rounded."""
     frames: int
     """On the bus since the hub was started, modulo 2**32."""
+    alone: bool
+    """No other client is on the hub."""
 
 
 def encode_request(request: Request) -> bytes:
@@ -71,9 +73,10 @@ def obey(port: Port, request: Request) -> None:
         port.set_listen_only(request is Request.LISTEN_ONLY)
 
 
-def encode_status(port: Port, load_percent: float, frames: int, *, asked: bool) -> bytes:
-    """The state of ``port``; ``asked``: as an answer, else because it changed."""
+def encode_status(port: Port, load_percent: float, frames: int, *, asked: bool, alone: bool) -> bytes:
+    """The state of ``port``, whose client is ``alone``; ``asked``: as an answer, else because it changed."""
     flags = _ASKED * asked | _UNPLUGGED * (not port.plugged) | _LISTEN_ONLY * port.listen_only
+    flags |= _ALONE * alone
     return _STATUS.pack(
         _STATUS_MAGIC,
         _STATES.index(port.error_state),
@@ -98,5 +101,6 @@ def decode_status(packet: bytes) -> tuple[HubStatus, bool] | None:
         bool(flags & _LISTEN_ONLY),
         load,
         frames,
+        bool(flags & _ALONE),
     )
     return status, bool(flags & _ASKED)

@@ -33,9 +33,12 @@ def runtime_directory() -> Path:
     user = os.getuid()
     usable = base.is_absolute() and base.is_dir() and base.stat().st_uid == user
     directory = base / "servobench" if usable else Path(f"/tmp/servobench-{user}")
-    with suppress(FileExistsError):  # raised for a file of that name only, which is refused below
-        directory.mkdir(mode=0o700, exist_ok=True)
-    found = directory.lstat()
+    try:
+        with suppress(FileExistsError):  # raised for a file of that name only, which is refused below
+            directory.mkdir(mode=0o700, exist_ok=True)
+        found = directory.lstat()
+    except OSError as error:
+        raise can.CanInitializationError(f"{directory} cannot be made: {error.strerror}") from error
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
         raise can.CanInitializationError(
             f"{directory}: expected a directory of user {user} with mode 0700;"
@@ -47,15 +50,26 @@ def runtime_directory() -> Path:
 def try_lock(path: Path) -> int | None:
     """Take the lock on ``path``: a descriptor whose closing frees it, or None if somebody holds it.
 
-    The kernel frees it when its holder dies, however that happens.
+    The kernel frees it when its holder dies, however that happens. Who holds it may remove the file.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        if _is_at(path, descriptor):
+            return descriptor
+        os.close(descriptor)  # it was removed after it was opened here: a lock on it keeps nobody out
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Whether the open file is the one that ``path`` names now."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        return None
-    return descriptor
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 class HubPlace:
@@ -74,11 +88,25 @@ class HubPlace:
             raise can.CanInitializationError(f"{self.socket}: too long for a socket; set XDG_RUNTIME_DIR")
 
     def clear(self) -> None:
-        """Remove what a hub leaves but its lock, under which to call this, and a log with text in it."""
+        """Remove what a hub leaves but a log with text in it, under its lock, which goes last.
+
+        From then on another process may start the hub anew.
+        """
         self.socket.unlink(missing_ok=True)
         self.alive.unlink(missing_ok=True)
         if self.log.exists() and not self.log.stat().st_size:
             self.log.unlink()
+        self.lock.unlink(missing_ok=True)
+
+    @property
+    def serving(self) -> bool:
+        """Whether a broker is there: one that was killed leaves its files, but not the lock that it held."""
+        if not self.alive.exists():
+            return False
+        descriptor = try_lock(self.alive)
+        if descriptor is not None:
+            os.close(descriptor)
+        return descriptor is None
 
     @contextmanager
     def locked(self, clock: Clock, patience: Duration) -> Iterator[None]:
@@ -93,6 +121,8 @@ class HubPlace:
         try:
             yield
         finally:
+            if not self.serving:
+                self.clear()
             os.close(descriptor)
 
 

@@ -8,8 +8,11 @@ import pytest
 from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.simulated_drives import simulated_drives
+from hil.simulated_drives import ids_on_the_bus, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
+from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
+from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
+from virtual_bus.canopen_device.parameter_store import FileStore
 
 
 def bench_lacking(lacks: list[Any]) -> BenchConfig:
@@ -37,3 +40,11 @@ def test_an_object_that_the_drive_has_not_is_refused_before_anything_is_opened()
         simulated_drives(bench_lacking(["5FFF"]), seed=1)
     assert (caught.value.source, caught.value.key) == ("bench.toml", "drive.axis1.simulation.lacks")
     assert caught.value.value == "5FFF"
+
+
+def test_the_id_that_lss_has_stored_is_the_one_to_be_looked_for(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "memory.json")
+    assert ids_on_the_bus([1, 2], None) == [1, 2]
+    assert ids_on_the_bus([UNCONFIGURED], store) == [UNCONFIGURED]
+    store.save({NODE_ID_KEY: bytes([7])})
+    assert ids_on_the_bus([UNCONFIGURED], store) == [7]

@@ -1,0 +1,65 @@
+"""Nodes that a bench knows nothing of, on its simulated segment: what they send, and when."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+from unittest.mock import patch
+
+from drivers.timebase import Duration, Instant, duration_s
+from hil import bench, world
+from hil.configuration.config import BenchConfig
+from hil.simulated_drives import simulated_drives
+from hil.world import World, WorldPlan
+from virtual_bus.frame import Frame
+from virtual_bus.hosting import attach_to_segment
+from virtual_bus.servo import SimulatedServo
+
+
+class ForeignNode:
+    """A device that sends ``frame`` from ``at_s`` after its power-on, ``times`` times, and hears nothing."""
+
+    def __init__(self, frame: Frame, at_s: float, times: int = 1, period_s: float = 0.001) -> None:
+        self.wake_at: Instant | None = None
+        self.sent_at: list[Instant] = []
+        self._frame = frame
+        self._after = duration_s(at_s)
+        self._left = times
+        self._period = duration_s(period_s)
+
+    def start(self, now: Instant) -> Sequence[Frame]:
+        self.wake_at = Instant(now + self._after)
+        return ()
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        del frame, now
+        return ()
+
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        self._left -= 1
+        self.sent_at.append(now)
+        self.wake_at = Instant(now + self._period) if self._left else None
+        return (self._frame,)
+
+
+@contextmanager
+def beside_the_bench(*nodes: Any, copies: bool = False) -> Iterator[None]:
+    """Runs of benches inside have ``nodes`` on their segment; ``copies``: and each drive twice."""
+
+    def drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
+        return [drive for _ in range(1 + copies) for drive in simulated_drives(config, seed)]
+
+    @contextmanager
+    def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
+        with world.open_world(plan, devices) as made:
+            bus: Any = made.link.bus
+            segment = getattr(bus, "inner", bus).segment
+            for node in nodes:
+                attach_to_segment(node, segment, segment.timeline, "foreign")
+            yield made
+
+    with patch.object(bench, "open_world", open_world), patch.object(bench, "simulated_drives", drives):
+        yield
+
+
+LATE = Duration(2_000_000)
+"""A frame waits for the bus for less than this, ns, where a bench of one axis runs."""
