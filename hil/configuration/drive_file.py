@@ -53,6 +53,15 @@ class SetObject(Section):
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
 
 
+class MeasuredLoop(Section):
+    """``[current_loop]``: torque demand to torque, as commissioning has measured it."""
+
+    order: Literal[1] = 1
+    """What is measured is the lag of first order that is as far behind a step in the end."""
+    bandwidth_hz: float = Field(gt=0)
+    """All that the drive takes is in it: waiting for its next sample, computing, and the loop."""
+
+
 class DriveFile(Section):
     """A whole drive file. Limits and controller are suggestions, for a bench file to copy."""
 
@@ -60,6 +69,8 @@ class DriveFile(Section):
     scale: Scale = Scale()
     signs: Signs = Signs()
     object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
+    current_loop: MeasuredLoop | None = None
+    """Absent: the drive has no torque mode, in which it could be measured."""
     limits: dict[str, Any] = Field(default_factory=dict)
     controller: dict[str, Any] = Field(default_factory=dict)
 
