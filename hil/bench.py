@@ -26,7 +26,7 @@ from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import StopRequest, stop_signals
-from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
+from hil.network_guard import NetworkGuard, Uncertified, allowed, made_for, uncertified
 from hil.pace import OwnSync, Pace
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
@@ -68,21 +68,21 @@ def run_bench(
     progress: Progress,
     controllers: Mapping[str, Controller] | None = None,
     network: Path | None = None,
-    allow_worse_network: bool = False,
+    allow_uncertified: bool = False,
     privileged: bool = True,
 ) -> BenchResult:
     """Run a bench and review it.
 
     ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
-    axis, what a caller puts in place of the file's. ``network``: file of one measured before, that must be
-    no worse than the controllers were made for; nor may the run's own, unless ``allow_worse_network``.
+    axis, what a caller puts in place of the file's. ``network``: file of one measured before. That network,
+    the run's own and the drives must be what the controllers were made for, unless ``allow_uncertified``.
     ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
     Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
     brought to rest and the recording is closed first.
     """
     sheets = data_sheets(config)
-    worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
+    worse = uncertified(config, network, allow_uncertified, set(controllers or {}), spec.simulated)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
@@ -139,7 +139,7 @@ class _Run:
         stop: StopRequest,
         progress: Progress,
         controllers: Mapping[str, Controller],
-        worse: WorseNetwork,
+        worse: Uncertified,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
@@ -261,7 +261,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in (*self._worse.notes, *odd_values(self._config)):
+        for note in (*self._worse.notes, *self._worse.unknown, *odd_values(self._config)):
             self._say(note, "WARN")
         self._enter("connecting")
         for drive in self._drives:

@@ -83,11 +83,11 @@ NetworkOption = Annotated[
         help="A network measured before; refused if a controller was made for a better one.",
     ),
 ]
-WorseNetworkOption = Annotated[
+UncertifiedOption = Annotated[
     bool,
     typer.Option(
-        "--allow-worse-network",
-        help="Warn, instead of stopping, where the network is worse than a controller was made for.",
+        "--allow-uncertified",
+        help="Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
     ),
 ]
 
@@ -125,7 +125,7 @@ def run(
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
     ] = False,
     network: NetworkOption = None,
-    allow_worse_network: WorseNetworkOption = False,
+    allow_uncertified: UncertifiedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
@@ -160,7 +160,7 @@ def run(
                 view=view,
                 progress=progress,
                 network=network,
-                allow_worse_network=allow_worse_network,
+                allow_uncertified=allow_uncertified,
             )
         finally:
             progress.clear()

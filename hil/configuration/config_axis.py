@@ -23,6 +23,7 @@ from hil.configuration.quantities import (
     Torque,
 )
 from hil.configuration.speed_controller_file import Certificate, MadeFor
+from virtual_bus.servo_drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.servo_drive.lacks import PATTERN
 
 
@@ -51,6 +52,11 @@ class Simulation(Section):
     """Of the PI current loops; a twentieth of the inner rate if absent."""
     lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
     """What the drive does without: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
+
+    @property
+    def current_loop_hz(self) -> float:
+        """Bandwidth of the PI current loops, Hz."""
+        return current_bandwidth_hz(self.current_bandwidth_hz, self.inner_rate_hz)
 
 
 class Limits(Section):
@@ -121,7 +127,7 @@ class StateFeedbackController(Section):
     feedforward_load_nm: SignedTorque = 0.0
     """Load torque that the nominal current carries beside the friction."""
     made_for: MadeFor | None = None
-    """The network that it was designed for; ``hil run`` refuses a worse one."""
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: Certificate | None = None
 
 

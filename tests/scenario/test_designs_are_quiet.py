@@ -1,10 +1,16 @@
-"""A speed design for the drive's current loop is quiet on it; one for R/L limit-cycles."""
+"""A speed design for the drive's current loop is quiet on it; one for R/L is refused, as it limit-cycles."""
+
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers.errors import BadInput
+from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
-from tests.random_motors import steady_torque_rms_nm, torque_rms_nm
+from hil.delay_design.controller_text import plant_of
+from tests.random_motors import random_bench, run, steady_rms_nm, steady_torque_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15
 """Of Ling's motor, 2 N m rated."""
@@ -15,6 +21,33 @@ RANDOM_QUIET_NM = 0.2
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_design_for_the_drives_bandwidth_is_quiet(seed: int) -> None:
     assert steady_torque_rms_nm(np.random.default_rng(seed)) < RANDOM_QUIET_NM
+
+
+def made_for_the_winding(simulation: dict[str, float]) -> dict[str, Any]:
+    """What `hil design speed --target sampled --current-bandwidth-hz 53.83` writes for 1 ms without loss."""
+    loop = {"bandwidth_hz": 53.83, "bandwidth_min_hz": 53.83, "bandwidth_max_hz": 53.83}
+    made_for = {"delay_us": 2000, "strategy": "arrival", "period_us": 1000, "losses_in_a_row_max": 0}
+    made_for |= {
+        "delay_max_us": 1000,
+        "plant": plant_of(LING2012.parameters).model_dump(),
+        "current_loop": loop,
+    }
+    tables = random_bench(LING2012.model_dump(mode="json"), [-1.881, -1.757])
+    tables["drive"]["axis1"]["controller"]["made_for"] = made_for
+    tables["drive"]["axis1"]["simulation"] = simulation
+    return tables
+
+
+def test_a_design_for_54_hz_is_refused_on_the_default_drive_of_800(tmp_path: Path) -> None:
+    config = bench_from(made_for_the_winding({}), "bench.toml", Path())
+    with pytest.raises(BadInput, match=r"inner_rate_hz: found '800 Hz', expected .* 53\.83 Hz and no other"):
+        run(config, tmp_path / "refused")
+    assert not (tmp_path / "refused").exists()
+
+
+def test_it_runs_quietly_on_the_loop_that_it_was_made_for(tmp_path: Path) -> None:
+    tables = made_for_the_winding({"current_bandwidth_hz": 53.83})
+    assert steady_rms_nm(run(bench_from(tables, "bench.toml", Path()), tmp_path / "run")) < QUIET_NM
 
 
 def test_the_least_gain_at_one_millisecond_is_quiet_for_800_hz_and_not_for_54() -> None:
