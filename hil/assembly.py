@@ -194,7 +194,11 @@ def recording_plan(
 ) -> RecordingPlan:
     """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run."""
     axes = tuple(
-        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
+        AxisPlan(
+            name,
+            drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2,
+            drive.motor.parameters.rated_torque_nm,
+        )
         for name, drive in sorted(config.drive.items())
     )
     first = config.drive[config.axes[0]]

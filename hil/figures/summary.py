@@ -16,6 +16,7 @@ _METRICS = {
     "bus_load_percent_max": "bus load [%]",
     "missed_percent_max": "cycles without SYNC [%]",
     "lateness_us_max": "lateness, largest [us]",
+    "torque_rms_nm_max": "torque about its mean, rms [N m]",
 }
 
 
@@ -31,6 +32,7 @@ class VerdictLimits:
     bus_load_percent_max: float | None = None
     missed_percent_max: float | None = None
     lateness_us_max: float | None = None
+    torque_rms_nm_max: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,9 @@ class Figures:
     """Woke minus due, of every cycle."""
     digest: str
     """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.recording.records`)."""
+    torque_rms_nm: float | None = None
+    """About its mean at steady reference and load, worst axis and block (:mod:`hil.figures.torque_swing`);
+    None: there was no such block."""
 
     @property
     def dropouts_percent(self) -> float | None:
@@ -147,6 +152,7 @@ def judge(figures: Figures, outcome: RunOutcome, limits: VerdictLimits) -> Verdi
         "bus_load_percent_max": outcome.bus_load_percent,
         "missed_percent_max": figures.missed_percent,
         "lateness_us_max": figures.lateness_us.max,
+        "torque_rms_nm_max": figures.torque_rms_nm,
     }
     checks = tuple(
         Check(key, value, limit, value is not None and value <= limit)
@@ -182,6 +188,7 @@ class Summary:
     """The folder of the run; empty if nothing was kept."""
     seed: int
     digest: str
+    torque_rms_nm: float | None = None
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
     network_notes: tuple[str, ...] = ()

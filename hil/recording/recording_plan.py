@@ -20,6 +20,8 @@ class AxisPlan:
     name: str
     acceleration_max_rad_s2: float
     """What its torque limit and inertia allow; a reference that changes faster opens a settling window."""
+    rated_torque_nm: float | None = None
+    """Of the motor; None: how much its torque swings is not judged."""
 
 
 @dataclass(frozen=True, slots=True)

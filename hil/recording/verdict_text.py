@@ -44,11 +44,19 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
+        *_swing(summary),
         f"| bus load | {summary.bus_load_percent:.1f} % |",
         f"| times real time | {summary.realtime_factor:.1f} |",
         *_load(summary),
         *(f"| recording | {fault} |" for fault in summary.recording_faults),
     ]
+
+
+def _swing(summary: Summary) -> list[str]:
+    """How much the torque swings while nothing asks for it."""
+    if summary.torque_rms_nm is None:
+        return []
+    return [f"| torque about its mean, rms | {summary.torque_rms_nm:.3g} N m |"]
 
 
 def _load(summary: Summary) -> list[str]:

@@ -55,6 +55,9 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         "After load step": f"{_number(error.after_load_percent)} % at most"
         if error.after_load_percent is not None
         else "not measured",
+        "Torque": f"{_number(found.torque_rms_nm)} N m rms about its mean while reference and load stay"
+        if found.torque_rms_nm is not None
+        else "never steady for long enough to be judged",
         "Delay": _percentiles(found.delay_us),
         "Lateness": _percentiles(found.lateness_us),
         "Dropouts": f"{dropouts.total}{share}: "

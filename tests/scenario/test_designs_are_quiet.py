@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput
+from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
 from hil.delay_design.controller_text import plant_of
+from hil.recording.run_folder import EVENTS_FILE
+from hil.terminal.progress import no_progress
 from tests.random_motors import random_bench, run, steady_rms_nm, steady_torque_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15
@@ -43,6 +46,20 @@ def test_a_design_for_54_hz_is_refused_on_the_default_drive_of_800(tmp_path: Pat
     with pytest.raises(BadInput, match=r"inner_rate_hz: found '800 Hz', expected .* 53\.83 Hz and no other"):
         run(config, tmp_path / "refused")
     assert not (tmp_path / "refused").exists()
+
+
+def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: Path) -> None:
+    tables = made_for_the_winding({}) | {"verdict": {"torque_rms_nm_max": QUIET_NM}}
+    config = bench_from(tables, "bench.toml", Path())
+    folder = tmp_path / "run"
+    result = run_bench(
+        config, bus_spec=None, time=None, seed=None, record=folder, view=False, progress=no_progress,
+        allow_uncertified=True,
+    )  # fmt: skip
+    assert result.summary["torque_rms_nm"] > 1.0
+    assert not result.passed
+    (event,) = [line for line in (folder / EVENTS_FILE).read_text().splitlines() if "limit cycle" in line]
+    assert '"WARN"' in event
 
 
 def test_it_runs_quietly_on_the_loop_that_it_was_made_for(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ FIGURES = Figures(
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
     lateness_us=Percentiles(0.0, 0.0, 12.0),
     digest="00",
+    torque_rms_nm=0.5,
 )
 OUTCOME = RunOutcome(bus_load_percent=53.0, realtime_factor=40.0)
 VALUES = {
@@ -43,6 +44,7 @@ VALUES = {
     "bus_load_percent_max": 53.0,
     "missed_percent_max": 1.0,
     "lateness_us_max": 12.0,
+    "torque_rms_nm_max": 0.5,
 }
 
 
@@ -95,6 +97,7 @@ def test_json_has_the_promised_keys() -> None:
         "recording",
         "seed",
         "digest",
+        "torque_rms_nm",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
     assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
