@@ -26,7 +26,7 @@ from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
 from hil.machine.realtime import quiet_garbage_collector, realtime_process
 from hil.machine.stopping import StopRequest, stop_signals
-from hil.network_guard import NetworkGuard, Uncertified, allowed, made_for, uncertified
+from hil.network_guard import NetworkGuard, Uncertified, allowed, certified_plans, made_for, uncertified
 from hil.pace import OwnSync, Pace
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
@@ -82,7 +82,8 @@ def run_bench(
     """
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    worse = uncertified(config, network, allow_uncertified, set(controllers or {}), spec.simulated)
+    replaced = set(controllers or {})
+    worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
@@ -101,7 +102,8 @@ def run_bench(
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
         folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
-        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view)
+        certified = certified_plans(config, replaced, spec.simulated)
+        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)

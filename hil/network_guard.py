@@ -18,6 +18,7 @@ from hil.configuration.config_errors import raise_all
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.speed_controller_file import MadeFor, Plant
 from hil.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
+from hil.recording.recording_plan import CertifiedPlan
 from hil.samples import CycleRecord, Sample
 
 REMEDY: Final = (
@@ -247,3 +248,28 @@ def uncertified(
         and current_loop_of(config, axis, simulated=simulated) is None
     ]
     return Uncertified(not allow, [str(fault) for fault in faults], unknown)
+
+
+def certified_plans(
+    config: BenchConfig, replaced: Collection[str], simulated: bool
+) -> dict[str, CertifiedPlan]:
+    """What the run is held against in its figures, by axis with a certified controller."""
+    return {
+        axis: _certified_plan(config, axis, wanted, simulated)
+        for axis, wanted in certified_axes(config, replaced).items()
+    }
+
+
+def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
+    controller = config.drive[axis].controller
+    assert isinstance(controller, StateFeedbackController)
+    limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
+    own = current_loop_of(config, axis, simulated=simulated)
+    return CertifiedPlan(
+        period_us=config.loop.period_us,
+        delay_us=limits.delay_max / NS_PER_US,
+        losses_in_a_row=limits.losses_max,
+        gain=None if controller.certificate is None else controller.certificate.gain,
+        bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
+        bandwidth_hz=None if own is None else own.bandwidth_hz,
+    )

@@ -91,3 +91,11 @@ class Certificate(Section):
     status: str
     min_margin: float | None = None
     sequences: SequenceProof | None = None
+
+    @property
+    def gain(self) -> float | None:
+        """Certified from load torque to speed error, rad/s per N m, of the loop that runs: over every
+        sequence and bandwidth where that is known, else with the constant delay."""
+        if self.sequences is None:
+            return self.gamma
+        return self.sequences.gain_certified_all_bandwidths or self.sequences.gain_certified

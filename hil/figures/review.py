@@ -5,6 +5,7 @@ import hashlib
 import numpy as np
 
 from drivers.timebase import NS_PER_US, Instant
+from hil.figures.certificate_meter import CertificateMeter
 from hil.figures.histogram import TimeHistogram
 from hil.figures.speed_error import SpeedErrorMeter, largest, worst
 from hil.figures.summary import DropoutCounts, Figures, Percentiles
@@ -29,6 +30,11 @@ class Review:
         self._axes = plan.axes
         self._errors = [SpeedErrorMeter(axis, plan.settling) for axis in plan.axes]
         self._swings = [TorqueSwingMeter(axis, plan.settling) for axis in plan.axes]
+        self._certificates = {
+            number: CertificateMeter(axis.certified, plan.settling)
+            for number, axis in enumerate(plan.axes)
+            if axis.certified is not None
+        }
         self._axis_rows = [0] * len(plan.axes)
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
@@ -53,14 +59,20 @@ class Review:
             self._axis_rows[axis] += mine.size
             meter.add(mine)
             self._swings[axis].add(mine)
+            if axis in self._certificates:
+                self._certificates[axis].add(mine)
 
     def take_events(self) -> list[TextEvent]:
         """What the rows since the last call tell that is worth reading."""
-        return [
-            TextEvent(Instant(swing.at), "WARN", f"{axis.name}: {swing.describe()}")
+        found = [
+            (swing.at, axis.name, swing.describe())
             for axis, meter in zip(self._axes, self._swings, strict=True)
             for swing in meter.take_swings()
         ]
+        for number, certificate in self._certificates.items():
+            if (exceeded := certificate.take_exceeded()) is not None:
+                found.append((exceeded[0], self._axes[number].name, exceeded[1]))
+        return [TextEvent(Instant(at), "WARN", f"{axis}: {text}") for at, axis, text in sorted(found)]
 
     def figures(self) -> Figures:
         """The figures of all rows so far."""
@@ -74,6 +86,9 @@ class Review:
             lateness_us=_percentiles_us(self._lateness),
             digest=self._digest.hexdigest(),
             torque_rms_nm=largest(meter.rms_nm for meter in self._swings),
+            certificates={
+                self._axes[number].name: meter.figures() for number, meter in self._certificates.items()
+            },
         )
 
 

@@ -4,7 +4,7 @@ The figures rest on the cycle records alone (see :mod:`hil.figures.review`), nev
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 _METRICS = {
@@ -88,6 +88,8 @@ class Figures:
     torque_rms_nm: float | None = None
     """About its mean at steady reference and load, worst axis and block (:mod:`hil.figures.torque_swing`);
     None: there was no such block."""
+    certificates: Mapping[str, Any] = field(default_factory=dict)
+    """By axis with a certified controller: certified and seen (:mod:`hil.figures.certificate_meter`)."""
 
     @property
     def dropouts_percent(self) -> float | None:
@@ -189,6 +191,7 @@ class Summary:
     seed: int
     digest: str
     torque_rms_nm: float | None = None
+    certificates: Mapping[str, Any] = field(default_factory=dict)
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
     network_notes: tuple[str, ...] = ()
@@ -201,7 +204,7 @@ class Summary:
     def as_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
         found = asdict(self)
-        for name in ("recording_faults", "network_notes", "load_machine", "timing"):
+        for name in ("certificates", "recording_faults", "network_notes", "load_machine", "timing"):
             if not found[name]:
                 del found[name]
         return found
@@ -232,7 +235,7 @@ def summarise(
     recording_faults: tuple[str, ...] = (),
 ) -> Summary:
     """Figures, outcome and verdict in one."""
-    shared = {field.name for field in fields(Figures)} & {field.name for field in fields(Summary)}
+    shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     return Summary(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,

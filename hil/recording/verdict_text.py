@@ -1,5 +1,6 @@
 """The verdict of a run as a page of Markdown."""
 
+from hil.figures.certificate_text import certificate_lines
 from hil.figures.summary import Check, Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import RecordingPlan
@@ -45,6 +46,7 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
         *_swing(summary),
+        *(f"| {title} | {line} |" for title, line in certificate_lines(summary.certificates).items()),
         f"| bus load | {summary.bus_load_percent:.1f} % |",
         f"| times real time | {summary.realtime_factor:.1f} |",
         *_load(summary),

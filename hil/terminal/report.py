@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
+from hil.figures.certificate_text import certificate_lines
 from hil.figures.summary import Check, Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
 
@@ -63,6 +64,7 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
         **timing_lines(found.timing),
+        **certificate_lines(found.certificates),
         **({"Load machine": _load_machine(found.load_machine)} if found.load_machine else {}),
         "Bus load": f"{_number(found.bus_load_percent)} %",
         "Pace": f"{_number(found.realtime_factor)} times real time",
