@@ -263,7 +263,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in (*self._worse.notes, *self._worse.unknown, *odd_values(self._config)):
+        for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
             self._say(note, "WARN")
         self._enter("connecting")
         for drive in self._drives:

@@ -142,8 +142,10 @@ def run(
             config = config.with_faults(load_faults(replay_faults, named_by))
 
         from hil.configuration.quantities import odd_values
+        from hil.network_guard import loop_doubts
 
-        for note in odd_values(config):
+        simulated = (bus or config.bus.spec) == "simulated"
+        for note in (*odd_values(config), *loop_doubts(config, (), simulated)):
             typer.echo(f"hil: note: {note}", err=True)
 
         from hil.bench import run_bench

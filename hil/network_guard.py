@@ -18,6 +18,7 @@ from hil.configuration.config_errors import raise_all
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.speed_controller_file import MadeFor, Plant
 from hil.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
+from hil.pid_current_loop import slow_loops
 from hil.recording.recording_plan import CertifiedPlan
 from hil.samples import CycleRecord, Sample
 
@@ -228,8 +229,8 @@ class Uncertified:
 
     refuse: bool
     notes: list[str] = field(default_factory=list)
-    unknown: list[str] = field(default_factory=list)
-    """What nobody has measured and the certificate rests on."""
+    doubts: list[str] = field(default_factory=list)
+    """What is told at the start and forbids no run."""
 
 
 def uncertified(
@@ -240,6 +241,12 @@ def uncertified(
     faults = static_faults(config, measured, replaced, simulated=simulated)
     if faults and not allow:
         raise_all(faults)
+    doubts = loop_doubts(config, replaced, simulated)
+    return Uncertified(not allow, [str(fault) for fault in faults], doubts)
+
+
+def loop_doubts(config: BenchConfig, replaced: Collection[str], simulated: bool) -> list[str]:
+    """What is to be told of the drives' current loops: unknown ones, and too slow ones for their PID."""
     unknown = [
         f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified for "
         f"{range_text(certified)}; hil commission measures it"
@@ -247,7 +254,7 @@ def uncertified(
         if (certified := certified_loop(wanted)) is not None
         and current_loop_of(config, axis, simulated=simulated) is None
     ]
-    return Uncertified(not allow, [str(fault) for fault in faults], unknown)
+    return [*unknown, *slow_loops(config, replaced, simulated)]
 
 
 def certified_plans(

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field
 
 from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
-from hil.configuration.drive_file import DriveFile
+from hil.configuration.drive_file import DriveFile, LoopOfDrive
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
 from hil.configuration.quantities import (
     DropoutsInARow,
@@ -99,6 +99,13 @@ class StampCompensator(Section):
     delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
 
 
+class TunedFor(Section):
+    """``made_for`` of a PID: what its rule went by."""
+
+    crossover_rad_s: float = Field(gt=0, description="where the speed loop crosses over, rad/s")
+    current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
+
+
 class PidController(Section):
     """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
 
@@ -111,6 +118,8 @@ class PidController(Section):
     """Time constant of back-calculation; Kp/Ki if absent."""
     feedforward_nm_s_rad: Gain = 0.0
     """Torque per reference speed, usually the viscous friction."""
+    made_for: TunedFor | None = None
+    """Absent: nobody says; ``hil run`` then goes by the gains alone."""
 
 
 Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]

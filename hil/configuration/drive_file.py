@@ -53,13 +53,13 @@ class SetObject(Section):
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
 
 
-class MeasuredLoop(Section):
-    """``[current_loop]``: torque demand to torque, as commissioning has measured it."""
+class LoopOfDrive(Section):
+    """``current_loop``: torque demand to torque, measured by commissioning or assumed by a PID's rule."""
 
-    order: Literal[1] = 1
+    order: int = Field(default=1, ge=1)
     """What is measured is the lag of first order that is as far behind a step in the end."""
-    bandwidth_hz: float = Field(gt=0)
-    """All that the drive takes is in it: waiting for its next sample, computing, and the loop."""
+    bandwidth_hz: float = Field(gt=0, description="where its open loop has gain 1, Hz")
+    """All that the drive takes is in a measured one: waiting for its next sample, computing, the loop."""
 
 
 class DriveFile(Section):
@@ -69,7 +69,7 @@ class DriveFile(Section):
     scale: Scale = Scale()
     signs: Signs = Signs()
     object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
-    current_loop: MeasuredLoop | None = None
+    current_loop: LoopOfDrive | None = None
     """Absent: the drive has no torque mode, in which it could be measured."""
     limits: dict[str, Any] = Field(default_factory=dict)
     controller: dict[str, Any] = Field(default_factory=dict)

@@ -254,7 +254,7 @@ def test_a_drive_that_is_not_simulated_is_known_by_its_commissioning() -> None:
     blind = bench(MADE_FOR, simulation=simulation)
     assert static_faults(blind, {}, simulated=False) == []
     told = uncertified(blind, None, allow=False, replaced=(), simulated=False)
-    (unknown,) = told.unknown
+    (unknown,) = told.doubts
     assert "500 to 1200 Hz" in unknown
     assert "hil commission" in unknown
 
@@ -265,7 +265,7 @@ def test_a_drive_that_is_not_simulated_is_known_by_its_commissioning() -> None:
     measured = COMMISSIONED | {"current_loop": {"bandwidth_hz": 600.0}}
     fits = bench(MADE_FOR, commissioned=measured, simulation=simulation)
     assert static_faults(fits, {}, simulated=False) == []
-    assert uncertified(fits, None, allow=False, replaced=(), simulated=False).unknown == []
+    assert uncertified(fits, None, allow=False, replaced=(), simulated=False).doubts == []
 
 
 def test_what_is_not_certified_may_be_let_pass() -> None:
