@@ -1,6 +1,6 @@
 """From a checked bench file to the parts of a run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from drivers.exchange import Drive
@@ -22,7 +22,7 @@ from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.recording.recording_plan import AxisPlan, CertifiedPlan, RecordingPlan, ReviewPlan
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
@@ -190,11 +190,25 @@ def axis(
 
 
 def recording_plan(
-    config: BenchConfig, world: World, folder: Path, seed: int, bus: str, view: bool
+    config: BenchConfig,
+    world: World,
+    folder: Path,
+    seed: int,
+    bus: str,
+    view: bool,
+    certified: Mapping[str, CertifiedPlan],
 ) -> RecordingPlan:
-    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run."""
+    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run.
+
+    ``certified``: of the axes whose controllers have certificates.
+    """
     axes = tuple(
-        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
+        AxisPlan(
+            name,
+            drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2,
+            drive.motor.parameters.rated_torque_nm,
+            certified.get(name),
+        )
         for name, drive in sorted(config.drive.items())
     )
     first = config.drive[config.axes[0]]

@@ -26,7 +26,7 @@ from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
-from hil.network_guard import WorseNetwork, watched, worse_network
+from hil.network_guard import Uncertified, certified_plans, uncertified, watched
 from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.samples import CycleRecord
@@ -59,15 +59,15 @@ def run_bench(
     progress: Progress,
     controllers: Mapping[str, Controller] | None = None,
     network: Path | None = None,
-    allow_worse_network: bool = False,
+    allow_uncertified: bool = False,
     privileged: bool = True,
     concluded: Callable[[Summary], None] = _not_told,
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
     ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
-    axis, what a caller puts in place of the file's. ``network``: file of one measured before, that must be
-    no worse than the controllers were made for; nor may the run's own, unless ``allow_worse_network``.
+    axis, what a caller puts in place of the file's. ``network``: file of one measured before. That network,
+    the run's own and the drives must be what the controllers were made for, unless ``allow_uncertified``.
     ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
     Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
     brought to rest and the recording is closed first. ``concluded`` is given the summary then, also of a run
@@ -75,8 +75,9 @@ def run_bench(
     """
     _check_axes(config, controllers or {})
     sheets = data_sheets(config)
-    worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
+    replaced = set(controllers or {})
+    worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
@@ -95,7 +96,8 @@ def run_bench(
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
         folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
-        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view)
+        certified = certified_plans(config, replaced, spec.simulated)
+        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
@@ -127,7 +129,7 @@ class _Run:
         stop: StopRequest,
         progress: Progress,
         controllers: Mapping[str, Controller],
-        worse: WorseNetwork,
+        worse: Uncertified,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
     ) -> None:
@@ -241,7 +243,7 @@ class _Run:
 
     def _prepare(self, timing: LoopTiming) -> None:
         host = self._config.host
-        for note in (*self._worse.notes, *odd_values(self._config)):
+        for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
             self._say(note, "WARN")
         self._enter("connecting")
         for drive in self._drives:

@@ -84,11 +84,11 @@ NetworkOption = Annotated[
         help="A network measured before; refused if a controller was made for a better one.",
     ),
 ]
-WorseNetworkOption = Annotated[
+UncertifiedOption = Annotated[
     bool,
     typer.Option(
-        "--allow-worse-network",
-        help="Warn, instead of stopping, where the network is worse than a controller was made for.",
+        "--allow-uncertified",
+        help="Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
     ),
 ]
 
@@ -126,7 +126,7 @@ def run(
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
     ] = False,
     network: NetworkOption = None,
-    allow_worse_network: WorseNetworkOption = False,
+    allow_uncertified: UncertifiedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
@@ -145,8 +145,10 @@ def run(
             config = config.with_faults(load_faults(replay_faults, named_by))
 
         from hil.configuration.quantities import odd_values
+        from hil.network_guard import loop_doubts
 
-        for note in odd_values(config):
+        simulated = (bus or config.bus.spec) == "simulated"
+        for note in (*odd_values(config), *loop_doubts(config, (), simulated)):
             typer.echo(f"hil: note: {note}", err=True)
 
         from hil.bench import run_bench
@@ -163,7 +165,7 @@ def run(
                 view=view,
                 progress=progress,
                 network=network,
-                allow_worse_network=allow_worse_network,
+                allow_uncertified=allow_uncertified,
                 concluded=told.concluded,
             )
         finally:

@@ -1,8 +1,8 @@
-"""Holds the network of a run against the one that its controller was made for.
+"""Holds network and drive of a run against those that its controller was made for.
 
-A certificate says nothing about a longer delay, more losses in a row, another period or another
-motor. What can be known before anything moves is checked then; the rest is watched in the
-cycle records as they are made.
+A certificate says nothing about a longer delay, more losses in a row, another period, another motor or
+another current loop. What can be known before anything moves is checked then; the rest is watched in
+the cycle records as they are made.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -17,11 +17,14 @@ from hil.configuration.config_axis import Drive, StampCompensator, StateFeedback
 from hil.configuration.config_errors import raise_all
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.speed_controller_file import MadeFor, Plant
+from hil.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
+from hil.pid_current_loop import slow_loops
+from hil.recording.recording_plan import CertifiedPlan
 from hil.samples import CycleRecord, Sample
 
 REMEDY: Final = (
-    "design for this network with hil design speed --network, or run with --allow-worse-network, "
-    "which warns instead"
+    "design for this network and drive with hil design speed --network --bench, or run with "
+    "--allow-uncertified, which warns instead"
 )
 _RELATIVE = 1e-6
 
@@ -55,18 +58,27 @@ def allowed(wanted: MadeFor, period: Duration) -> Allowed:
     return Allowed(max(0, age // period - 1), Duration(age - period), age)
 
 
-def static_faults(
-    config: BenchConfig, networks: Mapping[str, Network], replaced: Collection[str] = ()
-) -> list[BadInput]:
-    """What is known to be worse before anything moves; ``networks``: measured ones, by who names them.
-
-    ``replaced``: axes whose controller is not the bench's.
-    """
-    held = {
+def certified_axes(config: BenchConfig, replaced: Collection[str]) -> dict[str, MadeFor]:
+    """What the controllers were made for, by axis; ``replaced``: axes whose controller is not the bench's."""
+    return {
         axis: wanted
         for axis in config.axes
         if axis not in replaced and (wanted := made_for(config.drive[axis])) is not None
     }
+
+
+def static_faults(
+    config: BenchConfig,
+    networks: Mapping[str, Network],
+    replaced: Collection[str] = (),
+    *,
+    simulated: bool = True,
+) -> list[BadInput]:
+    """What is known to be worse before anything moves; ``networks``: measured ones, by who names them.
+
+    ``replaced``: axes whose controller is not the bench's. ``simulated``: the bench makes its drives itself.
+    """
+    held = certified_axes(config, replaced)
     found: list[BadInput] = []
     if held:
         unknown = [commands_unknown(network, source) for source, network in networks.items()]
@@ -77,6 +89,9 @@ def static_faults(
         found += [
             BadInput(config.source, *fault, REMEDY) for fault in _bench_faults(config, drive, wanted, key)
         ]
+        loop = current_loop_of(config, axis, simulated=simulated)
+        if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
+            found.append(BadInput(config.source, *outside, REMEDY))
         for source, network in networks.items():
             found += [
                 BadInput(source, *fault, REMEDY)
@@ -209,17 +224,19 @@ class NetworkGuard:
 
 
 @dataclass(slots=True)
-class WorseNetwork:
-    """What is done about a network worse than a controller was made for, and what was seen of it."""
+class Uncertified:
+    """What is done about a run for which a controller's certificate does not hold, and where it does not."""
 
     refuse: bool
     notes: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    """What is told at the start and forbids no run."""
 
 
 def watched(
     config: BenchConfig,
     axis: str,
-    worse: WorseNetwork,
+    worse: Uncertified,
     record: Record,
     tell: Callable[[str], None],
     stopping: Callable[[], bool],
@@ -237,12 +254,50 @@ def watched(
     return NetworkGuard(axis, allowed(wanted, period), period, record, worse.refuse, note, stopping)
 
 
-def worse_network(
-    config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str]
-) -> WorseNetwork:
+def uncertified(
+    config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str], simulated: bool
+) -> Uncertified:
     """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
     measured = {} if network is None else {f"--network {network}": load_network(network)}
-    faults = static_faults(config, measured, replaced)
+    faults = static_faults(config, measured, replaced, simulated=simulated)
     if faults and not allow:
         raise_all(faults)
-    return WorseNetwork(not allow, [str(fault) for fault in faults])
+    doubts = loop_doubts(config, replaced, simulated)
+    return Uncertified(not allow, [str(fault) for fault in faults], doubts)
+
+
+def loop_doubts(config: BenchConfig, replaced: Collection[str], simulated: bool) -> list[str]:
+    """What is to be told of the drives' current loops: unknown ones, and too slow ones for their PID."""
+    unknown = [
+        f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified for "
+        f"{range_text(certified)}; hil commission measures it"
+        for axis, wanted in certified_axes(config, replaced).items()
+        if (certified := certified_loop(wanted)) is not None
+        and current_loop_of(config, axis, simulated=simulated) is None
+    ]
+    return [*unknown, *slow_loops(config, replaced, simulated)]
+
+
+def certified_plans(
+    config: BenchConfig, replaced: Collection[str], simulated: bool
+) -> dict[str, CertifiedPlan]:
+    """What the run is held against in its figures, by axis with a certified controller."""
+    return {
+        axis: _certified_plan(config, axis, wanted, simulated)
+        for axis, wanted in certified_axes(config, replaced).items()
+    }
+
+
+def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
+    controller = config.drive[axis].controller
+    assert isinstance(controller, StateFeedbackController)
+    limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
+    own = current_loop_of(config, axis, simulated=simulated)
+    return CertifiedPlan(
+        period_us=config.loop.period_us,
+        delay_us=limits.delay_max / NS_PER_US,
+        losses_in_a_row=limits.losses_max,
+        gain=None if controller.certificate is None else controller.certificate.gain,
+        bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
+        bandwidth_hz=None if own is None else own.bandwidth_hz,
+    )

@@ -2,18 +2,14 @@
 
 import math
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
-from design.current_design import complementary
-from design.margins import margins
-from design.mixed_sensitivity import axis_plant
 from design.motor import PmsmParameters
 from design.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
-from design.statespace import StateSpace, series
-from drivers.bounded_file import NamedBy
-from hil.configuration.current_controller_file import load_current_controller
+from design.statespace import StateSpace
+from hil.configuration.current_controller_file import CurrentController
 from hil.configuration.toml_text import toml_text
+from hil.drive_current_loop import closed_loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +17,10 @@ class PidRequest:
     """What was asked for."""
 
     motor: PmsmParameters
-    current_control: Path | None
+    current_control: CurrentController | None
+    """On the q axis of the drive; None: PI current loops."""
     current_bandwidth_hz: float
+    """Of the PI."""
     period_s: float
     latency_s: float
     phase_margin_deg: float
@@ -30,7 +28,7 @@ class PidRequest:
 
 
 def design_pid(request: PidRequest) -> SpeedPid:
-    """The gains. Raises BadInput for a controller file, InfeasibleDesign for a margin that cannot be had."""
+    """The gains. Raises InfeasibleDesign for a margin that cannot be had."""
     closed, crossover = _current_loop(request)
     return pid_by_rule(
         request.motor,
@@ -45,14 +43,10 @@ def design_pid(request: PidRequest) -> SpeedPid:
 
 def _current_loop(request: PidRequest) -> tuple[StateSpace, float]:
     """The closed loop of i_q and its crossover, rad/s."""
-    if request.current_control is None:
-        bandwidth = math.tau * request.current_bandwidth_hz
-        return first_order_current_loop(bandwidth), bandwidth
-    named_by = NamedBy("--current-control", "", str(request.current_control))
-    found = load_current_controller(request.current_control, named_by, "q")
-    controller = found.continuous()
-    plant = axis_plant(request.motor.resistance_ohm, request.motor.inductance_q_h)
-    return complementary(plant, controller), margins(series(plant, controller)).phase_margin_rad_s
+    if request.current_control is not None:
+        return closed_loop(request.motor, request.current_control)
+    bandwidth = math.tau * request.current_bandwidth_hz
+    return first_order_current_loop(bandwidth), bandwidth
 
 
 def pid_figures(found: SpeedPid) -> dict[str, Any]:
@@ -64,6 +58,7 @@ def pid_figures(found: SpeedPid) -> dict[str, Any]:
 
 def controller_text(request: PidRequest, found: SpeedPid) -> str:
     """A controller file for ``controller = ...`` of a bench; the friction is fed forward."""
+    closed, crossover = _current_loop(request)
     table = {
         "kind": "pid",
         "proportional_nm_s_rad": _digits(found.proportional_nm_s_rad),
@@ -71,6 +66,13 @@ def controller_text(request: PidRequest, found: SpeedPid) -> str:
         "derivative_nm_s2_rad": _digits(found.derivative_nm_s2_rad),
         "derivative_filter_s": found.derivative_filter_s,
         "feedforward_nm_s_rad": request.motor.viscous_friction_nm_s,
+        "made_for": {
+            "crossover_rad_s": _digits(found.crossover_rad_s),
+            "current_loop": {
+                "order": closed.order,
+                "bandwidth_hz": _digits(crossover / math.tau),
+            },
+        },
     }
     return toml_text({"controller": table})
 

@@ -112,6 +112,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
     }
     if port is not None and (port.torque_sign < 0.0 or port.velocity_sign < 0.0):
         tables["signs"] = {"torque": int(port.torque_sign), "velocity": int(port.velocity_sign)}
+    if found.current_bandwidth_hz is not None:
+        tables["current_loop"] = {"order": 1, "bandwidth_hz": found.current_bandwidth_hz}
     objects = [
         {"index": key.index, "sub": key.sub, "bytes": value.hex()}
         for key, value in found.settings.items()

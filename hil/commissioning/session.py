@@ -77,6 +77,8 @@ class Findings:
     reading_delay_us: float | None = None
     effect_delay_us: float | None = None
     torque_lag_us: float | None = None
+    current_bandwidth_hz: float | None = None
+    """Of the lag of first order that is as far behind a command's arrival in the drive as its torque is."""
     controller: dict[str, Any] = field(default_factory=dict)
     settings: dict[ObjectKey, bytes] = field(default_factory=dict)
     """What the drive was set to for good, not for a step only; known at the end."""

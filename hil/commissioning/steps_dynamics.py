@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.exchange import Command
 from drivers.scaling import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from hil.commissioning.excitation import Profile, SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
@@ -44,6 +44,8 @@ _CLEAR: Final = 1.25
 _LONGEST_PART: Final = 0.7
 _LONGEST_NS: Final = 700_000.0
 """Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
+_FINEST_US: Final = 20.0
+"""What an instant of sending may be off, see the delays of commands that commissioning finds."""
 _READINGS_S: Final = 1.0
 _SETTLED_LAGS: Final = 2.0
 _LOST_PART: Final = 0.3
@@ -179,6 +181,7 @@ class Delays(Step):
             raise StepFailed("the torque does not follow its command", str(error)) from error
         found = session.found
         found.reading_delay_us = float(np.median(readings))
+        found.current_bandwidth_hz = _bandwidth_hz(session, lag)
         probe.judge_commands(lag)
         found.effect_delay_us, found.torque_lag_us = lag.half_us, lag.lag_us
         network = probe.network(readings, lag.half_us)
@@ -191,6 +194,8 @@ class Delays(Step):
             f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
             f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
         )
+        if found.current_bandwidth_hz is not None:
+            outcome.say(f"the drive follows it like a current loop of {found.current_bandwidth_hz:.0f} Hz")
         outcome.say(f"{probe.commands_lost} of {probe.commands} commands were lost")
         outcome.figures = {
             "reading_delay_us": found.reading_delay_us,
@@ -198,6 +203,7 @@ class Delays(Step):
             "effect_delay_us": lag.half_us,
             "dead_time_us": lag.dead_us,
             "lag_us": lag.lag_us,
+            "current_bandwidth_hz": found.current_bandwidth_hz,
             "readings_lost": network.lost,
             "commands_lost": probe.commands_lost,
             "commands": probe.commands,
@@ -207,6 +213,12 @@ class Delays(Step):
             session.picture("delays", lambda path: draw_delays(path, readings, age, part, lag))
         )
         return outcome
+
+
+def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
+    """Of the lag that the drive adds to the command's way over the bus; None: too short to be measured."""
+    in_drive_us = lag.mean_us - session.timing().command_latency / NS_PER_US
+    return 1e6 / (math.tau * in_drive_us) if in_drive_us > _FINEST_US else None
 
 
 def _time_readings(session: Session, outcome: Outcome) -> Outcome:

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field
 
 from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
-from hil.configuration.drive_file import DriveFile
+from hil.configuration.drive_file import DriveFile, LoopOfDrive
 from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
 from hil.configuration.quantities import (
     DropoutsInARow,
@@ -23,6 +23,7 @@ from hil.configuration.quantities import (
     Torque,
 )
 from hil.configuration.speed_controller_file import Certificate, MadeFor
+from virtual_bus.servo_drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.servo_drive.lacks import PATTERN
 
 
@@ -51,6 +52,11 @@ class Simulation(Section):
     """Of the PI current loops; a twentieth of the inner rate if absent."""
     lacks: Annotated[tuple[Lack, ...], Field(strict=False)] = ()
     """What the drive does without: objects ("6074"), sub-indices ("1400:5"), "tpdo events"."""
+
+    @property
+    def current_loop_hz(self) -> float:
+        """Bandwidth of the PI current loops, Hz."""
+        return current_bandwidth_hz(self.current_bandwidth_hz, self.inner_rate_hz)
 
 
 class Limits(Section):
@@ -93,6 +99,13 @@ class StampCompensator(Section):
     delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
 
 
+class TunedFor(Section):
+    """``made_for`` of a PID: what its rule went by."""
+
+    crossover_rad_s: float = Field(gt=0, description="where the speed loop crosses over, rad/s")
+    current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
+
+
 class PidController(Section):
     """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
 
@@ -105,6 +118,8 @@ class PidController(Section):
     """Time constant of back-calculation; Kp/Ki if absent."""
     feedforward_nm_s_rad: Gain = 0.0
     """Torque per reference speed, usually the viscous friction."""
+    made_for: TunedFor | None = None
+    """Absent: nobody says; ``hil run`` then goes by the gains alone."""
 
 
 Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]
@@ -121,7 +136,7 @@ class StateFeedbackController(Section):
     feedforward_load_nm: SignedTorque = 0.0
     """Load torque that the nominal current carries beside the friction."""
     made_for: MadeFor | None = None
-    """The network that it was designed for; ``hil run`` refuses a worse one."""
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: Certificate | None = None
 
 

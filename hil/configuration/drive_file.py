@@ -53,6 +53,15 @@ class SetObject(Section):
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
 
 
+class LoopOfDrive(Section):
+    """``current_loop``: torque demand to torque, measured by commissioning or assumed by a PID's rule."""
+
+    order: int = Field(default=1, ge=1)
+    """What is measured is the lag of first order that is as far behind a step in the end."""
+    bandwidth_hz: float = Field(gt=0, description="where its open loop has gain 1, Hz")
+    """All that the drive takes is in a measured one: waiting for its next sample, computing, the loop."""
+
+
 class DriveFile(Section):
     """A whole drive file. Limits and controller are suggestions, for a bench file to copy."""
 
@@ -60,6 +69,8 @@ class DriveFile(Section):
     scale: Scale = Scale()
     signs: Signs = Signs()
     object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
+    current_loop: LoopOfDrive | None = None
+    """Absent: the drive has no torque mode, in which it could be measured."""
     limits: dict[str, Any] = Field(default_factory=dict)
     controller: dict[str, Any] = Field(default_factory=dict)
 

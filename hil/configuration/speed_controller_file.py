@@ -1,7 +1,7 @@
-"""What a speed controller's file says beside its gain: the network it was made for, and the proof.
+"""What a speed controller's file says beside its gain: the network and drive it was made for, and the proof.
 
 ``hil design speed --out`` writes it, a bench file names it as ``controller``, and ``hil run`` holds the
-network that it measures against it.
+drive of the bench and the network that it measures against it.
 """
 
 from typing import Annotated, Literal
@@ -11,8 +11,8 @@ from pydantic import Field
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import Coefficient, Inductance, Inertia, Resistance, ViscousFriction
 
-_ROUNDING = 1e-9
-"""Of a bandwidth that was written to a file and read again."""
+_ROUNDING = 1e-4
+"""Of a bandwidth that somebody wrote into a file with four digits: far below what would change a figure."""
 
 Rows = Annotated[tuple[Annotated[tuple[Coefficient, ...], Field(strict=False)], ...], Field(strict=False)]
 
@@ -56,7 +56,7 @@ class MadeFor(Section):
     """At which stamp and history apply a sample."""
     plant: Plant | None = None
     current_loop: CurrentLoop | None = None
-    """Absent: a drive without one, whose current follows the voltage with R/L, as in [Ling2012]."""
+    """Absent: a drive without one, whose current follows the voltage by R/L of ``plant``, [Ling2012]."""
 
 
 class SequenceProof(Section):
@@ -91,3 +91,11 @@ class Certificate(Section):
     status: str
     min_margin: float | None = None
     sequences: SequenceProof | None = None
+
+    @property
+    def gain(self) -> float | None:
+        """Certified from load torque to speed error, rad/s per N m, of the loop that runs: over every
+        sequence and bandwidth where that is known, else with the constant delay."""
+        if self.sequences is None:
+            return self.gamma
+        return self.sequences.gain_certified_all_bandwidths or self.sequences.gain_certified

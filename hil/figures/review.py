@@ -4,12 +4,15 @@ import hashlib
 
 import numpy as np
 
-from drivers.timebase import NS_PER_US
+from drivers.timebase import NS_PER_US, Instant
+from hil.figures.certificate_meter import CertificateMeter
 from hil.figures.histogram import TimeHistogram
-from hil.figures.speed_error import SpeedErrorMeter, worst
+from hil.figures.speed_error import SpeedErrorMeter, largest, worst
 from hil.figures.summary import DropoutCounts, Figures, Percentiles
+from hil.figures.torque_swing import TorqueSwingMeter
 from hil.recording.recording_plan import ReviewPlan
 from hil.recording.records import CAUSES, NOTHING, ROW_DTYPE, Rows
+from hil.recording.side_rows import TextEvent
 
 DIGEST_BYTES = 16
 
@@ -24,7 +27,14 @@ class Review:
     def __init__(self, plan: ReviewPlan) -> None:
         self.delay = TimeHistogram()
         self._lateness = TimeHistogram()
+        self._axes = plan.axes
         self._errors = [SpeedErrorMeter(axis, plan.settling) for axis in plan.axes]
+        self._swings = [TorqueSwingMeter(axis, plan.settling) for axis in plan.axes]
+        self._certificates = {
+            number: CertificateMeter(axis.certified, plan.settling)
+            for number, axis in enumerate(plan.axes)
+            if axis.certified is not None
+        }
         self._axis_rows = [0] * len(plan.axes)
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
@@ -48,6 +58,21 @@ class Review:
             mine = rows if len(self._errors) == 1 else rows[rows["axis"] == axis]
             self._axis_rows[axis] += mine.size
             meter.add(mine)
+            self._swings[axis].add(mine)
+            if axis in self._certificates:
+                self._certificates[axis].add(mine)
+
+    def take_events(self) -> list[TextEvent]:
+        """What the rows since the last call tell that is worth reading."""
+        found = [
+            (swing.at, axis.name, swing.describe())
+            for axis, meter in zip(self._axes, self._swings, strict=True)
+            for swing in meter.take_swings()
+        ]
+        for number, certificate in self._certificates.items():
+            if (exceeded := certificate.take_exceeded()) is not None:
+                found.append((exceeded[0], self._axes[number].name, exceeded[1]))
+        return [TextEvent(Instant(at), "WARN", f"{axis}: {text}") for at, axis, text in sorted(found)]
 
     def figures(self) -> Figures:
         """The figures of all rows so far."""
@@ -60,6 +85,10 @@ class Review:
             speed_error=worst([meter.figures() for meter in self._errors]),
             lateness_us=_percentiles_us(self._lateness),
             digest=self._digest.hexdigest(),
+            torque_rms_nm=largest(meter.rms_nm for meter in self._swings),
+            certificates={
+                self._axes[number].name: meter.figures() for number, meter in self._certificates.items()
+            },
         )
 
 

@@ -16,6 +16,7 @@ reference changes.
 """
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,13 +109,14 @@ def _last_marked(marks: NDArray[np.bool_], numbers: NDArray[np.int64], before: i
 
 def worst(figures: list[SpeedError]) -> SpeedError:
     """The largest of each figure over the axes."""
-
-    def largest(values: list[float | None]) -> float | None:
-        return max((value for value in values if value is not None), default=None)
-
     return SpeedError(
-        largest([f.peak_rad_s for f in figures]),
-        largest([f.peak_percent for f in figures]),
-        largest([f.rms_rad_s for f in figures]),
-        largest([f.after_load_percent for f in figures]),
+        largest(f.peak_rad_s for f in figures),
+        largest(f.peak_percent for f in figures),
+        largest(f.rms_rad_s for f in figures),
+        largest(f.after_load_percent for f in figures),
     )
+
+
+def largest(values: Iterable[float | None]) -> float | None:
+    """Of those that were measured; None: none was."""
+    return max((value for value in values if value is not None), default=None)

@@ -4,7 +4,7 @@ The figures rest on the cycle records alone (see :mod:`hil.figures.review`), nev
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from hil.verdict import (
@@ -28,6 +28,7 @@ _METRICS = {
     "bus_load_percent_max": "bus load [%]",
     "missed_percent_max": "cycles without SYNC [%]",
     "lateness_us_max": "lateness, largest [us]",
+    "torque_rms_nm_max": "torque about its mean, rms [N m]",
 }
 
 
@@ -81,6 +82,11 @@ class Figures:
     """Woke minus due, of every cycle."""
     digest: str
     """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.recording.records`)."""
+    torque_rms_nm: float | None = None
+    """About its mean at steady reference and load, worst axis and block (:mod:`hil.figures.torque_swing`);
+    None: there was no such block."""
+    certificates: Mapping[str, Any] = field(default_factory=dict)
+    """By axis with a certified controller: certified and seen (:mod:`hil.figures.certificate_meter`)."""
 
     @property
     def dropouts_percent(self) -> float | None:
@@ -114,6 +120,8 @@ class Summary:
     digest: str
     drives: tuple[DriveEnd, ...] = ()
     """How each was found when the cycles were over."""
+    torque_rms_nm: float | None = None
+    certificates: Mapping[str, Any] = field(default_factory=dict)
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
     network_notes: tuple[str, ...] = ()
@@ -130,7 +138,7 @@ class Summary:
     def as_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
         found = asdict(self)
-        for name in ("recording_faults", "network_notes", "load_machine", "timing"):
+        for name in ("certificates", "recording_faults", "network_notes", "load_machine", "timing"):
             if not found[name]:
                 del found[name]
         return found
@@ -159,7 +167,7 @@ def summarise(
     recording_faults: tuple[str, ...] = (),
 ) -> Summary:
     """Figures, outcome and verdict in one."""
-    shared = {field.name for field in fields(Figures)} & {field.name for field in fields(Summary)}
+    shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     count = CycleCount(figures.cycles, figures.rows, figures.dropouts.missed)
     values = _limited_values(figures, outcome)
     return Summary(
@@ -206,4 +214,5 @@ def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | 
         "bus_load_percent_max": outcome.bus_load_percent,
         "missed_percent_max": figures.missed_percent,
         "lateness_us_max": figures.lateness_us.max,
+        "torque_rms_nm_max": figures.torque_rms_nm,
     }

@@ -101,6 +101,7 @@ class Logger:
         """Take all that is there; the number of cycle rows."""
         rows, frames, events = self._rows.drain(), self._frames.drain(), events_of(self._events.drain())
         self._review.add(rows)
+        events += self._review.take_events()
         for keeper in list(self._keepers):
             try:
                 keeper.take(rows, frames, events)

@@ -137,6 +137,7 @@ class MemoryRecorder:
 
     def _review_filled(self) -> None:
         self._review.add(np.frombuffer(bytes(self._rows[: self._filled]), ROW_DTYPE))
+        self.events += self._review.take_events()
         self._filled = 0
 
 

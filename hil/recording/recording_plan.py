@@ -14,12 +14,42 @@ NO_OFFSET = Duration(0)
 
 
 @dataclass(frozen=True, slots=True)
+class CertifiedPlan:
+    """For what an axis' controller is certified; None: its file does not say."""
+
+    period_us: int
+    delay_us: float | None = None
+    """From sample to actuator, at most."""
+    losses_in_a_row: int | None = None
+    gain: float | None = None
+    """From load torque to speed error, rad/s per N m, at most."""
+    bandwidths_hz: tuple[float, float] | None = None
+    """Of the drive's current loop, least and largest."""
+    bandwidth_hz: float | None = None
+    """That of the drive; None: not known."""
+
+
+@dataclass(frozen=True, slots=True)
 class AxisPlan:
     """One axis, as the review sees it."""
 
     name: str
     acceleration_max_rad_s2: float
     """What its torque limit and inertia allow; a reference that changes faster opens a settling window."""
+    rated_torque_nm: float | None = None
+    """Of the motor; None: how much its torque swings is not judged."""
+    certified: CertifiedPlan | None = None
+    """None: its controller has no certificate."""
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "AxisPlan":
+        """Inverse of asdict, by way of JSON."""
+        certified = found["certified"]
+        if certified is not None:
+            bandwidths_hz = certified["bandwidths_hz"]
+            held = bandwidths_hz if bandwidths_hz is None else tuple(bandwidths_hz)
+            certified = CertifiedPlan(**{**certified, "bandwidths_hz": held})
+        return cls(**{**found, "certified": certified})
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +112,7 @@ class RecordingPlan:
                 "folder": Path(found["folder"]),
                 "segments": tuple(found["segments"]),
                 "review": ReviewPlan(
-                    tuple(AxisPlan(**axis) for axis in review["axes"]),
+                    tuple(AxisPlan.from_json(axis) for axis in review["axes"]),
                     VerdictLimits(**review["limits"]),
                     review["settling"],
                 ),

@@ -1,5 +1,6 @@
 """The verdict of a run as a page of Markdown."""
 
+from hil.figures.certificate_text import certificate_lines
 from hil.figures.summary import Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
 from hil.recording.recording_plan import RecordingPlan
@@ -39,11 +40,20 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
+        *_swing(summary),
+        *(f"| {title} | {line} |" for title, line in certificate_lines(summary.certificates).items()),
         f"| bus load | {_measured(summary.bus_load_percent, ' %')} |",
         f"| times real time | {_measured(summary.realtime_factor)} |",
         *_load(summary),
         *(f"| recording | {fault} |" for fault in summary.recording_faults),
     ]
+
+
+def _swing(summary: Summary) -> list[str]:
+    """How much the torque swings while nothing asks for it."""
+    if summary.torque_rms_nm is None:
+        return []
+    return [f"| torque about its mean, rms | {summary.torque_rms_nm:.3g} N m |"]
 
 
 def _load(summary: Summary) -> list[str]:

@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drivers.errors import BadInput
+from hil.terminal.current_loop_options import (
+    AxisOption,
+    BenchOption,
+    CommissionedOption,
+    CurrentBandwidthOption,
+    current_loop,
+)
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.speed_options import (
-    CURRENT_BANDWIDTH_HZ,
-    CurrentBandwidthOption,
     JsonOption,
     LoadOption,
     MotorArgument,
@@ -81,7 +86,10 @@ def speed(
     gain: GainOption,
     delay_ms: DelayMsOption = None,
     order: OrderOption = None,
-    current_bandwidth_hz: CurrentBandwidthOption = CURRENT_BANDWIDTH_HZ,
+    bench: BenchOption = None,
+    axis: AxisOption = None,
+    commissioned: CommissionedOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = None,
     speed_rpm: SpeedOption = None,
     load_nm: LoadOption = None,
     period_ms: PeriodMsOption = None,
@@ -102,10 +110,8 @@ def speed(
     with reported_errors():
         gains, parameters = gain_of(gain), motor_of(motor)
         network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
-        if delay_ms is None and network is None:
-            raise BadInput(
-                "--delay-ms", "", None, "the constant delay, ms", "or give --period-ms and the network"
-            )
+        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
+        delay_s = _delay_s(delay_ms, network)
 
         from design.errors import DesignError
         from hil.configuration.motor_file import RAD_S_PER_RPM
@@ -119,9 +125,9 @@ def speed(
         request = LoopRequest(
             motor=parameters,
             K=gains,
-            delay_s=_delay_s(delay_ms, network),
+            delay_s=delay_s,
             order=order,
-            current_bandwidth_hz=current_bandwidth_hz,
+            current_bandwidth_hz=inner.bandwidth_hz,
             load_nm=load_nm or parameters.rated_torque_nm,
             speed_rad_s=speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s,
         )
@@ -131,7 +137,7 @@ def speed(
         if chance is not None and network is None:
             raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
         try:
-            figures = continuous_figures(request)
+            figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
             if network is not None:
                 figures |= sampled_figures(request, network)
                 if chance is not None:
@@ -174,9 +180,16 @@ def _network(
 
 
 def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
-    """The constant delay of the continuous figures: as given, else the longest of [Ling2012] (2.13)."""
-    if delay_ms is not None or network is None:
-        return 1e-3 * (delay_ms or 0.0)
+    """The constant delay of the continuous figures: as given, else the longest of [Ling2012] (2.13).
+
+    Raises BadInput where nothing tells it.
+    """
+    if delay_ms is not None:
+        return 1e-3 * delay_ms
+    if network is None:
+        raise BadInput(
+            "--delay-ms", "", None, "the constant delay, ms", "or give --period-ms and the network"
+        )
     return (network.losses_max + 1) * network.period_s + network.delay_max_s
 
 

@@ -2,22 +2,40 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.errors import BadInput
+from hil.terminal.current_loop_options import (
+    AxisOption,
+    BenchOption,
+    CommissionedOption,
+    CurrentBandwidthOption,
+    bench_axis,
+    current_loop,
+    loop_of_bench,
+)
 from hil.terminal.exit_status import reported_errors
+
+if TYPE_CHECKING:
+    from hil.configuration.current_controller_file import CurrentController
 
 
 def pid(
     motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
     current_control: Annotated[
         Path | None,
-        typer.Option("--current-control", metavar="FILE", help="The q axis' controller; PI if absent."),
+        typer.Option(
+            "--current-control",
+            metavar="FILE",
+            help="The q axis' controller, in place of --bench; PI if absent.",
+        ),
     ] = None,
-    current_bandwidth_hz: Annotated[
-        float, typer.Option("--current-bandwidth-hz", min=1.0, help="Of the PI, without --current-control.")
-    ] = 800.0,
+    bench: BenchOption = None,
+    axis: AxisOption = None,
+    commissioned: CommissionedOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = None,
     period_ms: Annotated[float, typer.Option("--period-ms", min=0.01, help="The host's period.")] = 1.0,
     latency_ms: Annotated[
         float, typer.Option("--latency-ms", min=0.0, help="From a reading to its torque, without the hold.")
@@ -44,10 +62,11 @@ def pid(
         from hil.terminal.current_report import print_figures
         from hil.terminal.design_errors import refused
 
+        controller, loop_hz = _current_loop(current_control, bench, axis, commissioned, current_bandwidth_hz)
         request = PidRequest(
             motor=load_motor(motor, NamedBy("MOTOR.toml", "", str(motor))).parameters,
-            current_control=current_control,
-            current_bandwidth_hz=current_bandwidth_hz,
+            current_control=controller,
+            current_bandwidth_hz=loop_hz,
             period_s=1e-3 * period_ms,
             latency_s=1e-3 * latency_ms,
             phase_margin_deg=phase_margin_deg,
@@ -62,3 +81,29 @@ def pid(
         if out is not None:
             write_text(out, controller_text(request, found))
             typer.echo(f"written {out}", err=True)
+
+
+def _current_loop(
+    current_control: Path | None,
+    bench: Path | None,
+    axis: str | None,
+    commissioned: Path | None,
+    bandwidth_hz: float | None,
+) -> "tuple[CurrentController | None, float]":
+    """The drive's own controller, or None and the bandwidth of its PI. Raises BadInput or BadInputs."""
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.current_controller_file import load_current_controller
+
+    if current_control is not None:
+        others = {"--bench": bench, "--commissioned": commissioned, "--current-bandwidth-hz": bandwidth_hz}
+        for option, value in others.items():
+            if value is not None:
+                raise BadInput(option, "", str(value), f"either --current-control or {option}")
+        named_by = NamedBy("--current-control", "", str(current_control))
+        return load_current_controller(current_control, named_by, "q"), 0.0
+    if bench is not None and commissioned is None and bandwidth_hz is None:
+        config, name = bench_axis(bench, axis)
+        found = loop_of_bench(config, name)
+        controller = config.drive[name].current_control.controller
+        return (controller if found.order != 1 else None), found.bandwidth_hz
+    return None, current_loop(bench, axis, commissioned, bandwidth_hz).bandwidth_hz

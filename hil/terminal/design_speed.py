@@ -10,10 +10,15 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.analyse_speed import StrategyName
+from hil.terminal.current_loop_options import (
+    AxisOption,
+    BenchOption,
+    CommissionedOption,
+    CurrentBandwidthOption,
+    current_loop,
+)
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.speed_options import (
-    CURRENT_BANDWIDTH_HZ,
-    CurrentBandwidthOption,
     JsonOption,
     LoadOption,
     MotorArgument,
@@ -114,7 +119,10 @@ def speed(
     error_percent: ErrorPercentOption = None,
     load_nm: LoadOption = None,
     speed_rpm: SpeedOption = None,
-    current_bandwidth_hz: CurrentBandwidthOption = CURRENT_BANDWIDTH_HZ,
+    bench: BenchOption = None,
+    axis: AxisOption = None,
+    commissioned: CommissionedOption = None,
+    current_bandwidth_hz: CurrentBandwidthOption = None,
     delay_ms: DelayMsOption = None,
     network: NetworkOption = None,
     strategy: StrategyOption = StrategyName.ARRIVAL,
@@ -146,6 +154,7 @@ def speed(
         if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
             raise BadInput("--target", "", target.value, "--network and --method exact with it")
         parameters = motor_of(motor)
+        inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
 
         from design.speed_loop import Feedback, gain_for_error
         from hil.configuration.motor_file import RAD_S_PER_RPM
@@ -166,9 +175,10 @@ def speed(
                 load_nm=load,
                 speed_rad_s=at_rad_s,
                 integral_time_s=None if integral_time_ms is None else 1e-3 * integral_time_ms,
-                current_bandwidth_hz=current_bandwidth_hz,
+                current_bandwidth_hz=inner.bandwidth_hz,
                 for_sampled=target is TargetName.SAMPLED,
             ),
+            inner.key,
             out,
             as_json,
         )
@@ -221,7 +231,7 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float 
     return None if delay_ms is None else 1e-3 * delay_ms
 
 
-def _finish(request: "DesignRequest", out: Path | None, as_json: bool) -> None:
+def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:
     from design.errors import DesignError
     from hil.delay_design.synthesis import Unreachable, design_speed, with_bandwidths
 
@@ -236,10 +246,11 @@ def _finish(request: "DesignRequest", out: Path | None, as_json: bool) -> None:
         raise typer.Exit(ExitStatus.BAD_INPUT) from None
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
+    figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
     if as_json:
-        typer.echo(json.dumps(result.figures, allow_nan=False))
+        typer.echo(json.dumps(figures, allow_nan=False))
     else:
-        print_figures(result.figures)
+        print_figures(figures)
     if out is not None:
         from hil.delay_design.controller_text import write_controller
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
+from hil.figures.certificate_text import certificate_lines
 from hil.figures.summary import Percentiles, Summary, metric_title
 from hil.figures.timing_text import timing_lines
 from hil.verdict import Check, LimitResult, Outcome, verdict_title
@@ -61,11 +62,15 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         "After load step": f"{_number(error.after_load_percent)} % at most"
         if error.after_load_percent is not None
         else "not measured",
+        "Torque": f"{_number(found.torque_rms_nm)} N m rms about its mean while reference and load stay"
+        if found.torque_rms_nm is not None
+        else "never steady for long enough to be judged",
         "Delay": _percentiles(found.delay_us),
         "Lateness": _percentiles(found.lateness_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
         **timing_lines(found.timing),
+        **certificate_lines(found.certificates),
         **({"Load machine": _load_machine(found.load_machine)} if found.load_machine else {}),
         "Bus load": f"{_number(found.bus_load_percent)} %",
         "Pace": f"{_number(found.realtime_factor)} times real time",

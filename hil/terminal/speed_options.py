@@ -27,17 +27,6 @@ LoadOption = Annotated[
         "--load-nm", metavar="T", min=1e-9, help="Load step for percents; the rated torque if absent."
     ),
 ]
-CurrentBandwidthOption = Annotated[
-    float,
-    typer.Option(
-        "--current-bandwidth-hz",
-        metavar="F",
-        min=1e-3,
-        help="Of the drive's current loop; that of the simulated drive if absent.",
-    ),
-]
-CURRENT_BANDWIDTH_HZ = 800.0
-"""The simulated drive's: a twentieth of the rate of its inner loop."""
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
 ]

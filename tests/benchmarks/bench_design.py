@@ -17,7 +17,6 @@ from design.sampled import regular_patterns
 from design.sequence_certificate import certify_decay, certify_gain
 from design.speed_loop import Units
 from hil.delay_design.reproduction import table2
-from tests.random_motors import steady_torque_rms_nm
 from tests.unit.design.random_loops import random_bounds
 
 REPEATS = 30
@@ -54,7 +53,6 @@ def main() -> None:
     monte_carlo()
     if "--random" in sys.argv[1:]:
         random_loops()
-        random_motors()
     table("--whole-table" in sys.argv[1:])
 
 
@@ -81,13 +79,6 @@ def random_loops(count: int = 200) -> None:
         f"{count} random sampled loops: {len(certified)} certified, {below} of them below what is found; "
         f"gap p50 {100 * np.median(gaps):.2f} %, max {100 * gaps.max():.1f} %"
     )
-
-
-def random_motors(count: int = 100) -> None:
-    """Designs for the simulated drive's current loop, run on it: torque about its mean at a steady speed."""
-    draw = np.random.default_rng(8)
-    rms = np.array([steady_torque_rms_nm(draw) for _ in range(count)])
-    print(f"{count} random motors: torque about its mean, N m: p50 {np.median(rms):.4f}, max {rms.max():.4f}")
 
 
 def monte_carlo() -> None:

@@ -1,6 +1,7 @@
 """Whole commissionings of drives drawn from a seed, in simulated time: is what was hidden found."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,14 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     drive = load_drive_file(out / "drive.toml")
     assert drive.drive.node == 5
     assert drive.scale.rated_torque_nm == pytest.approx(truth.rated_torque_nm)
+    assert drive.current_loop is not None
+    measured_s, built_s, tick_s = (
+        1.0 / (math.tau * drive.current_loop.bandwidth_hz),
+        1.0 / (math.tau * 800),
+        1 / 16_000,
+    )
+    # it waits for its next tick, and shows its torque as of the last one: half a tick each in the mean
+    assert measured_s == pytest.approx(built_s + tick_s, rel=0.1)
     assert load_network(out / "network.toml").period_us == 4000
     sheet: Any = load_dictionary(out / "drive.dcf", 5).dictionary
     assert sheet[Object.POLARITY].value == 0

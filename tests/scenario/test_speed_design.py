@@ -258,7 +258,7 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
 
     with pytest.raises(LimitExceeded, match="readings missing in a row"):
         _bench(_designed_bench(controller, 0.6), tmp_path / "worse")
-    noted = _bench(_designed_bench(controller, 0.6), tmp_path / "warned", allow_worse_network=True)
+    noted = _bench(_designed_bench(controller, 0.6), tmp_path / "warned", allow_uncertified=True)
     assert any("readings missing in a row" in note for note in noted["network_notes"])
     bench_toml = str(tmp_path / "good" / "bench.toml")
     worse = str(tmp_path / "warned" / "network.toml")

@@ -23,6 +23,7 @@ from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.timebase import NS_PER_S, Instant
 from virtual_bus.servo_drive import motor_kernel as kernel
+from virtual_bus.servo_drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.servo_drive.current_controller import check_controller, fill_controllers
 from virtual_bus.servo_drive.plant import fill_machine
 
@@ -94,7 +95,7 @@ class FirmwareParameters:
     @property
     def current_hz(self) -> float:
         """Bandwidth of the current loops, Hz."""
-        return self.inner_rate_hz / 20 if self.current_bandwidth_hz is None else self.current_bandwidth_hz
+        return current_bandwidth_hz(self.current_bandwidth_hz, self.inner_rate_hz)
 
 
 class Firmware:

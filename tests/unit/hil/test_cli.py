@@ -108,13 +108,13 @@ def test_options_reach_the_bench(bench: Bench) -> None:
         "--view",
         "--network",
         "n.toml",
-        "--allow-worse-network",
+        "--allow-uncertified",
     )
     assert bench.config is not None
     assert bench.config.bench.name == "ling2012"
     asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
-    expected |= {"network": Path("n.toml"), "allow_worse_network": True}
+    expected |= {"network": Path("n.toml"), "allow_uncertified": True}
     assert asked == expected
 
 
@@ -122,7 +122,7 @@ def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
     asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
-    assert asked == expected | {"network": None, "allow_worse_network": False}
+    assert asked == expected | {"network": None, "allow_uncertified": False}
 
 
 def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:

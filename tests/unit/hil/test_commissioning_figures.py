@@ -153,6 +153,22 @@ def test_the_lag_of_a_known_step() -> None:
     assert lag.half_us == pytest.approx(230.0 + 120.0 * math.log(2.0), abs=10.0)
     assert lag.lag_us == pytest.approx(120.0, abs=20.0)
     assert lag.dead_us == pytest.approx(230.0, abs=15.0)
+    assert lag.mean_us == pytest.approx(230.0 + 120.0, abs=10.0)
+
+
+def test_a_loop_that_overshoots_is_behind_by_one_over_its_bandwidth() -> None:
+    """An integrator of 1/alpha behind 94 us of dead time, the simulated drive's loop: stepped by Euler."""
+    alpha, dead, step = math.tau * 800.0, 94, 1e-6
+    answer = np.zeros(3000)
+    for k in range(1, len(answer)):
+        seen = answer[k - 1 - dead] if k > dead else 0.0
+        answer[k] = answer[k - 1] + alpha * step * (1.0 - seen) if k > dead else 0.0
+    # the demand is taken up after the dead time: the error that integrates is dead time old
+    assert answer.max() > 1.005
+    age = np.arange(3000.0)[::2]
+    lag = step_lag(age, answer[::2])
+    assert lag.mean_us == pytest.approx(1e6 / alpha, rel=0.02)
+    assert lag.lag_us < 0.6e6 / alpha, "the rise alone would call it much faster"
 
 
 def test_a_step_that_was_not_seen_to_rise() -> None:

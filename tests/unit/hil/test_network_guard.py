@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import BenchError, LimitExceeded
+from drivers.errors import BadInput, BenchError, LimitExceeded
 from drivers.exchange import Command
 from drivers.timebase import Duration, Instant
 from hil.configuration.bench_file import bench_from
@@ -14,7 +14,7 @@ from hil.configuration.motor_file import LING2012
 from hil.configuration.network_file import Network
 from hil.configuration.speed_controller_file import MadeFor
 from hil.delay_design.controller_text import plant_of
-from hil.network_guard import Allowed, NetworkGuard, allowed, static_faults
+from hil.network_guard import Allowed, NetworkGuard, allowed, static_faults, uncertified
 from hil.samples import (
     CommandFate,
     CycleRecord,
@@ -36,6 +36,7 @@ MADE_FOR: dict[str, Any] = {
     "losses_in_a_row_max": 3,
     "delay_max_us": 1_000,
     "plant": plant_of(LING2012.parameters).model_dump(),
+    "current_loop": {"bandwidth_hz": 800.0, "bandwidth_min_hz": 500.0, "bandwidth_max_hz": 1200.0},
 }
 
 
@@ -104,7 +105,7 @@ def test_a_worse_network_stops_the_run_after_its_record_is_kept(
     with pytest.raises(LimitExceeded) as caught:
         watched.feed(*delays_us)
     assert found in str(caught.value)
-    assert "--allow-worse-network" in str(caught.value)
+    assert "--allow-uncertified" in str(caught.value)
     assert len(watched.records) == len(delays_us)
 
 
@@ -204,3 +205,72 @@ def test_current_loops_faster_than_their_rate_allows_are_refused() -> None:
     with pytest.raises(BenchError, match="current_bandwidth_hz"):
         bench(MADE_FOR, simulation={"current_bandwidth_hz": 2001.0})
     assert bench(MADE_FOR, simulation={"current_bandwidth_hz": 2000.0}).axes == ("axis1",)
+
+
+@pytest.mark.parametrize(
+    ("simulation", "key"),
+    [
+        ({"current_bandwidth_hz": 1201.0}, "current_bandwidth_hz"),
+        ({"current_bandwidth_hz": 499.0}, "current_bandwidth_hz"),
+        ({"inner_rate_hz": 8_000}, "inner_rate_hz"),
+    ],
+)
+def test_a_current_loop_that_is_not_certified_is_a_fault(simulation: dict[str, float], key: str) -> None:
+    (fault,) = static_faults(bench(MADE_FOR, simulation=simulation), {})
+    assert (fault.source, fault.key) == ("bench.toml", f"drive.axis1.simulation.{key}")
+    assert "500 to 1200 Hz" in fault.expected
+    assert "--allow-uncertified" in fault.remedy
+
+
+def test_a_controller_that_names_no_current_loop_is_for_the_winding_alone() -> None:
+    winding = {key: value for key, value in MADE_FOR.items() if key != "current_loop"}
+    (fault,) = static_faults(bench(winding), {})
+    assert fault.key == "drive.axis1.simulation.inner_rate_hz"
+    assert fault.value == "800 Hz"
+    assert "53.832 Hz and no other" in fault.expected
+    assert static_faults(bench(winding, simulation={"current_bandwidth_hz": 53.83}), {}) == []
+
+
+def test_a_loop_of_higher_order_is_not_what_was_certified() -> None:
+    """K = 100 (s + 338)/(s (s + 3000)) V/A on a winding of 2.875 Ohm and 8.5 mH."""
+    q = {
+        "kind": "continuous",
+        "axis": "q",
+        "gain": 1.2e5,
+        "zeros_rad_s": [[-338.0, 0.0]],
+        "poles_rad_s": [[0.0, 0.0], [-3000.0, 0.0]],
+    }
+    (fault,) = static_faults(bench(MADE_FOR, current_control={"controller": q}), {})
+    assert fault.key == "drive.axis1.current_control.controller"
+    assert "of order 3" in str(fault.value)
+
+
+COMMISSIONED: dict[str, Any] = {"drive": {"node": 1, "vendor": 0, "product": 0}}
+
+
+def test_a_drive_that_is_not_simulated_is_known_by_its_commissioning() -> None:
+    """The settings of the simulated drive say nothing of a real one."""
+    simulation = {"current_bandwidth_hz": 100.0}
+    blind = bench(MADE_FOR, simulation=simulation)
+    assert static_faults(blind, {}, simulated=False) == []
+    told = uncertified(blind, None, allow=False, replaced=(), simulated=False)
+    (unknown,) = told.doubts
+    assert "500 to 1200 Hz" in unknown
+    assert "hil commission" in unknown
+
+    measured = COMMISSIONED | {"current_loop": {"bandwidth_hz": 300.0}}
+    (fault,) = static_faults(bench(MADE_FOR, commissioned=measured), {}, simulated=False)
+    assert fault.key == "drive.axis1.commissioned.current_loop.bandwidth_hz"
+    assert fault.value == "300 Hz"
+    measured = COMMISSIONED | {"current_loop": {"bandwidth_hz": 600.0}}
+    fits = bench(MADE_FOR, commissioned=measured, simulation=simulation)
+    assert static_faults(fits, {}, simulated=False) == []
+    assert uncertified(fits, None, allow=False, replaced=(), simulated=False).doubts == []
+
+
+def test_what_is_not_certified_may_be_let_pass() -> None:
+    config = bench(MADE_FOR, simulation={"current_bandwidth_hz": 1300.0})
+    with pytest.raises(BadInput, match="1300 Hz"):
+        uncertified(config, None, allow=False, replaced=(), simulated=True)
+    (note,) = uncertified(config, None, allow=True, replaced=(), simulated=True).notes
+    assert "1300 Hz" in note

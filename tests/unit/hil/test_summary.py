@@ -31,6 +31,7 @@ FIGURES = Figures(
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
     lateness_us=Percentiles(0.0, 0.0, 12.0),
     digest="00",
+    torque_rms_nm=0.5,
 )
 VALUES = {
     "speed_error_peak_percent_max": 5.0,
@@ -41,6 +42,7 @@ VALUES = {
     "bus_load_percent_max": 53.0,
     "missed_percent_max": 1.0,
     "lateness_us_max": 12.0,
+    "torque_rms_nm_max": 0.5,
 }
 
 
@@ -80,6 +82,7 @@ def test_json_has_the_promised_keys() -> None:
         "recording",
         "seed",
         "digest",
+        "torque_rms_nm",
         "drives",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]

@@ -1,0 +1,114 @@
+"""The drive's current loop on the command line: measured, of a bench, stated, or the simulated drive's."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.errors import MISSING, BadInput
+
+if TYPE_CHECKING:
+    from hil.configuration.config import BenchConfig
+    from hil.drive_current_loop import KnownLoop
+
+BenchOption = Annotated[
+    Path | None,
+    typer.Option("--bench", metavar="BENCH.toml", help="The bench whose drive's current loop it is."),
+]
+AxisOption = Annotated[
+    str | None, typer.Option("--axis", metavar="NAME", help="Of --bench; needed if it has several.")
+]
+CommissionedOption = Annotated[
+    Path | None,
+    typer.Option("--commissioned", metavar="DRIVE.toml", help="The drive as hil commission measured it."),
+]
+CurrentBandwidthOption = Annotated[
+    float | None,
+    typer.Option(
+        "--current-bandwidth-hz",
+        metavar="F",
+        min=1e-3,
+        help="Of the drive's current loop, in place of --bench; the simulated drive's 800 if absent.",
+    ),
+]
+
+
+def current_loop(
+    bench: Path | None, axis: str | None, commissioned: Path | None, bandwidth_hz: float | None
+) -> "KnownLoop":
+    """The loop of first order to design for, and who says so. Raises BadInput or BadInputs.
+
+    Of the sources at most one may be given; without any it is that of the simulated drive as it is built.
+    """
+    from hil.drive_current_loop import KnownLoop
+
+    given = {
+        "--bench": bench,
+        "--commissioned": commissioned,
+        "--current-bandwidth-hz": bandwidth_hz,
+    }
+    said = [option for option, value in given.items() if value is not None]
+    if len(said) > 1:
+        raise BadInput(said[1], "", str(given[said[1]]), f"either {said[0]} or {said[1]}")
+    if axis is not None and bench is None:
+        raise BadInput("--axis", "", axis, "--bench with it")
+    if bench is not None:
+        return _of_bench(bench, axis)
+    if commissioned is not None:
+        return _of_drive_file(commissioned)
+    if bandwidth_hz is not None:
+        return KnownLoop(1, bandwidth_hz, "--current-bandwidth-hz")
+    from hil.configuration.config_axis import Simulation
+
+    return KnownLoop(1, Simulation().current_loop_hz, "the simulated drive, as nothing else is said")
+
+
+def _of_bench(bench: Path, axis: str | None) -> "KnownLoop":
+    found = loop_of_bench(*bench_axis(bench, axis))
+    if found.order != 1:
+        expected = "PI current loops: speed designs know loops of first order"
+        remedy = f"--current-bandwidth-hz {found.bandwidth_hz:.5g} takes it for one, which hil run does not"
+        raise BadInput(str(bench), found.key, f"a loop of order {found.order}", expected, remedy)
+    return found
+
+
+def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
+    """The bench, and which of its axes is meant. Raises BadInput or BadInputs."""
+    from hil.configuration.bench_file import load_bench
+
+    config = load_bench(bench)
+    if axis is None and len(config.axes) == 1:
+        return config, config.axes[0]
+    if axis is None or axis not in config.drive:
+        expected = f"one of {', '.join(config.axes)}, the axes of {bench}"
+        raise BadInput("--axis", "", MISSING if axis is None else axis, expected)
+    return config, axis
+
+
+def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
+    """Of the drive that the bench runs on. Raises BadInput where it would have to be measured first."""
+    from drivers.adapters import parse_bus_spec
+    from hil.drive_current_loop import current_loop_of
+
+    simulated = parse_bus_spec(config.bus.spec, config.source).simulated
+    found = current_loop_of(config, axis, simulated=simulated)
+    if found is None:
+        key = f"drive.{axis}.commissioned.current_loop"
+        raise _unmeasured(config.source, key, f"the measured loop of a drive on {config.bus.spec}")
+    return found
+
+
+def _of_drive_file(path: Path) -> "KnownLoop":
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.drive_file import load_drive_file
+    from hil.drive_current_loop import KnownLoop
+
+    found = load_drive_file(path, NamedBy("--commissioned", "", str(path))).current_loop
+    if found is None:
+        raise _unmeasured(str(path), "current_loop", "the measured loop")
+    return KnownLoop(found.order, found.bandwidth_hz, f"current_loop.bandwidth_hz of {path}")
+
+
+def _unmeasured(source: str, key: str, expected: str) -> BadInput:
+    remedy = "hil commission measures it in a torque mode; --current-bandwidth-hz states it"
+    return BadInput(source, key, MISSING, expected, remedy)

@@ -1,0 +1,116 @@
+"""What is seen of a certified loop, beside its certificate."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from hil.figures.certificate_meter import CertificateMeter
+from hil.figures.certificate_text import certificate_lines
+from hil.figures.review import Review
+from hil.recording.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
+from hil.recording.records import COMMAND_FATES, Rows
+from hil.samples import CommandFate
+from tests.unit.hil.row_tools import plain_rows
+
+SETTLING = Duration(100 * NS_PER_MS)
+REFERENCE_RAD_S = 100.0
+STEP_AT, COUNT = 500, 2_000
+CERTIFIED = CertifiedPlan(
+    period_us=1_000,
+    delay_us=800.0,
+    losses_in_a_row=2,
+    gain=17.0,
+    bandwidths_hz=(504.0, 1269.0),
+    bandwidth_hz=800.0,
+)
+
+
+def loaded(gain: float, torque_nm: float = 0.5, offset_rad_s: float = 3.0) -> Rows:
+    """A load step whose error rises with 20 ms to ``gain`` times it, on top of one that is always there."""
+    since_s = 1e-3 * np.arange(COUNT - STEP_AT)
+    error = np.full(COUNT, offset_rad_s)
+    error[STEP_AT:] += gain * torque_nm * (1.0 - np.exp(-since_s / 0.02))
+    load = np.zeros(COUNT)
+    load[STEP_AT:] = torque_nm
+    return plain_rows(COUNT, REFERENCE_RAD_S, REFERENCE_RAD_S - error, load)
+
+
+def meter_of(*chunks: Rows) -> CertificateMeter:
+    meter = CertificateMeter(CERTIFIED, SETTLING)
+    for chunk in chunks:
+        meter.add(chunk)
+    return meter
+
+
+@pytest.mark.parametrize("torque_nm", [0.5, -0.3])
+def test_the_gain_seen_is_that_of_a_first_order_loop_from_below(torque_nm: float) -> None:
+    """The rms over the whole stretch comes close to the static gain, and never above it."""
+    seen = meter_of(loaded(12.0, torque_nm)).gain_seen
+    assert seen is not None
+    assert 0.97 * 12.0 < seen < 12.0
+
+
+def test_a_peak_that_decays_counts_by_the_time_for_which_it_lasted() -> None:
+    rows = loaded(0.0)
+    rows["velocity_rad_s"][STEP_AT : STEP_AT + 30] -= 6.0
+    seen = meter_of(rows).gain_seen
+    assert seen == pytest.approx(12.0), "rms of 6 rad/s over 30 ms for 0.5 N m"
+
+
+def test_without_a_steady_run_before_the_step_nothing_is_seen() -> None:
+    rows = loaded(12.0)
+    moving = rows.copy()
+    moving["reference_rad_s"][:STEP_AT] = 50.0
+    assert meter_of(moving).gain_seen is None, "the reference changes with the load"
+    assert meter_of(rows[STEP_AT - 50 :]).gain_seen is None, "it had not settled"
+    assert meter_of(loaded(12.0, 0.0)).gain_seen is None, "no step"
+
+
+def test_the_figures_do_not_depend_on_the_chunks() -> None:
+    rows = loaded(12.0)
+    rows["velocity_rad_s"] += np.random.default_rng(1).normal(0.0, 0.1, COUNT)
+    whole = meter_of(rows).figures()
+    for size in (1, 33, 499, 501):
+        assert meter_of(*(rows[at : at + size] for at in range(0, COUNT, size))).figures() == whole
+
+
+def test_a_gain_above_the_certified_one_is_an_event_once() -> None:
+    review = Review(ReviewPlan((AxisPlan("axis1", 1e4, certified=CERTIFIED),), settling=SETTLING))
+    review.add(loaded(16.9))
+    assert review.take_events() == []
+    rows = loaded(18.0)
+    rows["due_at"] += COUNT * NS_PER_MS
+    review.add(rows)
+    (event,) = review.take_events()
+    assert event.level == "WARN"
+    assert "certified 17" in event.text
+    assert review.figures().certificates["axis1"]["gain_rad_s_nm"]["certified"] == 17.0
+
+
+def test_delay_and_losses_are_of_its_own_axis() -> None:
+    rows = loaded(5.0)
+    rows["axis"] = 3
+    rows["fate"][100:102] = 1
+    rows["sampled_at"] = rows["due_at"]
+    rows["received_at"] = rows["due_at"] + 300 * NS_PER_US
+    rows["command_handed_at"] = rows["due_at"] + 400 * NS_PER_US
+    rows["command_acts_after"] = rows["due_at"] + 500 * NS_PER_US
+    rows["command_acts_by"] = rows["due_at"] + 1_000 * NS_PER_US
+    rows["command_fate"] = COMMAND_FATES.index(CommandFate.ACTING)
+    figures = meter_of(rows).figures()
+    assert figures["delay_us"] == {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.0}
+    assert figures["losses_in_a_row"] == {"certified": 2, "seen": 2}
+    (line,) = certificate_lines({"axis1": figures}).values()
+    assert "delay [us] 800, seen 500 to 1000;" in line
+    assert "current loop [Hz] 504 to 1269, the drive's 800" in line
+    rows["command_fate"] = COMMAND_FATES.index(CommandFate.NOT_MEASURED)
+    (line,) = certificate_lines({"axis1": meter_of(rows).figures()}).values()
+    assert "delay [us] 800, seen not known" in line
+
+
+def test_a_plan_goes_to_the_logger_and_back() -> None:
+    for axis in (AxisPlan("axis1", 1.0, 2.0, CERTIFIED), AxisPlan("axis1", 1.0)):
+        assert AxisPlan.from_json(json.loads(json.dumps(asdict(axis)))) == axis
