@@ -92,6 +92,17 @@ def test_readings_beyond_the_syncs_are_told(servo_bench: BenchRunner) -> None:
     assert 38 <= others(seen)["TPDO1 of node 1 (181h): more than the SYNCs ask for"] <= 40
 
 
+def test_answers_that_nobody_asked_for_are_told_or_end_the_run(servo_bench: BenchRunner) -> None:
+    """Of five: the first may be another master's, who asked before the bench came."""
+    answer = Frame(0x581, bytes.fromhex("4300100092010200"))
+    what = "node 1 answers more often than it is asked: two nodes are likely to have its id"
+    assert others(run(servo_bench, ForeignNode(answer, AT_S, times=5))) == {what: 4}
+    ended = run(
+        servo_bench, ForeignNode(answer, AT_S, times=5), guard={"on_foreign": "stop"}, ends_in=ForeignTraffic
+    )
+    assert what in str(ended.error)
+
+
 def test_lost_and_late_readings_are_nobodys(servo_bench: BenchRunner) -> None:
     bad_day = {
         "loss": [{"probability": 0.2, "direction": "drive_to_host"}],
