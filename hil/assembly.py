@@ -190,9 +190,12 @@ def axis(
 
 
 def recording_plan(
-    config: BenchConfig, world: World, folder: Path, seed: int, bus: str, view: bool
+    config: BenchConfig, world: World, folder: Path | None, seed: int, bus: str, view: bool
 ) -> RecordingPlan:
-    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run."""
+    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run.
+
+    ``folder``: None if no files are to be kept.
+    """
     axes = tuple(
         AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
         for name, drive in sorted(config.drive.items())

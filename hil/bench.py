@@ -1,7 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,14 @@ from hil.drive_settings import data_sheets, drive_settings, identity_notes
 from hil.figures.summary import RunOutcome, Summary
 from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
-from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
 from hil.pace import OwnSync, Pace
 from hil.recording.fault_report import write_fault_report
+from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder, start_recording
+from hil.recording.watch import RecordingWatch
 from hil.samples import CycleRecord
 from hil.segments import heard_syncs, masters, record_frames, sync_log
 from hil.simulated_drives import simulated_drives
@@ -54,6 +56,8 @@ class BenchResult:
     passed: bool
     interrupted: bool
     """A stop signal cut it short."""
+    recorded: bool
+    """The recording is whole, or none was asked for."""
     recording: Path | None
 
 
@@ -66,6 +70,7 @@ def run_bench(
     record: Path | None,
     view: bool,
     progress: Progress,
+    keep: bool = True,
     controllers: Mapping[str, Controller] | None = None,
     network: Path | None = None,
     allow_worse_network: bool = False,
@@ -73,12 +78,13 @@ def run_bench(
 ) -> BenchResult:
     """Run a bench and review it.
 
-    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
-    axis, what a caller puts in place of the file's. ``network``: file of one measured before, that must be
-    no worse than the controllers were made for; nor may the run's own, unless ``allow_worse_network``.
-    ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
-    Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
-    brought to rest and the recording is closed first.
+    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``record``: folder of
+    the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
+    caller puts in place of the file's. ``network``: file of one measured before, that must be no worse than
+    the controllers were made for; nor may the run's own, unless ``allow_worse_network``. ``privileged``: ask
+    the kernel for real-time priority and locked memory on a bus in real time.
+    Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
+    did; in every case the drives are brought to rest and the recording is closed first.
     """
     sheets = data_sheets(config)
     worse = worse_network(config, network, allow_worse_network, set(controllers or {}))
@@ -100,32 +106,22 @@ def run_bench(
     )
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
-        folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
+        folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         plan = assembly.recording_plan(config, world, folder, seed, str(spec), view)
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
         run = _Run(config, world, recorder, stop, progress, controllers or {}, worse, devices, sheets)
-        with _timing_conditions(world.real_time and privileged) as refused:
+        with timing_conditions(world.real_time and privileged) as refused:
             try:
                 summary = run.to_the_end(refused)
             except PeerFault as error:
-                run.write_fault_report(folder, str(error))
+                if folder is not None:
+                    run.write_fault_report(folder, str(error))
                 raise
     interrupted = stop() and not summary.verdict.completed
-    return BenchResult(summary.as_json(), summary.verdict.passed, interrupted, folder)
-
-
-@contextmanager
-def _timing_conditions(privileged: bool) -> Iterator[Sequence[str]]:
-    """What the kernel refused. Before any drive is told to listen for the host's heartbeat: to lock a large
-    memory takes up to a second."""
-    if privileged:
-        with realtime_process() as refused:
-            yield refused
-    else:
-        with quiet_garbage_collector():
-            yield ()
+    recorded = not summary.recording_faults
+    return BenchResult(summary.as_json(), summary.verdict.passed, interrupted, recorded, folder)
 
 
 class _Run:
@@ -146,6 +142,7 @@ class _Run:
         self._config = config
         self._world = world
         self._recorder = recorder
+        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", self._say)
         self._stop = stop
         self._progress = progress
         self._controllers = controllers
@@ -171,18 +168,22 @@ class _Run:
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
-        outcome = _cut_short("it ended by a defect of this program")
         try:
             outcome = self._run_and_release()
         except BenchError as error:
-            outcome = _cut_short(str(error))
-            self._recorder.event(self._world.clock.now(), "CRITICAL", str(error))
+            self._say(str(error), "CRITICAL")
+            with suppress(RecordingFailed):  # what ended the run is to be told
+                self._close(_cut_short(str(error)))
             raise
-        finally:
-            if self._world.faults is not None:
-                self._world.faults.finish()
-            summary = self._recorder.close(outcome)
-        return summary
+        except BaseException:
+            self._close(_cut_short("it ended by a defect of this program"))
+            raise
+        return self._close(outcome)
+
+    def _close(self, outcome: RunOutcome) -> Summary:
+        if self._world.faults is not None:
+            self._world.faults.finish()
+        return self._recorder.close(outcome)
 
     def write_fault_report(self, folder: Path, error: str) -> None:
         """Beside the recording, which is closed: what was seen before the end."""
@@ -247,6 +248,7 @@ class _Run:
         loop.calibrate()
         self._stop.check()
         self._enter("enabling")
+        self._watch.confirm(self._network.pump if self._world.real_time else None)
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
@@ -289,7 +291,7 @@ class _Run:
             duration_s(self._config.bench.duration_s),
             self._stop,
             self._start,
-            lambda done: self._progress("running", done * period_s),
+            lambda done: self._progress(self._watch.phase(), done * period_s),
         )
 
     def _start(self, at: Instant) -> None:

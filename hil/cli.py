@@ -69,6 +69,9 @@ SeedOption = Annotated[
     int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
 ]
 
+NoRecordOption = Annotated[
+    bool, typer.Option("--no-record", help="Keep no files: figures and verdict alone.")
+]
 ReplayOption = Annotated[
     Path | None,
     typer.Option(
@@ -120,6 +123,7 @@ def run(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
+    no_record: NoRecordOption = False,
     replay_faults: ReplayOption = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
@@ -130,12 +134,15 @@ def run(
 ) -> None:
     """Run a bench: close the loop, record it, and hold the result against the bench file's limits.
 
-    Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
+    Exit status: 0 passed, 1 not passed, 2 bad input, 3 bus or drive fault, 5 not recorded, 130 ended by a
+    signal.
     """
     with reported_errors():
         from drivers.bounded_file import NamedBy
         from hil.configuration.bench_file import load_bench, load_faults
 
+        if no_record and (record is not None or view):
+            raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
         config = load_bench(bench)
         if replay_faults is not None:
             named_by = NamedBy("--replay-faults", "", str(replay_faults))
@@ -157,6 +164,7 @@ def run(
                 time=time.value if time else None,
                 seed=seed,
                 record=record,
+                keep=not no_record,
                 view=view,
                 progress=progress,
                 network=network,
@@ -170,7 +178,9 @@ def run(
             from hil.terminal.report import print_run
 
             print_run(config, outcome.summary, outcome.recording, bus_spec=bus)
-        raise typer.Exit(status_of_run(passed=outcome.passed, interrupted=outcome.interrupted))
+        raise typer.Exit(
+            status_of_run(passed=outcome.passed, interrupted=outcome.interrupted, recorded=outcome.recorded)
+        )
 
 
 @app.command()

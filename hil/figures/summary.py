@@ -4,7 +4,7 @@ The figures rest on the cycle records alone (see :mod:`hil.figures.review`), nev
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 _METRICS = {
@@ -224,13 +224,17 @@ def summarise(
     seed: int,
     recording_faults: tuple[str, ...] = (),
 ) -> Summary:
-    """Figures, outcome and verdict in one."""
+    """Figures, outcome and verdict in one. What was not recorded has not passed."""
+    verdict = judge(figures, outcome, limits)
+    if recording_faults:
+        reason = verdict.reason or f"not recorded: {'; '.join(recording_faults)}"
+        verdict = replace(verdict, passed=False, reason=reason)
     shared = {field.name for field in fields(Figures)} & {field.name for field in fields(Summary)}
     return Summary(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,
         realtime_factor=outcome.realtime_factor,
-        verdict=judge(figures, outcome, limits),
+        verdict=verdict,
         recording=recording,
         seed=seed,
         recording_faults=recording_faults,

@@ -50,3 +50,18 @@ def realtime_process() -> Iterator[tuple[str, ...]]:
         os.sched_setscheduler(0, policy, parameter)
         if locked:
             libc.munlockall()
+
+
+@contextmanager
+def timing_conditions(privileged: bool) -> Iterator[tuple[str, ...]]:
+    """What the kernel refused, if ``privileged``; otherwise nothing is asked of it.
+
+    To be entered before any drive is told to listen for the host's heartbeat: to lock a large memory takes
+    up to a second.
+    """
+    if privileged:
+        with realtime_process() as refused:
+            yield refused
+    else:
+        with quiet_garbage_collector():
+            yield ()

@@ -22,16 +22,20 @@ class ExitStatus(IntEnum):
     """A file or an option cannot be used; nothing was started."""
     PEER_FAULT = 3
     """The bus or a drive failed, or a safety limit stopped the run."""
+    NOT_RECORDED = 5
+    """The run is not, or not wholly, recorded."""
     DEFECT = 70
     """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
     INTERRUPTED = 130
     """Ctrl-C, SIGTERM or SIGHUP: whatever was found until then is no verdict (128 + SIGINT)."""
 
 
-def status_of_run(*, passed: bool, interrupted: bool) -> ExitStatus:
+def status_of_run(*, passed: bool, interrupted: bool, recorded: bool = True) -> ExitStatus:
     """Of a run that has ended without an error."""
     if interrupted:
         return ExitStatus.INTERRUPTED
+    if not recorded:
+        return ExitStatus.NOT_RECORDED
     return ExitStatus.PASSED if passed else ExitStatus.FAILED
 
 

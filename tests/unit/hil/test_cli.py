@@ -29,6 +29,7 @@ class Outcome:
     summary: dict[str, Any]
     passed: bool
     interrupted: bool
+    recorded: bool
     recording: Path | None
 
 
@@ -41,13 +42,15 @@ class Bench:
         self.error: BaseException | None = None
         self.passed = True
         self.interrupted = False
+        self.recorded = True
 
     def run_bench(self, config: BenchConfig, **asked: Any) -> Outcome:
         self.config, self.asked = config, asked
         if self.error:
             raise self.error
         asked["progress"]("running", 1.0)
-        return Outcome(summary(passed=self.passed).as_json(), self.passed, self.interrupted, Path("runs/x"))
+        found = summary(passed=self.passed).as_json()
+        return Outcome(found, self.passed, self.interrupted, self.recorded, Path("runs/x"))
 
     def simulate(self, **asked: Any) -> None:
         self.asked = asked
@@ -117,7 +120,7 @@ def test_options_reach_the_bench(bench: Bench) -> None:
     assert bench.config.bench.name == "ling2012"
     asked = {key: value for key, value in bench.asked.items() if key != "progress"}
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
-    expected |= {"network": Path("n.toml"), "allow_worse_network": True}
+    expected |= {"network": Path("n.toml"), "allow_worse_network": True, "keep": True}
     assert asked == expected
 
 
@@ -125,7 +128,22 @@ def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
     asked = {key: value for key, value in bench.asked.items() if key != "progress"}
     expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
-    assert asked == expected | {"network": None, "allow_worse_network": False}
+    assert asked == expected | {"network": None, "allow_worse_network": False, "keep": True}
+
+
+def test_a_run_that_is_not_recorded_leaves_with_5(bench: Bench) -> None:
+    bench.passed = bench.recorded = False
+    assert hil("run", BENCH).exit_code == ExitStatus.NOT_RECORDED
+    bench.interrupted = True
+    assert hil("run", BENCH).exit_code == ExitStatus.INTERRUPTED
+
+
+@pytest.mark.parametrize("options", [["--record", "r"], ["--view"]])
+def test_no_recording_beside_one_that_is_asked_for_is_bad_input(bench: Bench, options: list[str]) -> None:
+    assert hil("run", BENCH, "--no-record", *options).exit_code == ExitStatus.BAD_INPUT
+    assert not bench.asked
+    hil("run", BENCH, "--no-record")
+    assert bench.asked["keep"] is False
 
 
 def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:
