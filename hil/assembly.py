@@ -189,6 +189,15 @@ def axis(
     return Axis(number, parts, timing.period, record, Duration(later))
 
 
+def review_plan(config: BenchConfig) -> ReviewPlan:
+    """What figures and verdict of a run of the bench depend on."""
+    axes = tuple(
+        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
+        for name, drive in sorted(config.drive.items())
+    )
+    return ReviewPlan(axes, config.verdict.limits, config.verdict.settling)
+
+
 def recording_plan(
     config: BenchConfig, world: World, folder: Path | None, seed: int, bus: str, view: bool
 ) -> RecordingPlan:
@@ -196,10 +205,6 @@ def recording_plan(
 
     ``folder``: None if no files are to be kept.
     """
-    axes = tuple(
-        AxisPlan(name, drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2)
-        for name, drive in sorted(config.drive.items())
-    )
     first = config.drive[config.axes[0]]
     return RecordingPlan(
         folder=folder,
@@ -208,7 +213,7 @@ def recording_plan(
         bus=bus,
         real_time=world.real_time,
         deadline=config.loop.deadline,
-        review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
+        review=review_plan(config),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,

@@ -24,6 +24,7 @@ from hil.terminal.exit_status import complain, reported_errors, status_of_run
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
+from hil.terminal.recover import recover
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -43,6 +44,7 @@ app.command()(fault)
 app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
+app.command()(recover)
 for group in (reproduce, analyse, design):
     app.add_typer(group)
 

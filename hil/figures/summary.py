@@ -97,9 +97,10 @@ class Figures:
 class RunOutcome:
     """What the records cannot tell; handed over when the run ends."""
 
-    bus_load_percent: float
-    realtime_factor: float
-    """Bench time over wall time."""
+    bus_load_percent: float | None
+    """None: not measured."""
+    realtime_factor: float | None
+    """Bench time over wall time; None: not measured."""
     completed: bool = True
     """False if the run was cut short; such a run never passes."""
     reason: str = ""
@@ -174,8 +175,8 @@ class Summary:
     dropouts: DropoutCounts
     delay_us: Percentiles
     speed_error: SpeedError
-    bus_load_percent: float
-    realtime_factor: float
+    bus_load_percent: float | None
+    realtime_factor: float | None
     lateness_us: Percentiles
     verdict: Verdict
     recording: str

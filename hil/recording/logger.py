@@ -37,7 +37,7 @@ _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
 _WRITER_DIED = RunOutcome(
-    bus_load_percent=0.0, realtime_factor=0.0, completed=False, reason="the process of the loop died"
+    bus_load_percent=None, realtime_factor=None, completed=False, reason="the process of the loop died"
 )
 
 

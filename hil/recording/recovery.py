@@ -17,6 +17,7 @@ import numpy as np
 
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, Summary, summarise
+from hil.recording.append_file import AppendFile
 from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
 from hil.recording.log_files import EventsKeeper, FramesKeeper, Keeper
 from hil.recording.network_meter import NetworkKeeper
@@ -24,10 +25,11 @@ from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, RecordsWriter, finish_records, read_records
 from hil.recording.ring import RingReader
-from hil.recording.run_folder import Reserve, write_summary
+from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, Reserve, write_summary
 from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
+from virtual_bus.fault_injection.fault_log import FAULTS_FILE
 
 _UNFINISHED_RERUN = f"{RERUN_FILE} has no verdict and may lack the last seconds: rerun rrd optimize mends it"
 
@@ -50,14 +52,24 @@ class Rings:
         self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, self.fault_blocks))
 
 
-def recover(plan: RecordingPlan, outcome: RunOutcome, faults: Sequence[str], rings: Rings | None) -> Summary:
+def recover(
+    plan: RecordingPlan,
+    outcome: RunOutcome,
+    faults: Sequence[str],
+    rings: Rings | None = None,
+    planned: int | None = None,
+) -> Summary:
     """Bring all that is there into the files of ``plan.folder``, and write the summary.
 
-    ``faults``: why the recording is not whole. Error: OSError; BlockingIOError while a logger still records.
+    ``faults``: why the recording is not whole. ``planned``: cycles, if some may be missing at the end.
+    Error: OSError; BlockingIOError while a logger still records.
     """
     folder = plan.folder
     assert folder is not None
     reserve = Reserve(folder)
+    for name in (FRAMES_FILE, EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
+        if (folder / name).exists():
+            AppendFile(folder / name, fresh=False).close()
     told = [*faults, _UNFINISHED_RERUN]
     if rings is not None:
         told += _keep_the_rest(plan, folder, rings)
@@ -68,7 +80,10 @@ def recover(plan: RecordingPlan, outcome: RunOutcome, faults: Sequence[str], rin
         review.add(rows)
         if network is not None:
             network.take(rows, np.empty(0, FRAME_DTYPE), [])
-    summary = summarise(review.figures(), outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
+    figures = review.figures()
+    if planned is not None and figures.cycles < planned:
+        told.append(f"{figures.cycles} of {planned} planned cycles are recorded")
+    summary = summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
     reserve.release()
     if network is not None:
         network.finish(summary)

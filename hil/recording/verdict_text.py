@@ -44,11 +44,15 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
-        f"| bus load | {summary.bus_load_percent:.1f} % |",
-        f"| times real time | {summary.realtime_factor:.1f} |",
+        f"| bus load | {_measured(summary.bus_load_percent)} % |",
+        f"| times real time | {_measured(summary.realtime_factor)} |",
         *_load(summary),
         *(f"| recording | {fault} |" for fault in summary.recording_faults),
     ]
+
+
+def _measured(value: float | None) -> str:
+    return "none" if value is None else f"{value:.1f}"
 
 
 def _load(summary: Summary) -> list[str]:

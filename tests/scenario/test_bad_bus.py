@@ -220,7 +220,10 @@ def test_background_traffic_loads_the_bench_s_own_bus_and_repeats_with_the_seed(
     quiet = servo_bench(EXAMPLES / "ling2012.toml")
     loaded = [servo_bench(EXAMPLES / "ling2012.toml", {"bus.background": [stream]}) for _ in range(2)]
     assert loaded[0].digest == loaded[1].digest != quiet.digest
-    more = loaded[0].summary.bus_load_percent - quiet.summary.bus_load_percent
+    load_percent, quiet_percent = loaded[0].summary.bus_load_percent, quiet.summary.bus_load_percent
+    assert load_percent is not None
+    assert quiet_percent is not None
+    more = load_percent - quiet_percent
     assert 11.1 <= more <= 13.8  # 111 bits and at most 24 stuff bits, and 3 of intermission, in 1 ms
     again = servo_bench(loaded[0].folder / "bench.toml")
     assert again.digest == loaded[0].digest

@@ -44,6 +44,7 @@ def test_both_axes_keep_their_limits_and_each_frame_is_on_its_segment(servo_benc
 
 def test_bus_load_is_that_of_the_busier_segment(servo_bench: BenchRunner) -> None:
     run = servo_bench(BENCH)
+    assert run.summary.bus_load_percent is not None
     assert 60.0 < run.summary.bus_load_percent < 90.0, "four frames a cycle at 500 kbit/s"
 
 
