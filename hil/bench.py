@@ -142,7 +142,7 @@ class _Run:
         self._config = config
         self._world = world
         self._recorder = recorder
-        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", self._say)
+        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", progress, self._say)
         self._stop = stop
         self._progress = progress
         self._controllers = controllers
@@ -291,7 +291,7 @@ class _Run:
             duration_s(self._config.bench.duration_s),
             self._stop,
             self._start,
-            lambda done: self._progress(self._watch.phase(), done * period_s),
+            lambda done: self._watch.attend(done * period_s),
         )
 
     def _start(self, at: Instant) -> None:

@@ -27,7 +27,8 @@ from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
-from hil.recording.records_file import RECORDS_FILE, finish_records
+from hil.recording.records_file import RECORDS_FILE
+from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import SUMMARY_FILE, Reserve, write_summary
 from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
@@ -67,6 +68,8 @@ class Logger:
         self._faults: list[str] = []
         self._reserve = None if plan.folder is None else Reserve(plan.folder)
         self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
+        self._given_up: list[Keeper] = []
+        """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
         self._fault_blocks: RingReader | None = None
         if faults is not None:
             self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
@@ -123,22 +126,28 @@ class Logger:
         self._note_refused("event", self._events.refused)
         if self._fault_blocks is not None:
             self._note_refused("block of injected faults", self._fault_blocks.refused)
-        if self._reserve is not None:
-            self._reserve.release()
+        self._flush()  # who waits for room on a full disk must not take what is kept for the end
+        if self._plan.folder is not None:
+            self._end_records(self._plan.folder)
         for keeper in list(self._keepers):
             try:
                 keeper.finish(self._summary(outcome))
             except OSError as error:
                 self._give_up(keeper, error)
         if self._plan.folder is not None:
-            self._end_files(self._plan.folder, outcome)
+            self._end_summary(self._plan.folder, outcome)
         return self._summary(outcome)
 
-    def _end_files(self, folder: Path, outcome: RunOutcome) -> None:
-        """What a full disk must not keep from the reader: whole records, figures and verdict."""
+    def _end_records(self, folder: Path) -> None:
+        """First of what is kept for the end: whole records, if they could not be written to their end."""
+        if self._reserve is not None:
+            self._reserve.release()
         if any(fault.startswith(RECORDS_FILE) for fault in self._faults):
             with suppress(OSError):  # that it is incomplete is told already
-                finish_records(folder / RECORDS_FILE)
+                for fault in whole_records(folder):
+                    self._note(fault)
+
+    def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:
         if self._reserve is not None:
             self._reserve.close()
         try:
@@ -163,6 +172,7 @@ class Logger:
     def _give_up(self, keeper: Keeper, error: OSError) -> None:
         """One file that cannot be written does not end the others."""
         self._keepers.remove(keeper)
+        self._given_up.append(keeper)
         if keeper.name != LIVE_VIEW:
             self._note(f"{keeper.name} is incomplete: {error}")
 
@@ -172,7 +182,7 @@ class Logger:
 
 
 def main() -> int:
-    """Entry point of the process."""
+    """Entry point of the process; the status of one that could not begin."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # The writer says when to end; if it is ended itself, the input ends too.
         signal.signal(number, signal.SIG_IGN)
@@ -194,7 +204,8 @@ def main() -> int:
     _tell(READY)
     summary = logger.run(source)
     _tell(json.dumps(summary.as_json()))
-    return 0
+    # not by the interpreter's end, which lets go of all that Rerun holds: see Logger._given_up
+    os._exit(0)
 
 
 def _tell(line: str) -> None:

@@ -73,7 +73,7 @@ def recover(
     told = [*faults, _UNFINISHED_RERUN]
     if rings is not None:
         told += _keep_the_rest(plan, folder, rings)
-    told += _whole_records(folder, rings)
+    told += whole_records(folder, rings)
     review = Review(plan.review)
     network = NetworkKeeper(folder, plan.period_us, len(plan.review.axes)) if plan.period_us else None
     for rows in read_records(folder / RECORDS_FILE):
@@ -109,7 +109,7 @@ def _keep_the_rest(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]
     return told
 
 
-def _whole_records(folder: Path, rings: Rings | None) -> list[str]:
+def whole_records(folder: Path, rings: Rings | None = None) -> list[str]:
     """records.arrow with all rows that are anywhere, and with its end; why some are missing."""
     path = folder / RECORDS_FILE
     if not path.exists():  # the logger had not come so far
@@ -129,7 +129,8 @@ def _whole_records(folder: Path, rings: Rings | None) -> list[str]:
             finish_records(path)
     except OSError as error:
         finish_records(path)
-        return [*told, f"{RECORDS_FILE} lacks {sum(rows.size for rows in more)} rows: {error.strerror}"]
+        lacking = sum(rows.size for rows in more)
+        return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error.strerror}"]
     (folder / TAIL_FILE).unlink(missing_ok=True)
     return told
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder
+from hil.terminal.progress import Progress
 
 _POLL_NS = NS_PER_MS
 
@@ -12,12 +13,15 @@ _POLL_NS = NS_PER_MS
 class RecordingWatch:
     """Ends a run that is not recorded any more, or lets it go on if that was asked for."""
 
-    def __init__(self, recorder: Recorder, goes_on: bool, say: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, recorder: Recorder, goes_on: bool, progress: Progress, say: Callable[[str, str], None]
+    ) -> None:
         """``goes_on``: a run goes on unrecorded. ``say``: takes a text for the reader and its level."""
         self._recorder = recorder
         self._goes_on = goes_on
+        self._progress = progress
         self._say = say
-        self._told = False
+        self._phase = "running"
 
     def confirm(self, pump: Callable[[Instant], object] | None) -> None:
         """All so far is in the files, or nothing may move. Raises RecordingFailed.
@@ -33,11 +37,13 @@ class RecordingWatch:
 
         self._recorder.confirm(wait)
 
-    def phase(self) -> str:
-        """What the loop is doing: "running", or "not recorded" if it goes on so. Raises RecordingFailed."""
-        if not self._told and (trouble := self._recorder.trouble()):
-            if not self._goes_on:
-                raise RecordingFailed(trouble)
-            self._told = True
-            self._say(f"not recorded: {trouble}", "CRITICAL")
-        return "not recorded" if self._told else "running"
+    def attend(self, elapsed_s: float) -> None:
+        """So much of the loop is done, s. Raises RecordingFailed, which is told before the drives stop."""
+        trouble = "" if self._phase != "running" else self._recorder.trouble()
+        if trouble:
+            self._phase = f"not recorded: {trouble}"
+        self._progress(self._phase, elapsed_s)
+        if trouble and not self._goes_on:
+            raise RecordingFailed(trouble)
+        if trouble:
+            self._say(self._phase, "CRITICAL")

@@ -59,19 +59,29 @@ def test_a_disk_that_is_full_before_the_start_moves_nothing(tmp_path: Path, size
     assert "Traceback" not in said
 
 
-def test_a_disk_that_fills_up_leaves_a_verdict_and_whole_files(tmp_path: Path) -> None:
-    status, said, folder = run_on_tiny_disk("900k", tmp_path, str(LING2012))
+@pytest.mark.parametrize("on_failure", ["stop", "continue"])
+def test_a_disk_that_fills_up_leaves_a_verdict_and_whole_files(tmp_path: Path, on_failure: str) -> None:
+    config = load_bench(LING2012)
+    recording = config.recording.model_copy(update={"on_failure": on_failure})
+    longer = config.bench.model_copy(update={"duration_s": 4.0})
+    bench = tmp_path / "bench.toml"
+    bench.write_text(config.model_copy(update={"recording": recording, "bench": longer}).resolved_text())
+    status, said, folder = run_on_tiny_disk("900k", tmp_path, str(bench))
     assert status == 5, said
-    assert "not recorded: " in said
-    summary = json.loads((folder / "summary.json").read_text())
-    assert not summary["verdict"]["passed"]
-    assert summary["verdict"]["reason"].startswith("not recorded: ")
-    assert "No space left on device" in str(summary["recording_faults"])
+    assert "No space left on device" in said
+    summary = summary_in(folder)
+    verdict = summary["verdict"]
+    assert not verdict["passed"]
+    assert verdict["completed"] is (on_failure == "continue")
+    assert (summary["cycles"] == 4000) is (on_failure == "continue")
+    assert verdict["reason"].startswith("not recorded: ")
     with pa.OSFile(str(folder / "records.arrow")) as source:
-        assert pa.ipc.open_stream(source).read_all().num_rows <= summary["cycles"]
+        assert 0 < pa.ipc.open_stream(source).read_all().num_rows <= summary["cycles"]
     for name in ("frames.log", "events.jsonl", "faults.jsonl"):
         assert (folder / name).read_bytes()[-1:] == b"\n", name
     assert (folder / "network.toml").stat().st_size > 0
+    drive = drive_states(folder)
+    assert drive[-1] == "switch on disabled"
 
 
 def run_and_kill(
@@ -129,6 +139,11 @@ def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(
     assert "stopping" in events
 
 
+def drive_states(folder: Path) -> list[str]:
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    return [event["state"] for event in events if event.get("track") == "axis1 drive"]
+
+
 def test_a_logger_killed_in_mid_run_ends_the_run_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,9 +153,23 @@ def test_a_logger_killed_in_mid_run_ends_the_run_at_once(
     summary = summary_in(tmp_path / "run")
     assert 300 < summary["cycles"] <= 300 + 100 + 20
     assert summary["verdict"]["reason"].startswith("not recorded: the logger was killed by SIGKILL")
-    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
-    drive = [event["state"] for event in events if event.get("track") == "axis1 drive"]
-    assert drive[-1] == "switch on disabled"
+    assert drive_states(tmp_path / "run")[-1] == "switch on disabled"
+
+
+@pytest.mark.parametrize("phase", ["enabling", "stopping", "stopped"])
+def test_a_logger_killed_at_either_end_of_the_run_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str
+) -> None:
+    recorded = True
+    try:
+        recorded = run_and_kill(tmp_path, monkeypatch, phase).recorded
+    except RecordingFailed:
+        recorded = False
+    assert not recorded
+    summary = summary_in(tmp_path / "run")
+    assert summary["cycles"] == (0 if phase == "enabling" else 2000)
+    assert not summary["verdict"]["passed"]
+    assert drive_states(tmp_path / "run")[-1] == "switch on disabled"
 
 
 def test_a_run_that_is_to_go_on_unrecorded_loses_no_row_and_has_not_passed(
@@ -155,4 +184,4 @@ def test_a_run_that_is_to_go_on_unrecorded_loses_no_row_and_has_not_passed(
     with pa.OSFile(str(tmp_path / "run" / "records.arrow")) as source:
         numbers = pa.ipc.open_stream(source).read_all()["sequence"].to_pylist()
     assert numbers == list(range(1, 2001))
-    assert any("lost" in fault for fault in summary["recording_faults"]) is False
+    assert not any("lost" in fault for fault in summary["recording_faults"])

@@ -106,6 +106,7 @@ def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
     os.kill(logger, signal.SIGSTOP)
     for _ in range(3 * ROWS_CAPACITY):
         recorder.record(record)
+    assert recorder.trouble() == f"{2 * ROWS_CAPACITY} rows lost, the logger was too slow"
     os.kill(logger, signal.SIGCONT)
     summary = recorder.close(OUTCOME)
     assert ROWS_CAPACITY <= summary.cycles < 3 * ROWS_CAPACITY
