@@ -20,8 +20,9 @@ LOGGER_LOG = "logger.log"
 
 _RESERVE_FILE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
-"""Taken off again at the end of the run: summary.json has 3 kB, network.toml 5, fault.txt 30, the end of records.arrow 86 for each hour."""
+"""Given back at the end: network.toml has 5 kB, fault.txt 30, the end of records.arrow 86 for each hour."""
 _SUMMARY_BYTES = 32 * 1024
+"""summary.json has 3 kB, and a kilobyte for each step of a load machine."""
 
 
 class Reserve:
