@@ -189,16 +189,8 @@ def axis(
     return Axis(number, parts, timing.period, record, Duration(later))
 
 
-def recording_plan(
-    config: BenchConfig,
-    world: World,
-    folder: Path,
-    seed: int,
-    bus: str,
-    view: bool,
-    certified: Mapping[str, CertifiedPlan],
-) -> RecordingPlan:
-    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run.
+def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan]) -> ReviewPlan:
+    """What figures and verdict of a run of the bench depend on.
 
     ``certified``: of the axes whose controllers have certificates.
     """
@@ -211,6 +203,23 @@ def recording_plan(
         )
         for name, drive in sorted(config.drive.items())
     )
+    return ReviewPlan(axes, config.verdict.limits, config.verdict.settling)
+
+
+def recording_plan(
+    config: BenchConfig,
+    world: World,
+    folder: Path | None,
+    seed: int,
+    bus: str,
+    view: bool,
+    certified: Mapping[str, CertifiedPlan],
+) -> RecordingPlan:
+    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run.
+
+    ``folder``: None if no files are to be kept. ``certified``: of the axes whose controllers have
+    certificates.
+    """
     first = config.drive[config.axes[0]]
     return RecordingPlan(
         folder=folder,
@@ -219,7 +228,7 @@ def recording_plan(
         bus=bus,
         real_time=world.real_time,
         deadline=config.loop.deadline,
-        review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
+        review=review_plan(config, certified),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,

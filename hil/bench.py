@@ -1,6 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -28,7 +29,9 @@ from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import Uncertified, certified_plans, uncertified, watched
 from hil.recording.fault_report import write_fault_report
+from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder, start_recording
+from hil.recording.watch import RecordingWatch
 from hil.samples import CycleRecord
 from hil.segments import listen_for_syncs, masters, record_frames
 from hil.simulated_drives import simulated_drives
@@ -57,6 +60,7 @@ def run_bench(
     record: Path | None,
     view: bool,
     progress: Progress,
+    keep: bool = True,
     controllers: Mapping[str, Controller] | None = None,
     network: Path | None = None,
     allow_uncertified: bool = False,
@@ -65,13 +69,14 @@ def run_bench(
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
-    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``controllers``: by
-    axis, what a caller puts in place of the file's. ``network``: file of one measured before. That network,
-    the run's own and the drives must be what the controllers were made for, unless ``allow_uncertified``.
-    ``privileged``: ask the kernel for real-time priority and locked memory on a bus in real time.
-    Raises BadInput before anything moves, PeerFault if bus or drive failed; in every case the drives are
-    brought to rest and the recording is closed first. ``concluded`` is given the summary then, also of a run
-    that ends in an error.
+    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``record``: folder of
+    the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
+    caller puts in place of the file's. ``network``: file of one measured before. That network, the run's own
+    and the drives must be what the controllers were made for, unless ``allow_uncertified``. ``privileged``:
+    ask the kernel for real-time priority and locked memory on a bus in real time.
+    Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
+    did; in every case the drives are brought to rest and the recording is closed first. ``concluded`` is
+    given the summary then, also of a run that ends in an error.
     """
     _check_axes(config, controllers or {})
     sheets = data_sheets(config)
@@ -95,7 +100,7 @@ def run_bench(
     )
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals() as stop, open_world(world_plan, devices) as world:
-        folder = record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
+        folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         certified = certified_plans(config, replaced, spec.simulated)
         plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
         recorder = start_recording(plan)
@@ -106,7 +111,8 @@ def run_bench(
             try:
                 return run.to_the_end(refused, concluded)
             except PeerFault as error:
-                run.write_fault_report(folder, str(error))
+                if folder is not None:
+                    run.write_fault_report(folder, str(error))
                 raise
 
 
@@ -136,6 +142,7 @@ class _Run:
         self._config = config
         self._world = world
         self._recorder = recorder
+        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", progress, self._say)
         self._stop = stop
         self._progress = progress
         self._controllers = controllers
@@ -171,13 +178,20 @@ class _Run:
             self._conclusion.came_to_its_end()
         except BenchError as error:
             self._conclusion.failed(error)
-            self._recorder.event(self._world.clock.now(), "CRITICAL", str(error))
+            self._say(str(error), "CRITICAL")
+            with suppress(RecordingFailed):  # what ended the run is to be told
+                self._close(concluded)
             raise
-        finally:
-            if self._world.faults is not None:
-                self._world.faults.finish()
-            summary = self._recorder.close(self._conclusion.outcome)
-            concluded(summary)
+        except BaseException:
+            self._close(concluded)
+            raise
+        return self._close(concluded)
+
+    def _close(self, concluded: Callable[[Summary], None]) -> Summary:
+        if self._world.faults is not None:
+            self._world.faults.finish()
+        summary = self._recorder.close(self._conclusion.outcome)
+        concluded(summary)
         return summary
 
     def write_fault_report(self, folder: Path, error: str) -> None:
@@ -226,6 +240,7 @@ class _Run:
         loop.calibrate()
         self._stop.check()
         self._enter("enabling")
+        self._watch.confirm(self._network.pump if self._world.real_time else None)
         self._enabled_from = self._world.clock.now()
         for drive in self._drives:
             drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
@@ -271,7 +286,7 @@ class _Run:
             duration_s(self._config.bench.duration_s),
             self._stop,
             self._start,
-            lambda done: self._progress("running", done * period_s),
+            lambda done: self._watch.attend(done * period_s),
         )
 
     def _start(self, at: Instant) -> None:

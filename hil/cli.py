@@ -24,6 +24,7 @@ from hil.terminal.exit_status import complain, reported_errors
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
+from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
@@ -44,6 +45,7 @@ app.command()(fault)
 app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
+app.command()(recover)
 for group in (reproduce, analyse, design):
     app.add_typer(group)
 
@@ -70,6 +72,9 @@ SeedOption = Annotated[
     int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
 ]
 
+NoRecordOption = Annotated[
+    bool, typer.Option("--no-record", help="Keep no files: figures and verdict alone.")
+]
 ReplayOption = Annotated[
     Path | None,
     typer.Option(
@@ -121,6 +126,7 @@ def run(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
+    no_record: NoRecordOption = False,
     replay_faults: ReplayOption = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
@@ -139,6 +145,8 @@ def run(
         from drivers.bounded_file import NamedBy
         from hil.configuration.bench_file import load_bench, load_faults
 
+        if no_record and (record is not None or view):
+            raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
         config = load_bench(bench)
         if replay_faults is not None:
             named_by = NamedBy("--replay-faults", "", str(replay_faults))
@@ -162,6 +170,7 @@ def run(
                 time=time.value if time else None,
                 seed=seed,
                 record=record,
+                keep=not no_record,
                 view=view,
                 progress=progress,
                 network=network,

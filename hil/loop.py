@@ -19,11 +19,12 @@ from typing import Final
 
 from drivers.errors import LimitExceeded, NoAnswer
 from drivers.exchange import Master
-from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
 from hil.pace import Pace, Start
 
-PROGRESS_EVERY_CYCLES: Final = 50
+PROGRESS_EVERY: Final = 50 * NS_PER_MS
+"""What is asked so often may call the kernel, which no single cycle does."""
 BEYOND_ANY_HORIZON: Final = 1 << 30
 
 
@@ -112,11 +113,12 @@ class Loop:
         on_start: Callable[[Instant], None],
         progress: Callable[[int], None],
     ) -> LoopOutcome:
-        """Run the cycles of ``duration``; ``progress`` is given the number done so far.
+        """Run the cycles of ``duration``; ``progress`` is given the number done so far, and may raise.
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
         planned = planned_cycles(duration, self._timing.period)
+        progress_every = max(1, PROGRESS_EVERY // self._timing.period)
         self._started_at = self._due_at = self._pace.begin(self._axes)
         on_start(self._started_at)
         interrupted = False
@@ -127,7 +129,7 @@ class Loop:
                     interrupted = True
                     break
                 self._serve(self._pace.next())
-                if self._number % PROGRESS_EVERY_CYCLES == 0:
+                if self._number % progress_every == 0:
                     progress(self._number)
             ended_at = self._now()
             self._drain(interrupted)

@@ -152,6 +152,8 @@ class Recording(Section):
 
     frames: bool = True
     """Whether every frame goes to frames.log as well."""
+    on_failure: Literal["stop", "continue"] = "stop"
+    """What a run does that is not recorded any more: end in order, or go on; it has not passed either way."""
 
 
 class Guard(Section):

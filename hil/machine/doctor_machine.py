@@ -34,7 +34,7 @@ def realtime_scheduling(machine: Machine) -> Capability:
 
 def locked_memory(machine: Machine) -> Capability:
     """Whether the loop's process may lock its memory."""
-    name, needed_for = "locked memory", "no page fault in the loop"
+    name, needed_for = "locked memory", "no page of the loop written out to disk"
     limit = machine.limits[resource.RLIMIT_MEMLOCK]
     if machine.has_privilege(CAP_IPC_LOCK):
         return capable(name, "CAP_IPC_LOCK", needed_for)

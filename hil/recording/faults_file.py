@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.figures.summary import Summary
-from hil.recording.log_files import AppendFile
+from hil.recording.append_file import AppendFile
 from hil.recording.records import Rows
 from hil.recording.ring import RingReader
 from hil.recording.side_rows import RunEvent
@@ -22,8 +22,8 @@ class FaultsKeeper:
 
     name = FAULTS_FILE
 
-    def __init__(self, folder: Path, blocks: RingReader) -> None:
-        self._file = AppendFile(folder / FAULTS_FILE)
+    def __init__(self, folder: Path, blocks: RingReader, *, fresh: bool = True) -> None:
+        self._file = AppendFile(folder / FAULTS_FILE, fresh=fresh)
         self._blocks = blocks
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002

@@ -1,7 +1,6 @@
 """What keeps a part of a run: the files of its folder, and the live view."""
 
 import json
-import os
 import socket
 import subprocess
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
+from hil.recording.append_file import AppendFile
 from hil.recording.candump import candump_lines
 from hil.recording.network_meter import NetworkKeeper
 from hil.recording.recording_plan import RecordingPlan
@@ -22,12 +22,14 @@ from hil.recording.records import Rows
 from hil.recording.records_file import RECORDS_FILE, RecordsWriter
 from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.tail import Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from virtual_bus.child_python import python_command, python_environment
 
 _BLOCK_ROWS = 8_192
 _LIVE_MEMORY = "256MiB"
 _LOOPBACK = "127.0.0.1"
+LIVE_VIEW = "live view"
 
 
 class Keeper(Protocol):
@@ -71,47 +73,34 @@ class RowBlocks:
         return block
 
 
-class AppendFile:
-    """A new file without a buffer of its own: what a write could not store, no close tries again."""
-
-    def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-
-    def write(self, data: bytes) -> None:
-        """All of ``data``. Error: OSError; the file is closed then."""
-        view = memoryview(data)
-        try:
-            while view:
-                view = view[os.write(self._descriptor, view) :]
-        except OSError:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        os.close(self._descriptor)
-
-
 class RecordsKeeper:
-    """records.arrow."""
+    """records.arrow, and what is not yet in it."""
 
     name = RECORDS_FILE
 
     def __init__(self, folder: Path) -> None:
         self._writer = RecordsWriter(folder / RECORDS_FILE)
         self._blocks = RowBlocks()
+        self._tail = Tail(folder)
+        self._stored = 0
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         if self._blocks.add(rows):
             self.flush()
+        else:
+            self._tail.append(rows)
 
     def flush(self) -> None:
         block = self._blocks.take()
         if block is not None:
             self._writer.write(block)
+            self._stored += block.size
+            self._tail.restart(self._stored)
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self.flush()
         self._writer.close()
+        self._tail.remove()
 
 
 class FramesKeeper:
@@ -119,8 +108,8 @@ class FramesKeeper:
 
     name = FRAMES_FILE
 
-    def __init__(self, plan: RecordingPlan) -> None:
-        self._file = AppendFile(plan.folder / FRAMES_FILE)
+    def __init__(self, plan: RecordingPlan, folder: Path, *, fresh: bool = True) -> None:
+        self._file = AppendFile(folder / FRAMES_FILE, fresh=fresh)
         self._interface = plan.bus.rpartition(":")[2]
         self._segments = plan.segments
         self._wall_offset = plan.wall_offset
@@ -140,8 +129,8 @@ class EventsKeeper:
 
     name = EVENTS_FILE
 
-    def __init__(self, folder: Path) -> None:
-        self._file = AppendFile(folder / EVENTS_FILE)
+    def __init__(self, folder: Path, *, fresh: bool = True) -> None:
+        self._file = AppendFile(folder / EVENTS_FILE, fresh=fresh)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         for event in events:
@@ -186,11 +175,11 @@ class RerunKeeper:
 
     name = RERUN_FILE
 
-    def __init__(self, plan: RecordingPlan, recording_id: str, delay: TimeHistogram) -> None:
-        self._telemetry = Telemetry(plan, recording_id, rr.FileSink(plan.folder / RERUN_FILE))
+    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, delay: TimeHistogram) -> None:
+        self._telemetry = Telemetry(plan, recording_id, rr.FileSink(folder / RERUN_FILE))
         self._blocks = RowBlocks()
         self._delay = delay
-        self._show_at_end = plan.folder / RERUN_FILE if plan.view and not plan.real_time else None
+        self._show_at_end = folder / RERUN_FILE if plan.view and not plan.real_time else None
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         self._telemetry.take_events(events)
@@ -217,7 +206,7 @@ class RerunKeeper:
 class LiveKeeper:
     """A Rerun viewer that shows a real-time run while it goes on; served on the loopback only."""
 
-    name = "live view"
+    name = LIVE_VIEW
 
     def __init__(self, plan: RecordingPlan, recording_id: str, delay: TimeHistogram) -> None:
         sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
@@ -239,18 +228,24 @@ class LiveKeeper:
 
 
 def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
-    """Everything that the plan asks for. ``delay``: the review's, shown as the histogram."""
+    """Everything that the plan asks for; nothing without a folder.
+
+    ``delay``: the review's, shown as the histogram.
+    """
+    if plan.folder is None:
+        return []
     recording_id = uuid4().hex
     keepers: list[Keeper] = [
         RecordsKeeper(plan.folder),
         EventsKeeper(plan.folder),
         LoadKeeper(plan.folder),
-        RerunKeeper(plan, recording_id, delay),
     ]
     if plan.frames:
-        keepers.append(FramesKeeper(plan))
+        keepers.append(FramesKeeper(plan, plan.folder))
     if plan.period_us:
         keepers.append(NetworkKeeper(plan.folder, plan.period_us, len(plan.review.axes)))
+    # last, so that on a full disk what is kept for the end is not Rerun's
+    keepers.append(RerunKeeper(plan, plan.folder, recording_id, delay))
     if plan.view and plan.real_time:
         keepers.append(LiveKeeper(plan, recording_id, delay))
     return keepers

@@ -1,18 +1,20 @@
 """Drains a run's rings into its folder: ``python -m hil.recording.logger ROWS FRAMES EVENTS FAULTS``.
 
-The arguments are the descriptors of the four rings. On standard input come two lines of
-JSON: the recording plan at once, the outcome when the run ends. If the input ends without an
-outcome, the writer died; the rings still hold what it had stored, and the recording is
-finished with a verdict that says so. Printed are the line "ready" when the logger drains, and at
-the end the summary, one line of JSON.
+The arguments are the descriptors of the four rings. On standard input come lines: the recording plan at once
+(JSON), "confirm" any number of times, the outcome when the run ends (JSON). If the input ends without an
+outcome, the writer died; the rings still hold what it had stored, and the recording is finished with a
+verdict that says so. Printed are the line "ready" when the logger drains, "stored" when what was there at a
+"confirm" is in the files, "failed" and why as soon as a file cannot be written, and at the end the summary,
+one line of JSON.
 """
 
 import json
 import os
-import select
 import signal
 import sys
-from dataclasses import replace
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 import rerun as rr
 
@@ -20,10 +22,15 @@ from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import Summary, summarise
 from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
-from hil.recording.log_files import Keeper, open_keepers
+from hil.recording.line_reader import LineReader
+from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
+from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
+from hil.recording.records_file import RECORDS_FILE
+from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
+from hil.recording.run_folder import SUMMARY_FILE, Reserve, write_summary
 from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
 from hil.verdict import RunOutcome
 
@@ -32,64 +39,53 @@ _FLUSH_PERIOD_NS = NS_PER_S
 _BUSY_ROWS = 2_000
 """A drain that finds more than this is followed by the next one at once: simulated time is fast."""
 _WRITER_DIED = RunOutcome(completed=False, reason="the process of the loop died")
-SUMMARY_FILE = "summary.json"
-READY = "ready"
-
-
-class Input:
-    """Standard input by lines, without waiting; the interpreter's own buffer would hide what has come."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._held = b""
-        self.ended = False
-
-    def line(self, timeout_s: float) -> str | None:
-        """The next whole line; None if it has not come in time, or never will."""
-        if (
-            b"\n" not in self._held
-            and not self.ended
-            and select.select([self._descriptor], [], [], timeout_s)[0]
-        ):
-            found = os.read(self._descriptor, 1 << 16)
-            self.ended = not found
-            self._held += found
-        line, separator, rest = self._held.partition(b"\n")
-        if not separator:
-            return None
-        self._held = rest
-        return line.decode()
 
 
 class Logger:
     """Owns the readers' ends of the rings, the review, and everything that keeps something."""
 
     def __init__(
-        self, plan: RecordingPlan, rows: int, frames: int, events: int, faults: int | None = None
+        self,
+        plan: RecordingPlan,
+        rows: int,
+        frames: int,
+        events: int,
+        faults: int | None = None,
+        *,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
-        """``rows``, ``frames``, ``events``, ``faults``: descriptors of the rings."""
+        """``rows``, ``frames``, ``events``, ``faults``: descriptors of the rings; ``tell``: to the writer.
+
+        Error: OSError if the files cannot be opened, or there is no room for their end.
+        """
         self._plan = plan
+        self._tell = tell
         self._rows = RingReader(rows, ROW_DTYPE)
         self._frames = RingReader(frames, FRAME_DTYPE)
         self._events = RingReader(events, EVENT_DTYPE)
         self._review = Review(plan.review)
         self._faults: list[str] = []
+        self._reserve = None if plan.folder is None else Reserve(plan.folder)
         self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
+        self._given_up: list[Keeper] = []
+        """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
         self._fault_blocks: RingReader | None = None
         if faults is not None:
             self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
-            if plan.faults:
+            if plan.faults and plan.folder is not None:
                 self._keepers.append(FaultsKeeper(plan.folder, self._fault_blocks))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
-    def run(self, source: Input) -> Summary:
+    def run(self, source: LineReader) -> Summary:
         """Drain until the outcome comes, or the writer is gone; then finish."""
         outcome: RunOutcome | None = None
         wait_s = _DRAIN_PERIOD_S
         while outcome is None and not source.ended:
             line = source.line(wait_s)
-            if line is not None:
+            if line == CONFIRM:
+                self._confirm()
+            elif line is not None:
                 outcome = RunOutcome.from_json(json.loads(line))
             wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
@@ -97,9 +93,15 @@ class Logger:
         self._drain()
         return self._finish(outcome or _WRITER_DIED)
 
+    def _confirm(self) -> None:
+        self._drain()
+        self._flush()
+        if not self._faults:
+            self._tell(STORED)
+
     def _drain(self) -> int:
         """Take all that is there; the number of cycle rows."""
-        rows, frames, events = self._rows.drain(), self._frames.drain(), events_of(self._events.drain())
+        rows, frames, events = self._rows.look(), self._frames.drain(), events_of(self._events.drain())
         self._review.add(rows)
         events += self._review.take_events()
         for keeper in list(self._keepers):
@@ -107,6 +109,7 @@ class Logger:
                 keeper.take(rows, frames, events)
             except OSError as error:
                 self._give_up(keeper, error)
+        self._rows.release()
         return rows.size
 
     def _flush(self) -> None:
@@ -123,45 +126,63 @@ class Logger:
         self._note_refused("event", self._events.refused)
         if self._fault_blocks is not None:
             self._note_refused("block of injected faults", self._fault_blocks.refused)
-        if self._rows.refused and outcome.completed:
-            # the figures would rest on less than the run
-            outcome = replace(outcome, completed=False, reason="cycle records were lost")
-        summary = self._summary(outcome)
+        self._flush()  # who waits for room on a full disk must not take what is kept for the end
+        if self._plan.folder is not None:
+            self._end_records(self._plan.folder)
         for keeper in list(self._keepers):
             try:
-                keeper.finish(summary)
+                keeper.finish(self._summary(outcome))
             except OSError as error:
                 self._give_up(keeper, error)
-        summary = self._summary(outcome)
-        try:
-            text = json.dumps(summary.as_json(), indent=2) + "\n"
-            (self._plan.folder / SUMMARY_FILE).write_text(text)
-        except OSError as error:
-            self._faults.append(f"{SUMMARY_FILE}: {error}")
+        if self._plan.folder is not None:
+            self._end_summary(self._plan.folder, outcome)
         return self._summary(outcome)
+
+    def _end_records(self, folder: Path) -> None:
+        """First of what is kept for the end: whole records, if they could not be written to their end."""
+        if self._reserve is not None:
+            self._reserve.release()
+        if any(fault.startswith(RECORDS_FILE) for fault in self._faults):
+            with suppress(OSError):  # that it is incomplete is told already
+                for fault in whole_records(folder):
+                    self._note(fault)
+
+    def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:
+        if self._reserve is not None:
+            self._reserve.close()
+        try:
+            write_summary(folder, self._summary(outcome))
+        except OSError as error:
+            self._note(f"{SUMMARY_FILE}: {error.strerror}")
 
     def _summary(self, outcome: RunOutcome) -> Summary:
         return summarise(
             self._review.figures(),
             outcome,
             self._plan.review.limits,
-            str(self._plan.folder),
+            str(self._plan.folder or ""),
             self._plan.seed,
             tuple(self._faults),
         )
 
     def _note_refused(self, what: str, count: int) -> None:
         if count:
-            self._faults.append(f"{count} {what}{'s' if count > 1 else ''} lost, the logger was too slow")
+            self._note(f"{count} {what}{'s' if count > 1 else ''} lost, the logger was too slow")
 
     def _give_up(self, keeper: Keeper, error: OSError) -> None:
-        """One file that cannot be written does not end the others, nor the run."""
+        """One file that cannot be written does not end the others."""
         self._keepers.remove(keeper)
-        self._faults.append(f"{keeper.name} is incomplete: {error}")
+        self._given_up.append(keeper)
+        if keeper.name != LIVE_VIEW:
+            self._note(f"{keeper.name} is incomplete: {error}")
+
+    def _note(self, fault: str) -> None:
+        self._faults.append(fault)
+        self._tell(FAILED + " ".join(fault.split()))
 
 
 def main() -> int:
-    """Entry point of the process."""
+    """Entry point of the process; the status of one that could not begin."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # The writer says when to end; if it is ended itself, the input ends too.
         signal.signal(number, signal.SIG_IGN)
@@ -169,21 +190,29 @@ def main() -> int:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     rr.set_strict_mode(True)
     descriptors = [int(argument) for argument in sys.argv[1:5]]
-    source = Input(sys.stdin.fileno())
+    source = LineReader(sys.stdin.fileno())
     line = None
     while line is None and not source.ended:
         line = source.line(_DRAIN_PERIOD_S)
     if line is None:
         return 1
     try:
-        logger = Logger(RecordingPlan.from_json(json.loads(line)), *descriptors)
+        logger = Logger(RecordingPlan.from_json(json.loads(line)), *descriptors, tell=_tell)
     except OSError as error:
-        print(error, file=sys.stderr)
+        _tell(f"{FAILED}{error}")
         return 1
-    print(READY, flush=True)
+    _tell(READY)
     summary = logger.run(source)
-    print(json.dumps(summary.as_json()), flush=True)
-    return 0
+    _tell(json.dumps(summary.as_json()))
+    # not by the interpreter's end, which lets go of all that Rerun holds: see Logger._given_up
+    os._exit(0)
+
+
+def _tell(line: str) -> None:
+    try:
+        print(line, flush=True)
+    except BrokenPipeError:
+        """The writer died; what was recorded is finished all the same."""
 
 
 if __name__ == "__main__":

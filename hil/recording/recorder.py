@@ -3,24 +3,24 @@
 No disk, no log, no telemetry here: another process (:mod:`hil.recording.logger`) drains the rings.
 """
 
-import json
-import subprocess
+import errno
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from drivers.errors import BadInput, PeerFault
+from drivers.errors import BadInput
 from drivers.frame_port import FrameTap
-from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import Summary, summarise
+from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
 from hil.recording.recording_plan import RecordingPlan, ReviewPlan
 from hil.recording.records import ROW, ROW_DTYPE, store_record
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
+from hil.recording.run_folder import BENCH_FILE
 from hil.recording.side_rows import (
     EVENT,
     FRAME,
@@ -32,7 +32,6 @@ from hil.recording.side_rows import (
 )
 from hil.samples import CycleRecord
 from hil.verdict import RunOutcome
-from virtual_bus.child_python import python_command, python_environment
 from virtual_bus.fault_injection.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16
@@ -43,14 +42,10 @@ FAULTS_CAPACITY = 1 << 12
 is while it starts: a loop in simulated time has done half a minute by then. A row of faults is a block
 of 90."""
 
-_FINISH_MAX_S = 120.0
 _POLL_NS = NS_PER_MS // 4
-_BENCH_FILE, _LOGGER_LOG = "bench.toml", "logger.log"
-
-
-@dataclass(eq=False)
-class RecordingFailed(PeerFault):
-    """The logger process died or does not finish; the run's folder holds what it had written."""
+_STALL_MAX_NS = 60 * NS_PER_S
+"""A logger that takes nothing for so long takes nothing any more; a slow disk holds it up for seconds."""
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 class Recorder(Protocol):
@@ -90,8 +85,19 @@ class Recorder(Protocol):
         """What the load machine of an axis measured; a few dozen times a second at most."""
         ...
 
+    def confirm(self, wait: Callable[[], None]) -> None:
+        """Return when all that was recorded until now is stored; ``wait`` lets a little time pass.
+
+        Error: RecordingFailed.
+        """
+        ...
+
+    def trouble(self) -> str:
+        """Why the run is not wholly recorded, as far as is known; empty if it is. Does not wait."""
+        ...
+
     def close(self, outcome: RunOutcome) -> Summary:
-        """End the recording and return its summary. Error: RecordingFailed."""
+        """End the recording and return its summary. Error: RecordingFailed if there is none."""
         ...
 
 
@@ -131,6 +137,12 @@ class MemoryRecorder:
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
         self.events.append(LoadEvent(at, axis, torque_nm, speed_rad_s))
 
+    def confirm(self, wait: Callable[[], None]) -> None:
+        """Memory holds it."""
+
+    def trouble(self) -> str:
+        return ""
+
     def close(self, outcome: RunOutcome) -> Summary:
         self._review_filled()
         return summarise(self._review.figures(), outcome, self._plan.limits, "", self._seed)
@@ -146,19 +158,21 @@ class FolderRecorder:
 
     def __init__(self, plan: RecordingPlan) -> None:
         """See :func:`start_recording`."""
-        self._folder = plan.folder
+        self._plan = plan
+        self._taken, self._taken_at = -1, Instant(0)
+        """Rows that the logger had taken when it was last seen to take any, and when that was."""
         on_full = refuse if plan.real_time else self._wait_for_logger
         self._rows = RingWriter(ROW, ROWS_CAPACITY, on_full)
         self._frames = RingWriter(FRAME, FRAMES_CAPACITY, on_full)
         self._events = RingWriter(EVENT, EVENTS_CAPACITY, on_full)
         self._faults = RingWriter(BLOCK, FAULTS_CAPACITY, on_full)
-        self._keep_frames = plan.frames
-        writer = RowWriter(self._rows, self._frames, plan.frames)
+        self._keep_frames = plan.frames and plan.folder is not None
+        writer = RowWriter(self._rows, self._frames, self._keep_frames)
         self.record: Callable[[CycleRecord], None] = writer.record
         """See :meth:`Recorder.record`."""
         self.frame: Callable[[str, int, bytes, bool, bool, Instant], None] = writer.frame
         """See :meth:`Recorder.frame`."""
-        self._logger = self._start_logger(plan)
+        self._logger = LoggerProcess(plan, [ring.descriptor for ring in self._rings])
 
     def tap(self, segment: int = 0) -> FrameTap:
         return RowWriter(self._rows, self._frames, self._keep_frames, segment)
@@ -182,41 +196,38 @@ class FolderRecorder:
     @property
     def logger_process_id(self) -> int:
         """Of the process that drains the rings."""
-        return self._logger.pid
+        return self._logger.process_id
 
     def wait_ready(self) -> None:
         """Return when the logger is up and drains; before that the rings fill. Error: RecordingFailed."""
-        assert self._logger.stdout is not None
-        if not self._logger.stdout.readline():
-            self._logger.wait()
-            raise self._failure(f"the logger ended with status {self._logger.returncode}")
+        self._logger.wait_ready()
+
+    def confirm(self, wait: Callable[[], None]) -> None:
+        self._logger.confirm(wait)
+
+    def trouble(self) -> str:
+        refused = sum(ring.refused for ring in self._rings)
+        told = self._logger.trouble()
+        if told or not refused:
+            return told
+        return f"{refused} rows lost, the logger was too slow"
 
     def close(self, outcome: RunOutcome) -> Summary:
-        answer = self._finish(json.dumps(asdict(outcome)))
-        for ring in self._rings:
-            ring.close()
-        return Summary.from_json(json.loads(answer.splitlines()[-1]))
-
-    def _finish(self, message: str) -> str:
-        """Tell the logger how the run ended and wait for the summary that it prints."""
+        summary = self._logger.finish(outcome)
         try:
-            answer, _ = self._logger.communicate(message + "\n", timeout=_FINISH_MAX_S)
-        except subprocess.TimeoutExpired:
-            self._logger.kill()
-            self._logger.communicate()
-            raise self._failure(f"the logger did not finish within {_FINISH_MAX_S:.0f} s") from None
-        if self._logger.returncode != 0 or not answer:
-            raise self._failure(f"the logger ended with status {self._logger.returncode}")
-        return answer
+            if summary is None:
+                summary = self._salvaged(outcome)
+        finally:
+            for ring in self._rings:
+                ring.close()
+        return summary
 
-    def _failure(self, summary: str) -> RecordingFailed:
-        log = self._folder / _LOGGER_LOG
-        lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
-        return RecordingFailed(
-            summary,
-            evidence=lines[-1] if lines else "",
-            remedy=f"{self._folder} holds what was written; rerun rrd optimize mends run.rrd",
-        )
+    def _salvaged(self, outcome: RunOutcome) -> Summary:
+        trouble = self._logger.trouble()
+        if self._plan.folder is None:
+            raise RecordingFailed(trouble)
+        descriptors = [ring.descriptor for ring in self._rings]
+        return Summary.from_json(salvage(self._plan, descriptors, outcome, trouble))
 
     @property
     def _rings(self) -> tuple[RingWriter, ...]:
@@ -224,41 +235,29 @@ class FolderRecorder:
 
     def _wait_for_logger(self) -> bool:
         """Policy of a full ring in simulated time: wait as long as there is somebody to wait for."""
-        if self._logger.poll() is not None:
-            return False
         clock = MonotonicClock()
-        clock.sleep_until(Instant(clock.now() + _POLL_NS))
+        now = clock.now()
+        taken = sum(ring.taken for ring in self._rings)
+        if taken != self._taken:
+            self._taken, self._taken_at = taken, now
+        if self._logger.gone or now - self._taken_at > _STALL_MAX_NS:
+            return False
+        clock.sleep_until(Instant(now + _POLL_NS))
         return True
-
-    def _start_logger(self, plan: RecordingPlan) -> subprocess.Popen[str]:
-        descriptors = [ring.descriptor for ring in self._rings]
-        with open(plan.folder / _LOGGER_LOG, "w") as log:
-            logger = subprocess.Popen(
-                python_command("hil.recording.logger", *map(str, descriptors)),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-                pass_fds=descriptors,
-                # a session of its own: an interrupt from the terminal is for the loop, not for the logger
-                start_new_session=True,
-                # Rerun's analytics are off wherever CI is set
-                env=python_environment(CI="1"),
-            )
-        assert logger.stdin is not None
-        logger.stdin.write(json.dumps(plan.as_json()) + "\n")
-        logger.stdin.flush()
-        return logger
 
 
 def start_recording(plan: RecordingPlan) -> FolderRecorder:
     """Make the run's folder and rings and start the logger process.
 
     Error: BadInput if the folder cannot be made, or already holds something;
-    RecordingFailed if the logger does not come up.
+    RecordingFailed if the disk is full or the logger does not come up.
     """
-    _make_folder(plan.folder)
-    (plan.folder / _BENCH_FILE).write_text(plan.bench_toml)
+    if plan.folder is not None:
+        _make_folder(plan.folder)
+        try:
+            (plan.folder / BENCH_FILE).write_text(plan.bench_toml)
+        except OSError as error:
+            raise RecordingFailed(f"{plan.folder / BENCH_FILE}: {error.strerror}") from error
     recorder = FolderRecorder(plan)
     if plan.real_time:
         # its start costs a second of a core, which a real-time loop would feel
@@ -271,6 +270,8 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
     except OSError as error:
+        if error.errno in _DISK_ERRORS:
+            raise RecordingFailed(f"{folder}: {error.strerror}") from error
         raise BadInput("--record", "", str(folder), "a folder that can be made", str(error)) from error
     if occupied:
         raise BadInput(

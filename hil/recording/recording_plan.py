@@ -67,8 +67,8 @@ class ReviewPlan:
 class RecordingPlan:
     """One run's recording."""
 
-    folder: Path
-    """Made by the recorder; holds everything of the run."""
+    folder: Path | None
+    """Made by the recorder; holds everything of the run. None: there are to be figures, and no files."""
     name: str
     """Of the bench, for titles."""
     seed: int
@@ -99,7 +99,7 @@ class RecordingPlan:
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
         found = asdict(self)
-        found["folder"] = str(self.folder)
+        found["folder"] = None if self.folder is None else str(self.folder)
         return found
 
     @classmethod
@@ -109,7 +109,7 @@ class RecordingPlan:
         return cls(
             **{
                 **found,
-                "folder": Path(found["folder"]),
+                "folder": None if found["folder"] is None else Path(found["folder"]),
                 "segments": tuple(found["segments"]),
                 "review": ReviewPlan(
                     tuple(AxisPlan.from_json(axis) for axis in review["axes"]),

@@ -13,6 +13,8 @@ import pyarrow as pa
 from hil.recording.records import ROW_DTYPE, Rows
 
 RECORDS_FILE = "records.arrow"
+_END_OF_STREAM = b"\xff\xff\xff\xff\0\0\0\0"
+"""Arrow columnar format 1.3, IPC streaming format: continuation and a length of 0."""
 
 
 class RecordsWriter:
@@ -44,6 +46,26 @@ def read_records(path: Path) -> Iterator[Rows]:
                 yield _rows_of(reader.read_next_batch())
         except (StopIteration, pa.ArrowInvalid, OSError):
             return
+
+
+def finish_records(path: Path) -> None:
+    """End a file that was cut off behind its last whole batch. Error: OSError."""
+    whole = 0
+    with pa.OSFile(str(path), "rb") as source:
+        try:
+            reader = pa.ipc.open_stream(source)
+            while True:
+                whole = source.tell()
+                reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
+            pass
+    if whole == 0:
+        RecordsWriter(path).close()
+        return
+    with open(path, "r+b") as file:
+        file.truncate(whole)
+        file.seek(whole)
+        file.write(_END_OF_STREAM)
 
 
 def _rows_of(batch: pa.RecordBatch) -> Rows:

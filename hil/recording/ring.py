@@ -105,6 +105,11 @@ class RingWriter:
         """Rows that found the ring full."""
         return self._words[_REFUSED]
 
+    @property
+    def taken(self) -> int:
+        """Rows whose room the reader has given back."""
+        return self._words[_READ]
+
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
         self._words.release()
@@ -135,12 +140,20 @@ class RingReader:
             self._memory, dtype, count=self._capacity, offset=_HEADER_BYTES
         )
         self._read = self._words[_READ]
+        self._looked = self._read
         self._fence = _Fence()
 
     def drain(self) -> NDArray[np.void]:
         """A copy of all rows that are there, in order, (n,); their room is the writer's again."""
+        found = self.look()
+        self.release()
+        return found
+
+    def look(self) -> NDArray[np.void]:
+        """The same, but their room is given back by :meth:`release` only: when they are stored elsewhere."""
         written = self._words[_WRITTEN]
         self._fence.pass_through()  # the count before the rows
+        self._looked = written
         first, last = self._read % self._capacity, written % self._capacity
         if written == self._read:
             return self._rows[:0].copy()
@@ -148,9 +161,17 @@ class RingReader:
             found = self._rows[first:last].copy()
         else:
             found = np.concatenate((self._rows[first:], self._rows[:last]))
-        self._fence.pass_through()  # the rows before their room is given back
-        self._words[_READ] = self._read = written
         return found
+
+    def release(self) -> None:
+        """The rows of the last :meth:`look` are not needed here any more."""
+        self._fence.pass_through()  # the rows before their room is given back
+        self._words[_READ] = self._read = self._looked
+
+    @property
+    def released(self) -> int:
+        """Rows whose room was given back, ever."""
+        return self._read
 
     @property
     def refused(self) -> int:

@@ -136,7 +136,7 @@ def _number(value: float | None) -> str:
 def recording_lines(recording: Path | None) -> list[str]:
     """Where the recording is and the command that opens it; ``recording``: a folder, or the .rrd itself."""
     if recording is None:
-        return []
+        return ["Recording  none was asked for"]
     path = recording if recording.suffix == ".rrd" else recording / "run.rrd"
     place = _shortest(path)
     return [f"Recording  {place}", f"Open with  {viewer_command()} {place}"]

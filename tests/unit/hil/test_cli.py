@@ -114,7 +114,7 @@ def test_options_reach_the_bench(bench: Bench) -> None:
     assert bench.config.bench.name == "ling2012"
     asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": "hub:a", "time": "real", "seed": 7, "record": Path("r"), "view": True}
-    expected |= {"network": Path("n.toml"), "allow_uncertified": True}
+    expected |= {"network": Path("n.toml"), "allow_uncertified": True, "keep": True}
     assert asked == expected
 
 
@@ -122,7 +122,15 @@ def test_without_options_the_file_decides(bench: Bench) -> None:
     hil("run", BENCH)
     asked = {key: value for key, value in bench.asked.items() if key not in ("progress", "concluded")}
     expected = {"bus_spec": None, "time": None, "seed": None, "record": None, "view": False}
-    assert asked == expected | {"network": None, "allow_uncertified": False}
+    assert asked == expected | {"network": None, "allow_uncertified": False, "keep": True}
+
+
+@pytest.mark.parametrize("options", [["--record", "r"], ["--view"]])
+def test_no_recording_beside_one_that_is_asked_for_is_bad_input(bench: Bench, options: list[str]) -> None:
+    assert hil("run", BENCH, "--no-record", *options).exit_code == ExitStatus.BAD_INPUT
+    assert not bench.asked
+    hil("run", BENCH, "--no-record")
+    assert bench.asked["keep"] is False
 
 
 def test_json_is_one_object_on_stdout_and_nothing_else(bench: Bench) -> None:

@@ -81,7 +81,7 @@ def test_rows_are_collected_into_blocks() -> None:
 
 def test_frames_go_under_the_last_part_of_the_bus_spec(tmp_path: Path) -> None:
     plan = replace(plan_for(tmp_path), bus="socketcan:vcan0")
-    keeper = FramesKeeper(plan)
+    keeper = FramesKeeper(plan, tmp_path)
     frames = np.frombuffer(FRAME.pack(1_000, 0x80, 0, 1, b""), FRAME_DTYPE)
     keeper.take(np.empty(0, ROW_DTYPE), frames, [])
     keeper.finish(summary_of())

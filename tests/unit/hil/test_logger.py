@@ -4,6 +4,7 @@ import json
 import os
 import resource
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 
 from drivers.timebase import Instant
 from hil.figures.summary import Summary
-from hil.recording.logger import Input, Logger
+from hil.recording.line_reader import LineReader
+from hil.recording.logger import Logger
 from hil.recording.records import ROW, row_fields
 from hil.recording.ring import RingWriter
 from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_fields
@@ -44,15 +46,22 @@ def rings() -> Iterator[Rings]:
         ring.close()
 
 
-def run_logger(folder: Path, rings: Rings, said: bytes) -> Summary:
-    """The logger over full rings, with ``said`` on its input."""
+def run_logger(
+    folder: Path,
+    rings: Rings,
+    said: bytes,
+    within: AbstractContextManager[None] | None = None,
+) -> Summary:
+    """The logger over filled rings, with ``said`` on its input, once it has started ``within`` something."""
     rings.fill()
     read_end, write_end = os.pipe()
     os.write(write_end, said)
     os.close(write_end)
     descriptors = [ring.descriptor for ring in (rings.rows, rings.frames, rings.events)]
     try:
-        return Logger(plan_for(folder), *descriptors).run(Input(read_end))
+        logger = Logger(plan_for(folder), *descriptors)
+        with within or nullcontext():
+            return logger.run(LineReader(read_end))
     finally:
         os.close(read_end)
 
@@ -83,23 +92,22 @@ def test_a_full_disk_under_one_file_spoils_only_that_file(tmp_path: Path, rings:
         assert (tmp_path / other).stat().st_size > 0
 
 
-@pytest.fixture
-def file_size_max(rings: Rings) -> Iterator[int]:  # noqa: ARG001 - the rings are made before the limit
-    """No file may grow beyond this, bytes; as if the disk were full there."""
+@contextmanager
+def files_below(size: int) -> Iterator[None]:
+    """No file may grow beyond ``size``, bytes; as if the disk were full there."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (48_000, hard))
-    yield 48_000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    yield
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_disk_that_fills_up_under_the_telemetry_is_told(
-    rings: Rings, file_size_max: int, tmp_path: Path
-) -> None:
-    summary = run_logger(tmp_path, rings, OUTCOME)
+def test_a_disk_that_fills_up_under_the_telemetry_is_told(rings: Rings, tmp_path: Path) -> None:
+    # the rows have 91 kB as they come, what Rerun is told of them more than a hundred
+    summary = run_logger(tmp_path, rings, OUTCOME, files_below(100_000))
     assert summary.cycles == CYCLES
     (fault,) = summary.recording_faults
     assert fault.startswith("run.rrd is incomplete: the telemetry cannot be written")
-    assert (tmp_path / "run.rrd").stat().st_size == file_size_max
+    assert (tmp_path / "run.rrd").stat().st_size == 100_000
     assert len((tmp_path / "frames.log").read_text().splitlines()) == CYCLES
 
 
@@ -121,7 +129,7 @@ def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> N
 
 def test_input_comes_by_lines_however_it_is_cut() -> None:
     read_end, write_end = os.pipe()
-    source = Input(read_end)
+    source = LineReader(read_end)
     assert source.line(0.0) is None
     os.write(write_end, b"one\ntw")
     assert source.line(0.0) == "one"

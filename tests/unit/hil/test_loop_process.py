@@ -1,4 +1,4 @@
-"""What the process of the loop is spared: every page of it is locked into memory on a bus in real time."""
+"""What the process of the loop is spared: every page that it touches is locked into memory in real time."""
 
 import subprocess
 import sys

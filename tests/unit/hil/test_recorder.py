@@ -15,7 +15,7 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import Instant
 from hil.figures.summary import Summary
-from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
+from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, start_recording
 from hil.recording.records import record_of
 from hil.recording.records_file import read_records
 from hil.verdict import Outcome
@@ -49,6 +49,16 @@ def test_both_recorders_give_the_same_summary(run: tuple[Path, Summary]) -> None
     assert summary == replace(in_memory, recording=str(folder))
     assert summary.cycles == CYCLES
     assert summary.verdict.passed
+
+
+def test_a_run_of_which_nothing_is_kept_has_the_same_figures(
+    run: tuple[Path, Summary], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recorder = start_recording(replace(plan_for(tmp_path), folder=None))
+    recorder.confirm(lambda: None)
+    assert play(recorder) == replace(run[1], recording="")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
@@ -96,25 +106,56 @@ def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
     os.kill(logger, signal.SIGSTOP)
     for _ in range(3 * ROWS_CAPACITY):
         recorder.record(record)
+    assert recorder.trouble() == f"{2 * ROWS_CAPACITY} rows lost, the logger was too slow"
     os.kill(logger, signal.SIGCONT)
     summary = recorder.close(whole_outcome(CYCLES))
     assert ROWS_CAPACITY <= summary.cycles < 3 * ROWS_CAPACITY
     assert not summary.verdict.passed
     lost = 3 * ROWS_CAPACITY - summary.cycles
-    assert summary.recording_faults == (f"{lost} cycle records lost, the logger was too slow",)
+    fault = f"{lost} cycle records lost, the logger was too slow"
+    assert summary.recording_faults == (fault,)
     assert summary.verdict.outcome is Outcome.NOT_RECORDED
-    assert summary.verdict.reason == summary.recording_faults[0]
+    assert summary.verdict.reason == fault
 
 
 @pytest.mark.parametrize("real_time", [False, True])
-def test_a_dead_logger_stops_no_loop_and_is_told_at_the_end(tmp_path: Path, real_time: bool) -> None:
+def test_a_dead_logger_is_told_and_what_the_rings_hold_is_kept(tmp_path: Path, real_time: bool) -> None:
     recorder = start_recording(plan_for(tmp_path / "run", real_time))
+    recorder.confirm(lambda: None)
+    assert recorder.trouble() == ""
     os.kill(recorder.logger_process_id, signal.SIGKILL)
+    wait_for_exit(recorder.logger_process_id)
+    assert recorder.trouble() == "the logger was killed by SIGKILL"
     record = next(synthetic_records(1))
-    for _ in range(ROWS_CAPACITY + 10):
+    for sequence in range(ROWS_CAPACITY + 10):
+        recorder.record(record._replace(sequence=sequence))
+    summary = recorder.close(whole_outcome(ROWS_CAPACITY + 10))
+    assert summary.cycles == ROWS_CAPACITY
+    assert not summary.verdict.passed
+    assert summary.verdict.reason.startswith("the logger was killed by SIGKILL")
+    assert "10 rows lost after the logger had ended" in summary.recording_faults
+
+
+def test_rows_of_a_killed_logger_are_in_the_files_once_each(tmp_path: Path) -> None:
+    recorder = start_recording(plan_for(tmp_path / "run", real_time=True))
+    recorder.begin(Instant(0))
+    records = list(synthetic_records(2 * CYCLES))
+    for record in records[:CYCLES]:
         recorder.record(record)
-    with pytest.raises(RecordingFailed, match="status -9"):
-        recorder.close(whole_outcome(CYCLES))
+        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+    recorder.confirm(lambda: None)
+    os.kill(recorder.logger_process_id, signal.SIGKILL)
+    wait_for_exit(recorder.logger_process_id)
+    for record in records[CYCLES:]:
+        recorder.record(record)
+        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+    summary = recorder.close(whole_outcome(2 * CYCLES))
+    rows = np.concatenate(list(read_records(tmp_path / "run" / "records.arrow")))
+    assert [record_of(row) for row in rows] == records
+    assert summary.digest == play(MemoryRecorder(plan_for(tmp_path).review), 2 * CYCLES).digest
+    assert len((tmp_path / "run" / "frames.log").read_text().splitlines()) == 2 * CYCLES
+    assert Summary.from_json(json.loads((tmp_path / "run" / "summary.json").read_text())) == summary
+    assert not (tmp_path / "run" / "records.tail").exists()
 
 
 def test_interrupts_do_not_end_the_logger(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ Column = tuple[np.ndarray, list[list[object]]]
 
 def write_run(plan: RecordingPlan, rows: Rows, events: tuple[RunEvent, ...] = EVENTS) -> Path:
     """A whole recording in two blocks."""
+    assert plan.folder is not None
     path = plan.folder / "run.rrd"
     review = Review(plan.review)
     review.add(rows)

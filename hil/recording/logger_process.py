@@ -1,0 +1,204 @@
+"""The process of the logger as the loop's process sees it: started, asked, watched, and told the outcome."""
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.errors import BenchError
+from drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from hil.figures.summary import Summary
+from hil.recording.line_reader import LineReader
+from hil.recording.recording_plan import RecordingPlan
+from hil.recording.run_folder import LOGGER_LOG
+from hil.verdict import RunOutcome
+from virtual_bus.child_python import python_command, python_environment
+
+READY: Final = "ready"
+"""The logger drains the rings."""
+CONFIRM: Final = "confirm"
+"""Asks the logger to store all that is there; it answers STORED, or FAILED and why."""
+STORED: Final = "stored"
+FAILED: Final = "failed "
+
+_ANSWER_MAX_S: Final = 30.0
+"""The logger imports Rerun and opens its files: a second, or ten of them on a crowded machine."""
+_FINISH_MAX_S: Final = 120.0
+_REAP_MAX_S: Final = 5.0
+"""Between the end of its output and the end of the process itself."""
+
+
+class RecordingFailed(BenchError):
+    """The run is not, or not wholly, recorded."""
+
+    exit_status = 5
+
+    def __init__(self, trouble: str) -> None:
+        super().__init__(f"not recorded: {trouble}")
+        self.trouble = trouble
+
+
+class LoggerProcess:
+    """A logger of its own for one run."""
+
+    def __init__(self, plan: RecordingPlan, descriptors: Sequence[int]) -> None:
+        """``descriptors``: of the rings. Error: RecordingFailed."""
+        self._log = None if plan.folder is None else plan.folder / LOGGER_LOG
+        self._process = start_python("hil.recording.logger", descriptors, self._log)
+        assert self._process.stdout is not None
+        self._told = LineReader(self._process.stdout.fileno())
+        self._trouble = ""
+        self._say(json.dumps(plan.as_json()))
+
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    def trouble(self) -> str:
+        """What has gone wrong so far, in words; empty if nothing has. One call of the kernel, no waiting."""
+        self._listen(0.0)
+        return self._trouble
+
+    @property
+    def gone(self) -> bool:
+        """Whether nobody drains the rings any more."""
+        self._listen(0.0)
+        return self._told.ended
+
+    def wait_ready(self) -> None:
+        """Return when the logger drains. Error: RecordingFailed."""
+        self._await(READY, lambda: self._listen(_ANSWER_MAX_S))
+
+    def confirm(self, wait: Callable[[], None]) -> None:
+        """Return when all that was recorded until now is in the files; ``wait`` lets a little time pass.
+
+        Error: RecordingFailed.
+        """
+        self._say(CONFIRM)
+
+        def listen() -> str | None:
+            answer = self._listen(0.0)
+            if answer is None and not self._trouble:
+                wait()
+            return answer
+
+        self._await(STORED, listen)
+
+    def finish(self, outcome: RunOutcome) -> Summary | None:
+        """Tell how the run ended and wait for the summary; None if the logger gives none."""
+        self._say(json.dumps(asdict(outcome)))
+        clock = MonotonicClock()
+        deadline = Instant(clock.now() + int(_FINISH_MAX_S * NS_PER_S))
+        while not self._told.ended and clock.now() < deadline:
+            answer = self._listen(1.0)
+            if answer is not None and answer not in (READY, STORED):
+                self._end()
+                return Summary.from_json(json.loads(answer))
+        if not self._told.ended:
+            self._trouble = self._trouble or f"the logger did not finish within {_FINISH_MAX_S:.0f} s"
+        self._end()
+        return None
+
+    def _await(self, answer: str, listen: Callable[[], str | None]) -> None:
+        clock = MonotonicClock()
+        deadline = Instant(clock.now() + int(_ANSWER_MAX_S * NS_PER_S))
+        while listen() != answer:
+            if self._trouble:
+                raise RecordingFailed(self._trouble)
+            if clock.now() > deadline:
+                raise RecordingFailed(f"the logger did not answer within {_ANSWER_MAX_S:.0f} s")
+
+    def _listen(self, timeout_s: float) -> str | None:
+        """The next answer that has come; what tells of trouble is kept apart."""
+        line = self._told.line(timeout_s)
+        if line is None:
+            if self._told.ended and not self._trouble:
+                self._trouble = self._death()
+            return None
+        if line.startswith(FAILED):
+            self._trouble = self._trouble or line.removeprefix(FAILED)
+            return None
+        return line
+
+    def _say(self, line: str) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(line + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            """It is dead, which the end of its output tells."""
+
+    def _death(self) -> str:
+        try:
+            status = self._process.wait(_REAP_MAX_S)
+        except subprocess.TimeoutExpired:
+            return "the logger closed its output"
+        how = f"was killed by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
+        said = last_line(self._log)
+        return f"the logger {how}: {said}" if said else f"the logger {how}"
+
+    def _end(self) -> None:
+        """It has nothing left to say; one that does not end by itself is ended."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.close()
+        except BrokenPipeError:
+            """Nobody reads it."""
+        try:
+            self._process.wait(_REAP_MAX_S if self._told.ended else 0.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+
+def start_python(module: str, descriptors: Sequence[int], log: Path | None) -> subprocess.Popen[str]:
+    """A program of ours that gets the rings' descriptors as arguments; ``log`` takes its standard error."""
+    with open(log or "/dev/null", "a") as errors:
+        return subprocess.Popen(
+            python_command(module, *map(str, descriptors)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            pass_fds=descriptors,
+            # a session of its own: an interrupt from the terminal is for the loop, not for the logger
+            start_new_session=True,
+            # Rerun's analytics are off wherever CI is set
+            env=python_environment(CI="1"),
+        )
+
+
+def last_line(log: Path | None) -> str:
+    """Of what a process of ours said on its standard error."""
+    if log is None or not log.exists():
+        return ""
+    lines = log.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else ""
+
+
+def salvage(
+    plan: RecordingPlan, descriptors: Sequence[int], outcome: RunOutcome, trouble: str
+) -> Mapping[str, Any]:
+    """Finish the recording of a dead logger in a process of its own; the summary as plain values.
+
+    The rings still hold what the logger had not taken. Error: RecordingFailed.
+    """
+    assert plan.folder is not None
+    log = plan.folder / LOGGER_LOG
+    wanted = {"plan": plan.as_json(), "outcome": asdict(outcome), "trouble": trouble}
+    process = start_python("hil.recording.recovery", descriptors, log)
+    try:
+        answer, _ = process.communicate(json.dumps(wanted), timeout=_FINISH_MAX_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        answer = ""
+    if not answer:
+        raise RecordingFailed(f"{trouble}; {plan.folder} holds what was written: hil recover {plan.folder}")
+    found: dict[str, Any] = json.loads(answer)
+    return found

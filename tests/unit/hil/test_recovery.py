@@ -1,0 +1,133 @@
+"""``hil recover``, after host and logger were killed at once: what is in the files counts."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hil.cli import app
+from hil.configuration.bench_file import load_bench
+from hil.figures.summary import Summary
+from hil.recording.records_file import read_records
+from hil.recording.run_folder import Reserve
+from tests.unit.hil.synthetic_run import synthetic_records
+
+BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
+PERIOD_S = 0.001
+CYCLES = 1_500
+WRITER = """
+import os, signal, sys, time
+from dataclasses import replace
+from pathlib import Path
+from drivers.timebase import Instant
+from hil.recording.recorder import start_recording
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.synthetic_run import synthetic_records
+
+plan = replace(plan_for(Path(sys.argv[1]), real_time=True), bench_toml=Path(sys.argv[2]).read_text())
+recorder = start_recording(plan)
+recorder.begin(Instant(0))
+began = time.monotonic()
+for number, record in enumerate(synthetic_records(int(sys.argv[3]))):
+    time.sleep(max(0.0, began + number * float(sys.argv[4]) - time.monotonic()))
+    recorder.record(record)
+    recorder.frame("tx", 0x80, b"", False, False, record.due_at)
+os.kill(recorder.logger_process_id, signal.SIGKILL)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 1.5 s at 1 kHz whose logger and loop were killed in the same instant."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    resolved = folder.with_name("resolved.toml")
+    resolved.write_text(load_bench(BENCH).resolved_text())
+    arguments = [str(folder), str(resolved), str(CYCLES), str(PERIOD_S)]
+    writer = subprocess.run([sys.executable, "-c", WRITER, *arguments], check=False)
+    assert writer.returncode == -signal.SIGKILL
+    assert not (folder / "summary.json").exists()
+    return folder
+
+
+@pytest.fixture
+def run(killed: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(killed, tmp_path / "run"))
+
+
+def recover(folder: Path, *options: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["recover", str(folder), *options])
+    return result.exit_code, result.output
+
+
+def test_all_but_the_last_200_ms_are_there(run: Path) -> None:
+    status, said = recover(run, "--json")
+    assert status == 0, said
+    summary = Summary.from_json(json.loads(said))
+    assert summary == Summary.from_json(json.loads((run / "summary.json").read_text()))
+    rows = np.concatenate(list(read_records(run / "records.arrow")))
+    wanted = [record.sequence for record in synthetic_records(CYCLES)]
+    assert rows["sequence"].tolist() == wanted[: rows.size]
+    assert CYCLES - rows.size <= 0.2 / PERIOD_S
+    assert summary.cycles == rows.size
+    frames = (run / "frames.log").read_text()
+    assert CYCLES - frames.count("\n") <= 0.2 / PERIOD_S
+    assert frames.endswith("\n")
+    assert not (run / "records.tail").exists()
+    assert not (run / ".reserve").exists()
+
+
+def test_the_verdict_says_what_is_missing(run: Path) -> None:
+    status, said = recover(run)
+    assert status == 0, said
+    summary = Summary.from_json(json.loads((run / "summary.json").read_text()))
+    assert not summary.verdict.passed
+    assert not summary.verdict.completed
+    assert summary.verdict.reason.startswith("not recorded: the end of the run is not known")
+    assert f"{summary.cycles} of 2000 planned cycles are recorded" in summary.recording_faults
+    assert summary.bus_load_percent is None
+    assert "planned cycles are recorded" in " ".join(said.split())
+
+
+def test_half_entries_are_cut_off_and_a_torn_batch_is_made_up_for(run: Path) -> None:
+    records = run / "records.arrow"
+    with open(records, "ab") as file:
+        file.write(b"\xff\xff\xff\xff\x40\0\0\0half a batch")
+    with open(run / "frames.log", "a") as frames:
+        frames.write("(0000000000.0")
+    before = (run / "records.tail").stat().st_size
+    assert before > 24, "some rows are in no batch yet"
+    assert recover(run)[0] == 0
+    rows = np.concatenate(list(read_records(records)))
+    assert CYCLES - rows.size <= 0.2 / PERIOD_S
+    assert (run / "frames.log").read_text().endswith("080# T\n")
+
+
+def test_a_whole_recording_is_not_touched(run: Path) -> None:
+    assert recover(run)[0] == 0
+    before = {path.name: path.read_bytes() for path in run.iterdir()}
+    status, said = recover(run)
+    assert status == 2
+    assert "this one is whole" in said
+    assert {path.name: path.read_bytes() for path in run.iterdir()} == before
+
+
+def test_a_run_that_is_still_recorded_is_not_touched(run: Path) -> None:
+    logger = Reserve(run)
+    status, said = recover(run)
+    assert status == 2
+    assert "its logger still writes" in said
+    assert not (run / "summary.json").exists()
+    logger.close()
+
+
+def test_another_folder_is_bad_input(tmp_path: Path) -> None:
+    status, said = recover(tmp_path)
+    assert status == 2
+    assert "the folder of a run" in said
