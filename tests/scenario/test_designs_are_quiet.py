@@ -61,8 +61,13 @@ def test_a_design_for_54_hz_is_refused_on_the_default_drive_of_800(tmp_path: Pat
     assert not (tmp_path / "refused").exists()
 
 
-def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: Path) -> None:
-    tables = made_for_the_winding({}) | {"verdict": {"torque_rms_nm_max": QUIET_NM}}
+@pytest.mark.parametrize("by_file", [False, True])
+def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: Path, by_file: bool) -> None:
+    tables = made_for_the_winding({})
+    if by_file:
+        tables["drive"]["axis1"]["controller"]["made_for"]["torque_rms_nm_max"] = QUIET_NM
+    else:
+        tables["verdict"] = {"torque_rms_nm_max": QUIET_NM}
     config = bench_from(tables, "bench.toml", Path())
     folder = tmp_path / "run"
     result = run_bench(
@@ -71,6 +76,8 @@ def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: P
     )  # fmt: skip
     assert result.summary["torque_rms_nm"] > 1.0
     assert not result.passed
+    (limit,) = result.summary["verdict"]["limits"]
+    assert (limit["metric"], limit["limit"], limit["passed"]) == ("torque_rms_nm_max", QUIET_NM, False)
     (event,) = [line for line in (folder / EVENTS_FILE).read_text().splitlines() if "limit cycle" in line]
     assert '"WARN"' in event
 
