@@ -1,6 +1,7 @@
 """From a checked bench file to the parts of a run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.exchange import Drive
@@ -20,6 +21,7 @@ from hil.configuration.config_axis import (
 )
 from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
+from hil.figures.summary import VerdictLimits
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
 from hil.recording.recording_plan import AxisPlan, CertifiedPlan, RecordingPlan, ReviewPlan
@@ -203,7 +205,7 @@ def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan]) -> 
         )
         for name, drive in sorted(config.drive.items())
     )
-    return ReviewPlan(axes, config.verdict.limits, config.verdict.settling)
+    return ReviewPlan(axes, _limits(config, certified.values()), config.verdict.settling)
 
 
 def recording_plan(
@@ -250,3 +252,12 @@ def planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
     events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
     events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
     return sorted(events)
+
+
+def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> VerdictLimits:
+    """The bench file's, with what the controllers' files ask of the torque; of several the smallest."""
+    asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
+    return replace(
+        config.verdict.limits,
+        torque_rms_nm_max=min((each for each in asked if each is not None), default=None),
+    )

@@ -300,4 +300,5 @@ def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: 
         gain=None if controller.certificate is None else controller.certificate.gain,
         bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
         bandwidth_hz=None if own is None else own.bandwidth_hz,
+        torque_rms_nm_max=wanted.torque_rms_nm_max,
     )

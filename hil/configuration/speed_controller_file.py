@@ -54,6 +54,9 @@ class MadeFor(Section):
     """From sample to actuator."""
     agreed_delay_us: int | None = Field(default=None, gt=0)
     """At which stamp and history apply a sample."""
+    torque_rms_nm_max: float | None = Field(default=None, gt=0)
+    """What the torque may swing about its mean at steady reference and load: judged like the bench's own
+    ``verdict.torque_rms_nm_max``, of which the smaller counts."""
     plant: Plant | None = None
     current_loop: CurrentLoop | None = None
     """Absent: a drive without one, whose current follows the voltage by R/L of ``plant``, [Ling2012]."""

@@ -27,6 +27,8 @@ class CertifiedPlan:
     """Of the drive's current loop, least and largest."""
     bandwidth_hz: float | None = None
     """That of the drive; None: not known."""
+    torque_rms_nm_max: float | None = None
+    """About its mean at steady reference and load; None: not asked for."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from hil.configuration.motor_file import LING2012
 from hil.delay_design.controller_text import plant_of
 from hil.recording.run_folder import EVENTS_FILE
 from hil.terminal.progress import no_progress
+from hil.verdict import LimitResult
 from tests.random_motors import FINE_ENCODER, designed, random_bench, run, steady_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15
@@ -61,8 +62,13 @@ def test_a_design_for_54_hz_is_refused_on_the_default_drive_of_800(tmp_path: Pat
     assert not (tmp_path / "refused").exists()
 
 
-def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: Path) -> None:
-    tables = made_for_the_winding({}) | {"verdict": {"torque_rms_nm_max": QUIET_NM}}
+@pytest.mark.parametrize("by_file", [False, True])
+def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: Path, by_file: bool) -> None:
+    tables = made_for_the_winding({})
+    if by_file:
+        tables["drive"]["axis1"]["controller"]["made_for"]["torque_rms_nm_max"] = QUIET_NM
+    else:
+        tables["verdict"] = {"torque_rms_nm_max": QUIET_NM}
     config = bench_from(tables, "bench.toml", Path())
     folder = tmp_path / "run"
     result = run_bench(
@@ -71,6 +77,8 @@ def test_where_it_is_let_pass_its_limit_cycle_is_an_event_and_judged(tmp_path: P
     )  # fmt: skip
     assert (result.torque_rms_nm or 0.0) > 1.0
     assert not result.verdict.passed
+    (limit,) = result.verdict.limits
+    assert (limit.metric, limit.limit, limit.result) == ("torque_rms_nm_max", QUIET_NM, LimitResult.BROKEN)
     (event,) = [line for line in (folder / EVENTS_FILE).read_text().splitlines() if "limit cycle" in line]
     assert '"WARN"' in event
 
