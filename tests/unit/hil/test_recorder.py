@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.figures.summary import RunOutcome, Summary
 from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, RecordingFailed, start_recording
@@ -83,7 +84,7 @@ def test_simulated_time_waits_for_the_logger_and_loses_nothing(tmp_path: Path) -
     record = next(synthetic_records(1))
     count = 2 * ROWS_CAPACITY + 100
     for sequence in range(count):
-        recorder.record(record._replace(sequence=sequence))
+        recorder.record(replaced(record, sequence=sequence))
     summary = recorder.close(OUTCOME)
     assert summary.cycles == count
     assert not (tmp_path / "run" / "frames.log").exists()
