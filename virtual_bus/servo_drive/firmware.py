@@ -123,7 +123,9 @@ class Firmware:
         fill_controllers(self._p, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()
-        kernel.advance_drive(self.state, self._p, self.demand, 0)  # compiled now, not in the first cycle
+        # Loaded or compiled now, not in the first cycle.
+        kernel.advance_drive(self.state, self._p, self.demand, 0)
+        kernel.torque_demand(self.state, self._p, self.demand)
 
     def _turning(self) -> PmsmParameters:
         """The motor as it is; gains and decoupling go by the motor as the drive knows it."""
