@@ -28,7 +28,7 @@ HOT_MODULES = [
     *_below(
         "drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"
     ),
-    *_below("drivers", "servo setpoint supervision timebase"),
+    *_below("drivers", "record servo setpoint supervision timebase"),
     *_below("hil", "attribution axis clock_map clock_question command_meter compensation controllers delay"),
     *_below("hil", "loop order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
     *_below("hil/recording", "records ring row_writer side_rows"),

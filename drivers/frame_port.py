@@ -1,15 +1,16 @@
 """The way of frames into and out of a bus, and who sees the frames that pass a link.
 
-A bus offers it as its ``frame_port``: frames as plain tuples, with stamps on the bench's axis. Compiled, the
+A bus offers it as its ``frame_port``: frames with stamps on the bench's axis. Compiled, the
 methods of a class that is known are called directly: that takes a twentieth of the time.
 """
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 from mypy_extensions import mypyc_attr
 
+from drivers.record import Record
 from drivers.timebase import Instant
 
 Direction = Literal["tx", "rx"]
@@ -21,17 +22,28 @@ ERROR_FLAG: Final = 0x2000_0000
 """CAN_ERR_FLAG of linux/can.h. An identifier that bears it is that of an error frame, told by the adapter."""
 
 
-class WireFrame(NamedTuple):
+class WireFrame(Record):
     """A classical CAN data or remote frame."""
 
-    can_id: int
-    """11 bits, or 29 if ``extended``."""
-    data: bytes = b""
-    """0..8 bytes; empty for a remote frame."""
-    extended: bool = False
-    remote: bool = False
-    remote_length: int = 0
-    """DLC of a remote frame; not used for a data frame."""
+    __match_args__ = ("can_id", "data", "extended", "remote", "remote_length")
+    __slots__ = __match_args__
+
+    def __init__(
+        self,
+        can_id: int,
+        data: bytes = b"",
+        extended: bool = False,
+        remote: bool = False,
+        remote_length: int = 0,
+    ) -> None:
+        self.can_id: Final = can_id
+        """11 bits, or 29 if ``extended``."""
+        self.data: Final = data
+        """0..8 bytes; empty for a remote frame."""
+        self.extended: Final = extended
+        self.remote: Final = remote
+        self.remote_length: Final = remote_length
+        """DLC of a remote frame; not used for a data frame."""
 
 
 class EchoBasis(Enum):

@@ -31,7 +31,8 @@ def message_of(
     frame: WireFrame, at: Instant, *, is_rx: bool = True, channel: str | None = None
 ) -> can.Message:
     """The message of a frame that ended on the bus at ``at``; its timestamp is that instant in seconds."""
-    can_id, data, extended, remote, remote_length = frame
+    can_id, data, extended = frame.can_id, frame.data, frame.extended
+    remote, remote_length = frame.remote, frame.remote_length
     if can_id >= ERROR_FLAG:
         return can.Message(
             timestamp=at * 1e-9,

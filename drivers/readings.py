@@ -3,7 +3,7 @@
 from typing import Final
 
 from drivers.command_watch import CommandWatch
-from drivers.exchange import DemandChange, Readback, Reading, new_readback, new_reading
+from drivers.exchange import DemandChange, Readback, Reading
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
 from drivers.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
@@ -187,7 +187,7 @@ class ReadingAssembler:
 
     def demand_told(self, raw: int, at: Instant) -> None:
         """0x6074 of a SYNC arrived."""
-        self._readbacks.append(new_readback(raw, at, self.readings_made))
+        self._readbacks.append(Readback(raw, at, self.readings_made))
 
     def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
         """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
@@ -207,7 +207,7 @@ class ReadingAssembler:
         velocity_rad_s = raw * self.scaling.velocity_rad_s
         told = self._told
         self._readings.append(
-            new_reading(
+            Reading(
                 velocity_rad_s,
                 device_time_ns,
                 at,

@@ -93,9 +93,10 @@ class LineSplitter:
         return lines
 
 
-def encode_frame(frame: tuple[int, bytes, bool, bool, int], stamp_ms: int | None = None) -> bytes:
+def encode_frame(frame: WireFrame, stamp_ms: int | None = None) -> bytes:
     """A frame as a line with its CR; ``stamp_ms``: as an adapter sends it with time stamps on."""
-    can_id, data, extended, remote, remote_length = frame
+    can_id, data, extended = frame.can_id, frame.data, frame.extended
+    remote, remote_length = frame.remote, frame.remote_length
     kind = ("R" if extended else "r") if remote else ("T" if extended else "t")
     digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
     length = remote_length if remote else len(data)

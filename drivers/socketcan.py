@@ -74,7 +74,8 @@ class SocketcanPort(FramePort):
 
     def transmit(self, frame: WireFrame) -> None:
         """Queue a frame; raises can.CanOperationError if the interface is down or its queue is full."""
-        can_id, data, extended, remote, remote_length = frame
+        can_id, data, extended = frame.can_id, frame.data, frame.extended
+        remote, remote_length = frame.remote, frame.remote_length
         word = can_id | (_EXTENDED if extended else 0) | (_REMOTE if remote else 0)
         length = remote_length if remote else len(data)
         try:

@@ -21,7 +21,6 @@ from hil.configuration.config_axis import (
 )
 from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
-from hil.figures.summary import VerdictLimits
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
 from hil.recording.recording_plan import AxisPlan, CertifiedPlan, RecordingPlan, ReviewPlan
@@ -30,6 +29,7 @@ from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
 from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
+from hil.verdict import VerdictLimits
 from hil.world import SegmentPlan, World
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.frame import Frame

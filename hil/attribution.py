@@ -7,6 +7,7 @@ order of SYNCs and readings on the bus (:mod:`hil.order_attribution`).
 from collections.abc import Callable
 from typing import Final
 
+from drivers.record import replaced
 from hil.samples import Observation, Sample
 
 HELD_MAX: Final = 64
@@ -73,10 +74,12 @@ class Question:
 
     def applied(self, observation: Observation) -> Observation:
         """The observation with what became known since; it is then forgotten."""
+        if not self._amended:
+            return observation
         amended = self._amended.pop(observation.sequence, None)
         if amended is None:
             return observation
         certain, error_ns = amended
         if isinstance(observation, Sample):
-            return observation._replace(certain=certain, sampled_at_error_ns=error_ns)
-        return observation._replace(certain=certain)
+            return replaced(observation, certain=certain, sampled_at_error_ns=error_ns)
+        return replaced(observation, certain=certain)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, new_command
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.record import replaced
 from drivers.timebase import Duration, Instant
 from hil.attribution import HELD_MAX
 from hil.command_meter import CommandMeter
@@ -14,7 +15,7 @@ from hil.controllers import Controller
 from hil.delay import DelayMeter, Fate
 from hil.order_attribution import OrderAttribution
 from hil.safety import SafetyGuard
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate, new_record
+from hil.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
 from hil.scenario import LoadProfile, SpeedProfile
 from hil.stamp_attribution import REVOKED, StampAttribution
 from hil.syncs import SyncLog, SyncMark
@@ -209,7 +210,7 @@ class Axis:
         estimate = self._estimate(apply_at)
         demand_nm = self._output(estimate, decision.reference_rad_s)
         torque_nm = parts.guard.limit(demand_nm)
-        command = new_command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
         self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
         self._fresh = False
         self._drive.check()
@@ -301,10 +302,10 @@ class Axis:
         observation = self._by_order.question.applied(self._by_stamp.question.applied(fate.observation))
         lost = isinstance(observation, Dropout) and observation.cause is DropoutCause.LOST
         if (mark is not None and not mark.sure) or (lost and self.meter.doubts(tick.sequence)):
-            observation = observation._replace(certain=False)
+            observation = replaced(observation, certain=False)
         self.uncertain += not observation.certain
         self._record(
-            new_record(
+            CycleRecord(
                 tick.sequence,
                 self._number,
                 tick.due_at,

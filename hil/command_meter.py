@@ -15,7 +15,7 @@ from typing import Final
 
 from drivers.exchange import SentCommand
 from drivers.timebase import Duration, Instant
-from hil.samples import CommandFate, Sending, new_sending
+from hil.samples import CommandFate, Sending
 
 FOLLOWED_MAX: Final = 128
 """Commands followed at a time: more than any horizon."""
@@ -154,7 +154,7 @@ class CommandMeter:
             fate = CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
         del followed[0]
         sent = first.sent
-        return new_sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
+        return Sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
 
     def _candidates(self, sync_at: Instant) -> list[_Followed]:
         """The commands that may act at ``sync_at`` in place of the one that acted before, oldest first."""

@@ -3,6 +3,7 @@
 from drivers.errors import PeerFault
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.objects import SettingRefused
+from drivers.record import replaced
 from drivers.sdo import object_name
 from drivers.servo import ServoDrive
 from hil.configuration.drive_file import DriveFile
@@ -54,7 +55,8 @@ class TurnedDrive(Drive):
     def take_readings(self) -> list[Reading]:
         """The readings, as the loop counts."""
         return [
-            reading._replace(
+            replaced(
+                reading,
                 velocity_rad_s=reading.velocity_rad_s * self._velocity,
                 torque_nm=reading.torque_nm * self._torque,
             )
@@ -71,7 +73,7 @@ class TurnedDrive(Drive):
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point, as the drive counts."""
-        return self._drive.write(command._replace(torque_nm=command.torque_nm * self._torque))
+        return self._drive.write(replaced(command, torque_nm=command.torque_nm * self._torque))
 
     def check(self) -> None:
         """As the drive's own."""

@@ -10,7 +10,7 @@ from collections import deque
 from typing import Final, Protocol
 
 from drivers.timebase import Duration, Instant
-from hil.samples import Sample, StateEstimate, new_estimate
+from hil.samples import Sample, StateEstimate
 
 AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
 """What is assumed before the first sample: the loop starts with the drive at rest."""
@@ -30,7 +30,7 @@ class Compensator(Protocol):
 
 def _as_estimate(sample: Sample) -> StateEstimate:
     reading = sample.reading
-    return new_estimate(
+    return StateEstimate(
         reading.position_rad, reading.velocity_rad_s, reading.torque_nm, sample.sampled_at, sample.sequence
     )
 

@@ -82,7 +82,7 @@ class DelayMeter:
 
     def arrived(self, sample: Sample) -> bool:
         """A reading has come; whether the loop may use it."""
-        sequence, reading, sampled_at, _, certain = sample
+        sequence, certain = sample.sequence, sample.certain
         place = self._find(sequence)
         if place is None or (place.fate is not None and not (certain and place.doubtful)):
             self.unmatched += 1
@@ -90,7 +90,7 @@ class DelayMeter:
         place.doubtful = not certain
         if not certain:
             self._note_doubt(sequence)
-        delay = Duration(reading.received_at - sampled_at)
+        delay = Duration(sample.reading.received_at - sample.sampled_at)
         if certain:
             self.learn(delay)
         cause = None

@@ -5,7 +5,7 @@ from typing import Final
 from drivers.exchange import Reading
 from drivers.timebase import Duration, Instant
 from hil.attribution import Health, Question, Tell
-from hil.samples import Sample, new_sample
+from hil.samples import Sample
 from hil.syncs import ECHO_ERROR, SURPLUS, SyncLog, SyncMark
 
 PROBE_AGAIN_AFTER: Final = 100
@@ -89,7 +89,7 @@ class OrderAttribution:
             health.error_ns_max = error_ns
             if age < self._transit - error_ns:
                 health.below_transit += 1
-        return new_sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
+        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:
         first = self._syncs.marks[0].on_bus_at

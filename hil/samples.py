@@ -1,17 +1,11 @@
-"""The stages that one control cycle passes through; each has its own frozen type.
-
-They are named tuples: as immutable as a frozen dataclass, and a fifth of its cost
-to build, which counts in a loop that runs many times faster than real time.
-"""
+"""The stages that one control cycle passes through; each has its own type."""
 
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Final
 
 from drivers.exchange import Command, Reading
+from drivers.record import Record
 from drivers.timebase import Duration, Instant
-
-_new: Final = tuple.__new__
-"""As in :mod:`drivers.exchange`."""
 
 
 class DropoutCause(Enum):
@@ -27,57 +21,59 @@ class DropoutCause(Enum):
     """The host sent no SYNC: it was too late itself, or its last SYNC was not on the bus yet."""
 
 
-class Sample(NamedTuple):
+class Sample(Record):
     """A reading placed on the bench's time axis. What "sampled" means stands in docs/timing.md."""
 
-    sequence: int
-    """The cycle whose SYNC this reading answers."""
-    reading: Reading
-    sampled_at: Instant
-    """The end of that SYNC at the drive."""
-    sampled_at_error_ns: int
-    """Half-width of the interval that certainly holds the sampling instant."""
-    certain: bool
-    """Whether the data decide which SYNC it answers."""
+    __match_args__ = ("sequence", "reading", "sampled_at", "sampled_at_error_ns", "certain")
+    __slots__ = __match_args__
+
+    def __init__(
+        self, sequence: int, reading: Reading, sampled_at: Instant, sampled_at_error_ns: int, certain: bool
+    ) -> None:
+        self.sequence: Final = sequence
+        """The cycle whose SYNC this reading answers."""
+        self.reading: Final = reading
+        self.sampled_at: Final = sampled_at
+        """The end of that SYNC at the drive."""
+        self.sampled_at_error_ns: Final = sampled_at_error_ns
+        """Half-width of the interval that certainly holds the sampling instant."""
+        self.certain: Final = certain
+        """Whether the data decide which SYNC it answers."""
 
 
-def new_sample(
-    sequence: int, reading: Reading, sampled_at: Instant, sampled_at_error_ns: int, certain: bool
-) -> Sample:
-    """A :class:`Sample`; see :func:`drivers.exchange.new_reading`."""
-    return _new(Sample, (sequence, reading, sampled_at, sampled_at_error_ns, certain))
-
-
-class Dropout(NamedTuple):
+class Dropout(Record):
     """A cycle without a usable reading."""
 
-    sequence: int
-    due_at: Instant
-    """The tick of that cycle."""
-    cause: DropoutCause
-    certain: bool
-    """Whether the data decide that it was this cycle's reading."""
+    __match_args__ = ("sequence", "due_at", "cause", "certain")
+    __slots__ = __match_args__
+
+    def __init__(self, sequence: int, due_at: Instant, cause: DropoutCause, certain: bool) -> None:
+        self.sequence: Final = sequence
+        self.due_at: Final = due_at
+        """The tick of that cycle."""
+        self.cause: Final = cause
+        self.certain: Final = certain
+        """Whether the data decide that it was this cycle's reading."""
 
 
 Observation = Sample | Dropout
 
 
-class StateEstimate(NamedTuple):
+class StateEstimate(Record):
     """What the controller is given: the state, and the instant for which it holds."""
 
-    position_rad: float
-    velocity_rad_s: float
-    torque_nm: float
-    valid_at: Instant
-    sequence: int
-    """The sample that it rests on; 0 before the first."""
+    __match_args__ = ("position_rad", "velocity_rad_s", "torque_nm", "valid_at", "sequence")
+    __slots__ = __match_args__
 
-
-def new_estimate(
-    position_rad: float, velocity_rad_s: float, torque_nm: float, valid_at: Instant, sequence: int
-) -> StateEstimate:
-    """As :func:`new_sample`."""
-    return _new(StateEstimate, (position_rad, velocity_rad_s, torque_nm, valid_at, sequence))
+    def __init__(
+        self, position_rad: float, velocity_rad_s: float, torque_nm: float, valid_at: Instant, sequence: int
+    ) -> None:
+        self.position_rad: Final = position_rad
+        self.velocity_rad_s: Final = velocity_rad_s
+        self.torque_nm: Final = torque_nm
+        self.valid_at: Final = valid_at
+        self.sequence: Final = sequence
+        """The sample that it rests on; 0 before the first."""
 
 
 class CommandFate(Enum):
@@ -93,97 +89,94 @@ class CommandFate(Enum):
     """It equals a neighbour, or was replaced before the drive told."""
 
 
-class Sending(NamedTuple):
+class Sending(Record):
     """What is known of a command on its way."""
 
-    raw: int
-    """In the unit of 0x6071."""
-    handed_at: Instant
-    on_bus_at: Instant | None
-    """End of its frame by the echo; None without one."""
-    fate: CommandFate
-    acts_after: Instant | None
-    """The latest instant known at which it did not act yet; None unless it is known to act."""
-    acts_by: Instant | None
-    """The earliest instant known at which it acted."""
+    __match_args__ = ("raw", "handed_at", "on_bus_at", "fate", "acts_after", "acts_by")
+    __slots__ = __match_args__
+
+    def __init__(
+        self,
+        raw: int,
+        handed_at: Instant,
+        on_bus_at: Instant | None,
+        fate: CommandFate,
+        acts_after: Instant | None,
+        acts_by: Instant | None,
+    ) -> None:
+        self.raw: Final = raw
+        """In the unit of 0x6071."""
+        self.handed_at: Final = handed_at
+        self.on_bus_at: Final = on_bus_at
+        """End of its frame by the echo; None without one."""
+        self.fate: Final = fate
+        self.acts_after: Final = acts_after
+        """The latest instant known at which it did not act yet; None unless it is known to act."""
+        self.acts_by: Final = acts_by
+        """The earliest instant known at which it acted."""
 
 
-def new_sending(
-    raw: int,
-    handed_at: Instant,
-    on_bus_at: Instant | None,
-    fate: CommandFate,
-    acts_after: Instant | None,
-    acts_by: Instant | None,
-) -> Sending:
-    """As :func:`new_sample`."""
-    return _new(Sending, (raw, handed_at, on_bus_at, fate, acts_after, acts_by))
-
-
-class CycleRecord(NamedTuple):
+class CycleRecord(Record):
     """Everything about one planned cycle of one axis: what came of its SYNC, and what was done in it."""
 
-    sequence: int
-    """The cycle's number on the grid of ticks, from 1."""
-    axis: int
-    due_at: Instant
-    woke_at: Instant | None
-    """None if the host was not there at all."""
-    sync_handed_at: Instant | None
-    """None for a cycle without SYNC."""
-    sync_on_bus_at: Instant | None
-    """None if it is not known to have come there."""
-    observation: Observation
-    """The fate of this cycle's own reading."""
-    delay: Duration | None
-    """Sampled to received, of this cycle's own reading; None for one that never came."""
-    estimate: StateEstimate | None
-    """None, like all that follows but reference and load, where nothing was decided."""
-    reference_rad_s: float
-    load_torque_nm: float
-    command: Command | None
-    sending: Sending | None
-    """None if the command was not sent."""
-    clock_offset_ns: int | None
-    """Host minus drive, by the map of the drive's clock; None for a drive without one."""
-    clock_error_ns: int | None
-
-
-def new_record(
-    sequence: int,
-    axis: int,
-    due_at: Instant,
-    woke_at: Instant | None,
-    sync_handed_at: Instant | None,
-    sync_on_bus_at: Instant | None,
-    observation: Observation,
-    delay: Duration | None,
-    estimate: StateEstimate | None,
-    reference_rad_s: float,
-    load_torque_nm: float,
-    command: Command | None,
-    sending: Sending | None,
-    clock_offset_ns: int | None,
-    clock_error_ns: int | None,
-) -> CycleRecord:
-    """As :func:`new_sample`."""
-    return _new(
-        CycleRecord,
-        (
-            sequence,
-            axis,
-            due_at,
-            woke_at,
-            sync_handed_at,
-            sync_on_bus_at,
-            observation,
-            delay,
-            estimate,
-            reference_rad_s,
-            load_torque_nm,
-            command,
-            sending,
-            clock_offset_ns,
-            clock_error_ns,
-        ),
+    __match_args__ = (
+        "sequence",
+        "axis",
+        "due_at",
+        "woke_at",
+        "sync_handed_at",
+        "sync_on_bus_at",
+        "observation",
+        "delay",
+        "estimate",
+        "reference_rad_s",
+        "load_torque_nm",
+        "command",
+        "sending",
+        "clock_offset_ns",
+        "clock_error_ns",
     )
+    __slots__ = __match_args__
+
+    def __init__(
+        self,
+        sequence: int,
+        axis: int,
+        due_at: Instant,
+        woke_at: Instant | None,
+        sync_handed_at: Instant | None,
+        sync_on_bus_at: Instant | None,
+        observation: Observation,
+        delay: Duration | None,
+        estimate: StateEstimate | None,
+        reference_rad_s: float,
+        load_torque_nm: float,
+        command: Command | None,
+        sending: Sending | None,
+        clock_offset_ns: int | None,
+        clock_error_ns: int | None,
+    ) -> None:
+        self.sequence: Final = sequence
+        """The cycle's number on the grid of ticks, from 1."""
+        self.axis: Final = axis
+        self.due_at: Final = due_at
+        self.woke_at: Final = woke_at
+        """None if the host was not there at all."""
+        self.sync_handed_at: Final = sync_handed_at
+        """None for a cycle without SYNC."""
+        self.sync_on_bus_at: Final = sync_on_bus_at
+        """None if it is not known to have come there."""
+        self.observation: Final = observation
+        """The fate of this cycle's own reading."""
+        self.delay: Final = delay
+        """Sampled to received, of this cycle's own reading; None for one that never came."""
+        self.estimate: Final = estimate
+        """None, like all that follows but reference and load, where nothing was decided."""
+        self.reference_rad_s: Final = reference_rad_s
+        self.load_torque_nm: Final = load_torque_nm
+        self.command: Final = command
+        self.sending: Final = sending
+        """None if the command was not sent."""
+        self.clock_offset_ns: Final = clock_offset_ns
+        """Host minus drive, by the map of the drive's clock; None for a drive without one."""
+        self.clock_error_ns: Final = clock_error_ns

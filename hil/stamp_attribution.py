@@ -28,7 +28,7 @@ from drivers.timebase import NS_PER_US, Duration, Instant
 from hil.attribution import Health, Question, Tell
 from hil.clock_map import ClockMap
 from hil.clock_question import DELAYS_WATCHED, ClockQuestion, DelayWindow, Line, Suspect
-from hil.samples import Sample, new_sample
+from hil.samples import Sample
 from hil.syncs import ECHO_ERROR, REMEMBERED, SURPLUS, SyncLog, SyncMark
 
 MATCH_NS: Final = 3 * NS_PER_US
@@ -157,7 +157,7 @@ class StampAttribution:
         self._judge(reading.received_at - sampled_at, error_ns)
         self._case.delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return new_sample(mark.sequence, reading, sampled_at, error_ns, True)
+        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""
@@ -290,7 +290,7 @@ class StampAttribution:
         mark = free if free is not None and free in open_marks else open_marks[-1]
         assert mark.on_bus_at is not None
         self.health.placed += 1
-        return new_sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
+        return Sample(mark.sequence, reading, mark.on_bus_at, self.doubtful_error_ns, False)
 
     def _settle(self) -> None:
         """Close the question if the last suspects leave one answer."""

@@ -187,8 +187,8 @@ class _SimulatedSegment:
         """Show error frames to ``tap``."""
 
         def show(error: BusError) -> None:
-            can_id, data, *_ = error_frame_of(error, self.bus.port.controller)
-            tap("rx", can_id, data, True, False, error.at)
+            frame = error_frame_of(error, self.bus.port.controller)
+            tap("rx", frame.can_id, frame.data, True, False, error.at)
 
         self.segment.add_error_monitor(show)
 

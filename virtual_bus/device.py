@@ -157,9 +157,8 @@ class CanopenDevice:
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
         """A frame ended on the bus at ``now``; one that nobody listens to costs a dictionary look-up."""
         station = self._station
-        can_id, _data, extended, remote, _length = frame
-        handlers = (station.remote_handlers if remote else station.data_handlers).get(can_id)
-        if handlers is None or extended:
+        handlers = (station.remote_handlers if frame.remote else station.data_handlers).get(frame.can_id)
+        if handlers is None or frame.extended:
             return _NOTHING
         station.now = now
         self._application.advance(now)

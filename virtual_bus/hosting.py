@@ -180,7 +180,7 @@ class RealTimeHost:
             self._advance(at)
             self._tell_state(off)
         self._wake(at)
-        if frame is not None and frame[0] < ERROR_FLAG and not port.came_own:
+        if frame is not None and frame.can_id < ERROR_FLAG and not port.came_own:
             self._advance(at)
             for device in self._devices:
                 self._distribute(device, device.receive(frame, self._now))
@@ -214,7 +214,7 @@ class RealTimeHost:
             return self._off_by_state
         if frame is None:
             return self._off
-        told = told_bus_off(frame[0]) if frame[0] >= ERROR_FLAG else False
+        told = told_bus_off(frame.can_id) if frame.can_id >= ERROR_FLAG else False
         return self._off if told is None else told
 
     def _tell_state(self, off: bool) -> None:

@@ -325,8 +325,9 @@ class Segment:
         start = self._free_at
         if timeline.now > start:
             start = timeline.now
-        _, data, _, remote, remote_length = port._queue[0]
-        dlc = remote_length if remote else len(data)
+        frame = port._queue[0]
+        data = frame.data
+        dlc = frame.remote_length if frame.remote else len(data)
         bits = wire_bits(port._key << 4 | dlc, data)
         self._sender = port
         self._start_at = start

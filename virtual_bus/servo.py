@@ -39,13 +39,7 @@ from virtual_bus.servo_drive.firmware import Firmware, InnerControl
 from virtual_bus.servo_drive.lacks import take_away
 from virtual_bus.servo_drive.machine import SimulatedMachine
 from virtual_bus.servo_drive.motion_objects import MotionObjects
-from virtual_bus.servo_drive.motor_kernel import (
-    D_CURRENT_MAX,
-    D_LOAD,
-    D_SPEED_MAX,
-    D_TORQUE_MAX,
-    S_COUNT,
-)
+from virtual_bus.servo_drive.motor_kernel import D_LOAD, S_COUNT
 from virtual_bus.servo_drive.open_defaults import OpenDefaults
 from virtual_bus.servo_drive.operation_mode import OperationMode
 from virtual_bus.servo_drive.operation_modes import MODES
@@ -282,14 +276,12 @@ class ServoApplication(Application):
         self._demand[D_LOAD] = raw * LOAD_NM
 
     def _take_limits(self) -> None:
-        objects, demand = self.objects, self._demand
-        demand[D_TORQUE_MAX] = min(
-            objects.max_torque.value * objects.torque_unit_nm, self.motor.torque_max_nm
+        objects, motor = self.objects, self.motor
+        self.firmware.limit(
+            min(objects.max_torque.value * objects.torque_unit_nm, motor.torque_max_nm),
+            min(objects.max_current.value * objects.current_unit_a, motor.current_max_a),
+            objects.max_motor_speed.value * RPM,
         )
-        demand[D_CURRENT_MAX] = min(
-            objects.max_current.value * objects.current_unit_a, self.motor.current_max_a
-        )
-        demand[D_SPEED_MAX] = objects.max_motor_speed.value * RPM
 
     def _take_rating(self) -> None:
         self.axis.take_rating()

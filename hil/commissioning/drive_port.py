@@ -11,6 +11,7 @@ from typing import Final
 from drivers.errors import PeerFault
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.profile402 import Mode
+from drivers.record import replaced
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Instant
 
@@ -61,7 +62,8 @@ class DrivePort(Drive):
         if self.torque_sign > 0.0 and self.velocity_sign > 0.0:
             return readings
         return [
-            reading._replace(
+            replaced(
+                reading,
                 velocity_rad_s=reading.velocity_rad_s * self.velocity_sign,
                 torque_nm=reading.torque_nm * self.torque_sign,
             )
@@ -85,7 +87,7 @@ class DrivePort(Drive):
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point."""
         if self.quantity is Quantity.TORQUE:
-            return self.drive.write(command._replace(torque_nm=command.torque_nm * self.torque_sign))
+            return self.drive.write(replaced(command, torque_nm=command.torque_nm * self.torque_sign))
         if self.quantity is Quantity.SPEED:
             speed_rad_s = command.torque_nm * self.velocity_sign
             return self.drive.write_speed(speed_rad_s, command.expires_at, command.sequence)

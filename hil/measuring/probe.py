@@ -54,8 +54,9 @@ class ProbedDrive(Drive):
             now = self._now()
             self.to_user_code_ns += [now - reading.received_at for reading in readings]
         if self.map is not None and self.map.ready:
-            for raw, device_ns, _ in self.drive.take_demand_changes():
-                self.changes.append(Change(raw, self.map.place(device_ns), self.map.error_ns))
+            for told in self.drive.take_demand_changes():
+                at = self.map.place(told.device_time_ns)
+                self.changes.append(Change(told.demand_raw, at, self.map.error_ns))
         return readings
 
     def take_readbacks(self) -> list[Readback]:

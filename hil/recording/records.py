@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.exchange import Command, Reading
+from drivers.record import values_of
 from drivers.timebase import Duration, Instant
 from hil.samples import (
     CommandFate,
@@ -72,7 +73,7 @@ LAYOUT: tuple[tuple[str, str], ...] = (
     ("clock_offset_ns", "q"),
     ("clock_error_ns", "q"),
 )
-"""Name and struct code of each field, in the order in which the named tuples nest."""
+"""Name and struct code of each field, in the order in which the records nest."""
 
 ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
 _pack_into: Final = ROW.pack_into
@@ -103,7 +104,10 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_IDENTIFIABLE,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
-_NO_READING: Final = (math.nan, NOTHING, NOTHING, math.nan, NOTHING, math.nan, NOTHING, NOTHING, NOTHING)
+_NOT_PLACED: Final = (
+    *(NOTHING, NOTHING),
+    *(math.nan, NOTHING, NOTHING, math.nan, NOTHING, math.nan, NOTHING, NOTHING, NOTHING),
+)
 _NO_ESTIMATE: Final = (math.nan, math.nan, math.nan, NOTHING, NOTHING)
 _NO_COMMAND: Final = (math.nan, NOTHING, NOTHING)
 _NO_SENDING: Final = (NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
@@ -111,70 +115,30 @@ _NO_SENDING: Final = (NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
 
 def row_fields(record: CycleRecord) -> tuple[object, ...]:
     """The values of ``record`` in the order of :data:`LAYOUT`."""
-    # Unpacking whole tuples costs half of naming each field; this runs in every cycle.
-    (
-        sequence,
-        axis,
-        due_at,
-        woke_at,
-        handed_at,
-        on_bus_at,
-        observed,
-        delay,
-        estimate,
-        reference,
-        load,
-        command,
-        sending,
-        clock_offset,
-        clock_error,
-    ) = record
-    sampled_at = error = NOTHING
-    reading: tuple[object, ...] = _NO_READING
+    observed, command = record.observation, record.command
+    placed: tuple[object, ...] = _NOT_PLACED
     if isinstance(observed, Sample):
-        _, read, at, error, certain = observed
-        sampled_at, fate = int(at), FATE_SAMPLE
-        speed, stamp, received, position, position_at, torque, torque_at, status, status_at = read
-        stamp = NOTHING if stamp is None else stamp
-        reading = (speed, stamp, received, position, position_at, torque, torque_at, status, status_at)
+        fate = FATE_SAMPLE
+        placed = (observed.sampled_at, observed.sampled_at_error_ns, *values_of(observed.reading))
     else:
-        fate, certain = _FATE_OF[observed.cause], observed.certain
-    asked: tuple[object, ...] = _NO_COMMAND
-    if command is not None:
-        _, torque_nm, effective_at, expires_at = command
-        asked = (torque_nm, effective_at, expires_at)
-    way: tuple[object, ...] = _NO_SENDING
-    if sending is not None:
-        raw, sent_at, sent_on_bus_at, command_fate, after, by = sending
-        way = (
-            raw,
-            sent_at,
-            NOTHING if sent_on_bus_at is None else sent_on_bus_at,
-            _place_of(command_fate),
-            NOTHING if after is None else after,
-            NOTHING if by is None else by,
-        )
-    return (
-        sequence,
-        axis,
-        due_at,
-        NOTHING if woke_at is None else woke_at,
-        NOTHING if handed_at is None else handed_at,
-        NOTHING if on_bus_at is None else on_bus_at,
-        fate,
-        int(certain),
-        sampled_at,
-        error,
-        *reading,
-        NOTHING if delay is None else delay,
-        *(_NO_ESTIMATE if estimate is None else estimate),
-        reference,
-        load,
-        *asked,
-        *way,
-        NOTHING if clock_offset is None else clock_offset,
-        NOTHING if clock_error is None else clock_error,
+        fate = _FATE_OF[observed.cause]
+    fields = (
+        *(record.sequence, record.axis, record.due_at),
+        *(record.woke_at, record.sync_handed_at, record.sync_on_bus_at),
+        *(fate, int(observed.certain), *placed, record.delay),
+        *(_NO_ESTIMATE if record.estimate is None else values_of(record.estimate)),
+        *(record.reference_rad_s, record.load_torque_nm),
+        *(_NO_COMMAND if command is None else values_of(command)[1:]),
+        *(_NO_SENDING if record.sending is None else values_of(record.sending)),
+        *(record.clock_offset_ns, record.clock_error_ns),
     )
+    return tuple([_stored(value) for value in fields])
+
+
+def _stored(value: object) -> object:
+    if isinstance(value, CommandFate):
+        return _place_of(value)
+    return NOTHING if value is None else value
 
 
 def _place_of(fate: CommandFate) -> int:
@@ -187,43 +151,31 @@ def _place_of(fate: CommandFate) -> int:
 
 
 def store_record(memory: Any, place: int, record: CycleRecord) -> None:
-    """Pack ``record`` into ``memory`` from byte ``place`` on: :func:`row_fields` without the tuples."""
-    (
-        sequence,
-        axis,
-        due_at,
-        woke_at,
-        handed_at,
-        on_bus_at,
-        observed,
-        delay,
-        estimate,
-        reference,
-        load,
-        command,
-        sending,
-        clock_offset,
-        clock_error,
-    ) = record
+    """Pack ``record`` into ``memory`` from byte ``place`` on: the usual ones without :func:`row_fields`."""
+    observed, estimate = record.observation, record.estimate
+    command, sending = record.command, record.sending
     if not isinstance(observed, Sample) or estimate is None or command is None or sending is None:
         _pack_into(memory, place, *row_fields(record))
         return
-    _, reading, sampled_at, error, certain = observed
-    speed, stamp, received, position, position_at, torque, torque_at, status, status_at = reading
-    at_rad, at_rad_s, at_nm, valid_at, rests_on = estimate
-    _, torque_nm, effective_at, expires_at = command
-    raw, sent_at, sent_on_bus_at, command_fate, after, by = sending
+    reading = observed.reading
+    stamp, on_bus_at, sent_on_bus_at = reading.device_time_ns, record.sync_on_bus_at, sending.on_bus_at
+    after, by = sending.acts_after, sending.acts_by
+    offset, error = record.clock_offset_ns, record.clock_error_ns
     # fmt: off
     _pack_into(
         memory, place,
-        sequence, axis, due_at, woke_at, handed_at, NOTHING if on_bus_at is None else on_bus_at,
-        FATE_SAMPLE, certain, sampled_at, error,
-        speed, NOTHING if stamp is None else stamp, received, position, position_at, torque, torque_at,
-        status, status_at, delay, at_rad, at_rad_s, at_nm, valid_at, rests_on, reference, load,
-        torque_nm, effective_at, expires_at, raw, sent_at,
-        NOTHING if sent_on_bus_at is None else sent_on_bus_at, _place_of(command_fate),
-        NOTHING if after is None else after, NOTHING if by is None else by,
-        NOTHING if clock_offset is None else clock_offset, NOTHING if clock_error is None else clock_error,
+        record.sequence, record.axis, record.due_at, record.woke_at, record.sync_handed_at,
+        NOTHING if on_bus_at is None else on_bus_at,
+        FATE_SAMPLE, observed.certain, observed.sampled_at, observed.sampled_at_error_ns,
+        reading.velocity_rad_s, NOTHING if stamp is None else stamp, reading.received_at,
+        reading.position_rad, reading.position_told_at, reading.torque_nm, reading.torque_told_at,
+        reading.statusword, reading.status_told_at, record.delay,
+        estimate.position_rad, estimate.velocity_rad_s, estimate.torque_nm, estimate.valid_at,
+        estimate.sequence, record.reference_rad_s, record.load_torque_nm,
+        command.torque_nm, command.effective_at, command.expires_at,
+        sending.raw, sending.handed_at, NOTHING if sent_on_bus_at is None else sent_on_bus_at,
+        _place_of(sending.fate), NOTHING if after is None else after, NOTHING if by is None else by,
+        NOTHING if offset is None else offset, NOTHING if error is None else error,
     )
     # fmt: on
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from drivers.frame_port import FramePort
+from drivers.record import replaced
 from drivers.timebase import Instant
 from virtual_bus.canopen_device.application import Application
 from virtual_bus.canopen_device.device_clock import DeviceClock
@@ -163,7 +164,7 @@ class HostTap(FramePort):
 
     def transmit(self, frame: Frame) -> None:
         if frame.can_id == SYNC_ID or frame.can_id in PDO_IDS:
-            frame = Frame(*frame)  # an object of its own, even if the sender keeps one for all its SYNCs
+            frame = replaced(frame)  # an object of its own, even if the sender keeps one for all its SYNCs
             self._log.handed.append(Passed(self._now(), frame))
         self._inner.transmit(frame)
 

@@ -11,7 +11,7 @@ def arbitration_key(frame: Frame) -> int:
     identifier extension and RTR. Hence standard before extended of the same base, and data
     before remote of the same identifier.
     """
-    can_id, _, extended, remote, _ = frame
-    if extended:
+    can_id, remote = frame.can_id, frame.remote
+    if frame.extended:
         return (can_id >> 18) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
     return can_id << 21 | remote << 20

@@ -138,7 +138,7 @@ def wire_bits(field: int, data: bytes) -> int:
 
 def frame_bits(frame: Frame) -> int:
     """Bits of ``frame`` from start of frame to the last bit of end of frame, without intermission."""
-    data = frame[1]
+    data = frame.data
     dlc = frame.remote_length if frame.remote else len(data)
     return wire_bits(arbitration_key(frame) << 4 | dlc, data)
 

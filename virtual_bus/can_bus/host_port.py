@@ -120,7 +120,7 @@ class HostPort(FramePort):
             self.port.send(frame)
             return
         now = self.timeline.now
-        delay = judge.hold(self._out, frame[0], now, frame[2])
+        delay = judge.hold(self._out, frame.can_id, now, frame.extended)
         if delay < 0:
             for other, later in judge.replacements(frame):
                 self._pass_out(other, later)
@@ -197,7 +197,7 @@ class HostPort(FramePort):
         if judge is None or (self.filters is not None and not accepts(self.filters, frame)):
             self._keep(frame, now)
             return
-        delay = judge.hold(self._in, frame[0], now, frame[2])
+        delay = judge.hold(self._in, frame.can_id, now, frame.extended)
         if delay < 0:
             for other, later in judge.replacements(frame):
                 self._pass_in(other, now, later)

@@ -109,7 +109,8 @@ def decode_answer(packet: bytes) -> int | str:
 
 def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> bytes:  # noqa: B008
     """A frame as one packet."""
-    can_id, data, extended, remote, remote_length = frame
+    can_id, data, extended = frame.can_id, frame.data, frame.extended
+    remote, remote_length = frame.remote, frame.remote_length
     flags = _EXTENDED * extended | _REMOTE * remote | _OWN * own
     return _FRAME.pack(at, can_id, flags, remote_length if remote else len(data), data)
 

@@ -78,7 +78,7 @@ class ReceivePdo(PdoParameters):
     def _on_frame(self, frame: Frame, now: Instant) -> None:
         if self.station.state is not _OPERATIONAL:
             return
-        data = frame[1]
+        data = frame.data
         if len(data) != self._length or self._wrong_length:
             self._judge_length(len(data))
             if len(data) < self._length:

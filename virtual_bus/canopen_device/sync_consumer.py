@@ -71,7 +71,7 @@ class SyncConsumer:
         station = self._station
         if station.state is not _OPERATIONAL and station.state is not _PRE_OPERATIONAL:
             return
-        data = frame[1]
+        data = frame.data
         if len(data) != self._length or self._wrong_length:
             self._judge_length(len(data))
             if self._wrong_length:

@@ -78,7 +78,7 @@ def damaged(frame: Frame, bit: int) -> Frame:
     place = bit % (8 * len(data))
     changed = bytearray(data)
     changed[place // 8] ^= 1 << place % 8
-    return frame._replace(data=bytes(changed))
+    return Frame(frame.can_id, bytes(changed), frame.extended, frame.remote, frame.remote_length)
 
 
 def replaced(frame: Frame, instead: Instead) -> Sequence[tuple[Frame, Duration]]:

@@ -35,9 +35,13 @@ _advance_drive: Final = kernel.advance_drive
 _torque_demand: Final = kernel.torque_demand
 _TORQUE: Final = int(kernel.D_TORQUE)
 _CONTROL: Final = int(kernel.D_CONTROL)
+_TORQUE_MAX: Final = int(kernel.D_TORQUE_MAX)
+_CURRENT_MAX: Final = int(kernel.D_CURRENT_MAX)
+_SPEED_MAX: Final = int(kernel.D_SPEED_MAX)
 _SPEED: Final = int(kernel.D_SPEED)
 _ACCELERATION: Final = int(kernel.D_ACCELERATION)
 _TORQUE_FEED: Final = int(kernel.D_TORQUE_FEED)
+_TORQUE_IN_FORCE: Final = int(kernel.S_TORQUE_DEMAND)
 _CONTROL_OFF: Final = float(kernel.CONTROL_OFF)
 _CONTROL_TORQUE: Final = float(kernel.CONTROL_TORQUE)
 _CONTROL_SPEED: Final = float(kernel.CONTROL_SPEED)
@@ -110,8 +114,12 @@ class Firmware:
         self.parameters = parameters
         self.state = np.zeros(kernel.STATE_SIZE)
         self.demand = np.zeros(kernel.DEMAND_SIZE)
-        self._demand = cast("memoryview[float]", self.demand.data)  # a store into it is cheaper
+        # Loads and stores of single numbers are cheaper by way of these.
+        self._demand = cast("memoryview[float]", self.demand.data)
+        self._state = cast("memoryview[float]", self.state.data)
         self.ticks = 0
+        self._asked = True
+        """Whether a demand was written since the last tick."""
         self._p = np.zeros(kernel.PARAMETERS_SIZE)
         self._power_on = Instant(0)
         self._rate_hz = parameters.inner_rate_hz
@@ -124,7 +132,9 @@ class Firmware:
         fill_controllers(self._p, parameters.controller_d, parameters.controller_q)
         self._set_gains()
         self._set_limits()
-        kernel.advance_drive(self.state, self._p, self.demand, 0)  # compiled now, not in the first cycle
+        # Loaded or compiled now, not in the first cycle.
+        kernel.advance_drive(self.state, self._p, self.demand, 0)
+        kernel.torque_demand(self.state, self._p, self.demand)
 
     def _turning(self) -> PmsmParameters:
         """The motor as it is; gains and decoupling go by the motor as the drive knows it."""
@@ -162,9 +172,7 @@ class Firmware:
     def _set_limits(self) -> None:
         brake = self.parameters.brake_torque_nm
         self._p[kernel.P_BRAKE] = 2.0 * self.motor.rated_torque_nm if brake is None else brake
-        self.demand[kernel.D_TORQUE_MAX] = self.motor.torque_max_nm
-        self.demand[kernel.D_CURRENT_MAX] = self.motor.current_max_a
-        self.demand[kernel.D_SPEED_MAX] = math.inf
+        self.limit(self.motor.torque_max_nm, self.motor.current_max_a, math.inf)
 
     def start(self, now: Instant) -> None:
         """Power-on: the inner grid starts here. Call it before anything else."""
@@ -176,8 +184,7 @@ class Firmware:
         due = (now - self._power_on) * self._rate_hz // NS_PER_S - self.ticks
         if due <= 0:
             return False
-        _advance_drive(self.state, self._p, self.demand, due)
-        self.ticks += due
+        self._run(due)
         return True
 
     def advance_to_motion_tick(self, now: Instant) -> bool:
@@ -187,9 +194,13 @@ class Firmware:
         missing = self.motion_ticks - self.ticks % self.motion_ticks
         ticks = min(due, missing)
         if ticks > 0:
-            _advance_drive(self.state, self._p, self.demand, ticks)
-            self.ticks += ticks
+            self._run(ticks)
         return due >= missing
+
+    def _run(self, ticks: int) -> None:
+        _advance_drive(self.state, self._p, self.demand, ticks)
+        self.ticks += ticks
+        self._asked = False
 
     @property
     def tick_at(self) -> Instant:
@@ -199,10 +210,20 @@ class Firmware:
     def control(self, control: InnerControl) -> None:
         """Choose what the inner loops follow from the next tick on; the change is bumpless."""
         self._demand[_CONTROL] = control.value
+        self._asked = True
 
     def demand_torque(self, torque_nm: float) -> None:
         """Torque set-point for ``InnerControl.TORQUE``."""
         self._demand[_TORQUE] = torque_nm
+        self._asked = True
+
+    def limit(self, torque_nm: float, current_a: float, speed_rad_s: float) -> None:
+        """The limits of whatever is demanded."""
+        demand = self._demand
+        demand[_TORQUE_MAX] = torque_nm
+        demand[_CURRENT_MAX] = current_a
+        demand[_SPEED_MAX] = speed_rad_s
+        self._asked = True
 
     def ramp_to_speed(self, speed_rad_s: float, acceleration_rad_s2: float, feed_nm: float = 0.0) -> None:
         """Follow a speed ramp from the present speed on; ``feed_nm`` is added to the speed loop's torque."""
@@ -211,15 +232,16 @@ class Firmware:
         demand[_ACCELERATION] = acceleration_rad_s2
         demand[_TORQUE_FEED] = feed_nm
         demand[_CONTROL] = _CONTROL_SPEED
+        self._asked = True
 
     @property
     def torque_demand_nm(self) -> float:
         """The demand in force now, inside its limits: a set-point counts from the instant at which it was
         written, the speed loop's demand from the tick that computed it."""
         control = self._demand[_CONTROL]
-        if control == _CONTROL_TORQUE:
+        if control == _CONTROL_TORQUE and self._asked:
             return float(_torque_demand(self.state, self._p, self.demand))
-        return 0.0 if control == _CONTROL_OFF else float(self.state[kernel.S_TORQUE_DEMAND])
+        return 0.0 if control == _CONTROL_OFF else self._state[_TORQUE_IN_FORCE]
 
     def brake_shaft(self, torque_nm: float) -> None:
         """What an outside brake holds against the shaft's motion from the next tick on, N m."""

@@ -213,7 +213,7 @@ class SlcanAdapter:
         frame = decode_frame(text)
         if not self.is_open or self.listen_only or frame is None:
             return None
-        if self._refuse() or not self._can.send(Frame(*frame)):
+        if self._refuse() or not self._can.send(frame):
             self._flags |= Status.TRANSMIT_FIFO_FULL
             return None
         self.frames_sent += 1

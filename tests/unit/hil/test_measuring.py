@@ -9,6 +9,7 @@ import pytest
 from drivers.errors import BadInput
 from drivers.exchange import Command, SentCommand
 from drivers.frame_port import EchoBasis
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.compensation import AT_REST
 from hil.configuration.network_file import load_network, network_text
@@ -28,7 +29,7 @@ LOST_FATE, MISSED_FATE = 1, 4
 
 def torques(steps: int, cycles: int, speed_rad_s: float = 0.0) -> list[float]:
     excitation = Excitation(steps, UNIT_NM, 10.0, seed=3)
-    estimate = AT_REST._replace(velocity_rad_s=speed_rad_s)
+    estimate = replaced(AT_REST, velocity_rad_s=speed_rad_s)
     found = []
     for cycle in range(cycles):
         torque_nm = excitation.output(estimate, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, start_recording
@@ -93,7 +94,7 @@ def test_simulated_time_waits_for_the_logger_and_loses_nothing(tmp_path: Path) -
     record = next(synthetic_records(1))
     count = 2 * ROWS_CAPACITY + 100
     for sequence in range(count):
-        recorder.record(record._replace(sequence=sequence))
+        recorder.record(replaced(record, sequence=sequence))
     summary = recorder.close(whole_outcome(CYCLES))
     assert summary.cycles == count
     assert not (tmp_path / "run" / "frames.log").exists()
@@ -128,7 +129,7 @@ def test_a_dead_logger_is_told_and_what_the_rings_hold_is_kept(tmp_path: Path, r
     assert recorder.trouble() == "the logger was killed by SIGKILL"
     record = next(synthetic_records(1))
     for sequence in range(ROWS_CAPACITY + 10):
-        recorder.record(record._replace(sequence=sequence))
+        recorder.record(replaced(record, sequence=sequence))
     summary = recorder.close(whole_outcome(ROWS_CAPACITY + 10))
     assert summary.cycles == ROWS_CAPACITY
     assert not summary.verdict.passed

@@ -6,6 +6,7 @@ from hashlib import blake2b
 import numpy as np
 import pytest
 
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.figures.review import Review
 from hil.figures.summary import DropoutCounts, Figures
@@ -79,7 +80,7 @@ def test_two_axes_give_the_worst_error_and_all_dropouts(records: list[CycleRecor
     plan = ReviewPlan((AxisPlan("axis1", 6_250.0), AxisPlan("axis2", 6_250.0)))
     other = list(synthetic_records(CYCLES, seed=2, axis=1))
     mixed = rows_of([record for pair in zip(records, other, strict=True) for record in pair])
-    alone = [figures_of(rows_of(records)), figures_of(rows_of([r._replace(axis=0) for r in other]))]
+    alone = [figures_of(rows_of(records)), figures_of(rows_of([replaced(r, axis=0) for r in other]))]
     found = figures_of(mixed, plan=plan)
     assert (found.cycles, found.rows) == (CYCLES, 2 * CYCLES)
     assert found.dropouts.total == sum(figures.dropouts.total for figures in alone)
@@ -97,7 +98,7 @@ def test_rows_of_another_layout_are_refused() -> None:
 
 
 def test_an_instant_moves_the_digest_but_not_the_figures(records: list[CycleRecord]) -> None:
-    moved = [record._replace(sync_handed_at=Instant(record.due_at + 1)) for record in records]
+    moved = [replaced(record, sync_handed_at=Instant(record.due_at + 1)) for record in records]
     first, second = figures_of(rows_of(records)), figures_of(rows_of(moved))
     assert first.digest != second.digest
     assert replace(first, digest="") == replace(second, digest="")

@@ -209,3 +209,30 @@ def test_every_inner_rate_has_current_loops_that_settle(rate_hz: int) -> None:
     firmware.demand_torque(0.5)
     firmware.advance_to(Instant(30 * NS_PER_MS))
     assert firmware.state[kernel.S_TORQUE_MEASURED] == pytest.approx(0.5, rel=0.02)
+
+
+@settings(derandomize=True, deadline=None, max_examples=50)
+@given(
+    st.lists(
+        st.tuples(st.floats(-8.0, 8.0), st.floats(0.0, 6.0), st.floats(1.0, 200.0), st.booleans()),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_the_torque_demand_told_is_the_one_in_force(steps: list[tuple[float, float, float, bool]]) -> None:
+    """Between two ticks and after one, whatever was written last: as the kernel works it out then."""
+    firmware = torque_drive()
+    for at_ms, (torque_nm, most_nm, speed_max, limits_last) in enumerate(steps, start=1):
+        for limits in (not limits_last, limits_last):
+            if limits:
+                firmware.limit(most_nm, 15.0, speed_max)
+            else:
+                firmware.demand_torque(torque_nm)
+            assert firmware.torque_demand_nm == in_force(firmware)
+        firmware.advance_to(Instant(at_ms * NS_PER_MS))
+        assert firmware.torque_demand_nm == in_force(firmware)
+
+
+def in_force(firmware: Firmware) -> float:
+    state = firmware.state.copy()
+    return kernel.torque_demand(state, firmware._p, firmware.demand)

@@ -44,7 +44,7 @@ def emergencies(bench: ServoBench) -> list[int]:
 
 def test_power_on_says_boot_up_and_nothing_else() -> None:
     servo = SimulatedServo(5, LING)
-    assert [tuple(frame[:2]) for frame in servo.start(Instant(0))] == [(0x705, b"\x00")]
+    assert list(servo.start(Instant(0))) == [Frame(0x705, b"\x00")]
     assert servo.drive_state is State.SWITCH_ON_DISABLED
 
 
