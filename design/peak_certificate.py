@@ -38,7 +38,7 @@ from design.peak_steps import (
     start_curvature,
 )
 from design.sequence_certificate import ways_of
-from design.sequence_graph import edges_of
+from design.sequence_graph import Edge, edges_of
 from design.sequence_inequalities import Inequalities, coordinates, corner_inequality, exchanged
 from design.step_maps import corners_of
 
@@ -48,14 +48,16 @@ _DECAY_PARTS = (0.85, 0.5, 0.2)
 """Of the decay certified: the faster the functions fall, the larger steps may be left out of the hull."""
 _SHARES = (0.15, 0.04, 0.01)
 """Of the largest error: what a ball of r may add to it."""
-_STATES_MAX = 2500
+_STATES_MAX = 5000
 """Of all S_i together, for one share."""
-_CANDIDATES_MAX = 80_000
-"""That are held against a hull, for one share: some 10 s."""
+_CANDIDATES_MAX = 100_000
+"""That are held against a hull, for one share: some 30 s."""
 _NEAREST = 48
 """States of S_i that are tried first as corners of the hull around a candidate."""
 _CORNERS_SHARE = 0.5
 """Of what may be left out: what may lie between the corners of an edge."""
+_COARSER = (64.0, 16.0, 4.0, 1.0)
+"""Times that: denser corners only for the states that need them."""
 _INSTANTS_SHARE = 0.1
 """Of what a ball adds: what may lie between two instants."""
 _START_PARTS = 16
@@ -178,6 +180,16 @@ def _starts(loop: HeldLoop, parts: int) -> Array:
     return found
 
 
+def _loaded(
+    loop: HeldLoop, L: Array, edges: Sequence[Edge], target: float, instants: int
+) -> list[LoadedSteps]:
+    """The steps of each edge, their corners so dense as :func:`design.step_maps.corners_of` says."""
+    corners = {id(edge.corners): corners_of(loop, edge.corners.family, L, target) for edge in edges}
+    return [
+        loaded_steps(loop, edge.source, edge.target, corners[id(edge.corners)], instants) for edge in edges
+    ]
+
+
 class _Tube:
     """The sets S_i while they grow, for one r."""
 
@@ -194,11 +206,8 @@ class _Tube:
         turned = max(float(np.linalg.norm(T @ np.linalg.inv(L), 2)) for T in norm.T)
         target = _CORNERS_SHARE * (1.0 - norm.rho) * self._r / (size * turned)
         nodes, edges = edges_of(loop, L, way)
-        corners = {id(edge.corners): corners_of(loop, edge.corners.family, L, target) for edge in edges}
-        self._edges = [
-            loaded_steps(loop, edge.source, edge.target, corners[id(edge.corners)], self._instants)
-            for edge in edges
-        ]
+        self._levels = [_loaded(loop, L, edges, factor * target, self._instants) for factor in _COARSER]
+        self._edges = self._levels[-1]
         self._spread = max(norm.spread, *(self._spread_of(edge) for edge in self._edges))
         self._states = [np.zeros((0, loop.kept)) for _ in range(nodes)]
         self._candidates = 0
@@ -211,9 +220,9 @@ class _Tube:
         new = [self._taken_in(node, first, np.zeros(len(first))) for node in range(len(self._states))]
         while any(len(states) for states in new):
             came: list[list[tuple[Array, Array]]] = [[] for _ in self._states]
-            for edge in self._edges:
+            for number, edge in enumerate(self._edges):
                 if len(new[edge.source]):
-                    came[edge.target].append(self._stepped(edge, new[edge.source]))
+                    came[edge.target].append(self._stepped(number, new[edge.source]))
             new = []
             for node, pairs in enumerate(came):
                 states = np.vstack([pair[0] for pair in pairs]) if pairs else first[:0]
@@ -248,14 +257,30 @@ class _Tube:
         box = np.abs(self._rest) + size * entries
         return self._rest_error + self._spread * size + between_instants(self._loop, box, self._instants)
 
-    def _stepped(self, edge: LoadedSteps, states: Array) -> tuple[Array, Array]:
-        """What every corner makes of ``states``, and how far from a hull each may lie and be left out."""
-        self.reached = max(self.reached, float(np.max(np.abs(states @ edge.rows.T + edge.errors))))
-        sizes = np.linalg.norm(self._norm.T[edge.target], axis=0)[: edge.bends.shape[1]]
-        between = np.abs(states @ edge.differences.T) @ (edge.bends @ sizes)
-        allowed = (1.0 - self._norm.rho) * self._r - between
-        stepped = np.einsum("cij,sj->csi", edge.M, states) + edge.m[:, None, :]
-        return stepped.reshape(-1, states.shape[1]), np.tile(allowed, len(edge.M))
+    def _stepped(self, number: int, states: Array) -> tuple[Array, Array]:
+        """What the corners make of ``states``, and how far from a hull each may lie and be left out.
+
+        Each state is stepped through the fewest corners that leave half of that.
+        """
+        allowed_max = (1.0 - self._norm.rho) * self._r
+        came: list[Array] = []
+        allowed: list[Array] = []
+        for level, edges in enumerate(self._levels):
+            edge = edges[number]
+            sizes = np.linalg.norm(self._norm.T[edge.target], axis=0)[: edge.bends.shape[1]]
+            left = allowed_max - np.abs(states @ edge.differences.T) @ (edge.bends @ sizes)
+            here = left >= 0.5 * allowed_max
+            if level == len(self._levels) - 1:
+                here[:] = True
+            own = states[here]
+            if len(own):
+                errors = np.abs(own @ edge.rows.T + edge.errors)
+                self.reached = max(self.reached, float(np.max(errors)))
+                stepped = np.einsum("cij,sj->csi", edge.M, own) + edge.m[:, None, :]
+                came.append(stepped.reshape(-1, states.shape[1]))
+                allowed.append(np.tile(left[here], len(edge.M)))
+            states = states[~here]
+        return np.vstack(came), np.concatenate(allowed)
 
     def _taken_in(self, node: int, states: Array, allowed: Array) -> Array:
         """Those of ``states`` that are taken into S_node: the ones farthest from rest first."""
