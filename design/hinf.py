@@ -131,7 +131,7 @@ def _last_feasible(normal: NormalPlant, low: float, high: float, relative: float
     while high - low > relative * high:
         middle = math.sqrt(low * high) if low > 0.0 else 0.5 * high
         below, above = ends[False], ends[True]
-        if tries < _TRIES and below is not None and above is not None:
+        if tries < _TRIES and below is not None and above is not None and math.isfinite(above):
             guess = (low * above - high * below) / (above - below)
             step = _BESIDE * relative * high
             middle = min(max(guess, low + step), high - step)
@@ -152,6 +152,8 @@ def _last_feasible(normal: NormalPlant, low: float, high: float, relative: float
 
 def _distance(normal: NormalPlant, gamma: float) -> float | None:
     """Above 0 where ``gamma`` is feasible, and nearly straight through 0; None where X or Y is missing.
+
+    inf where X and Y are nothing: then it does not say how far the limit is.
 
     X and Y cease to be >= 0 through infinity, so that 1 over the eigenvalue that does so is straight.
     """
