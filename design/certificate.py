@@ -34,6 +34,12 @@ class Proof:
     """Smallest eigenvalue of all inequalities in the scaled problem, less the bound of its rounding error."""
 
 
+_SHARES = (1.2, 1.0, 2.0)
+"""Of the exact gain: units of the disturbance that are tried."""
+_CURRENT_FACTORS = (1.0, 0.2, 5.0)
+"""Of what the feedback makes of 1 rad/s: units of the current, tried where the usual ones fail."""
+
+
 @dataclass(frozen=True, slots=True)
 class CertifiedGain:
     """A gain, rad/s per N m, that the loop is proved not to exceed."""
@@ -53,22 +59,34 @@ def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedG
     norm = hinf_norm(loop)
     failure: NoSolution | None = None
     # the solver's luck turns with the units; whatever it says, the proof decides
-    for share in (1.2, 1.0, 2.0):
-        try:
-            return _certified_in(model, loop, order, share * norm)
-        except NoSolution as error:
-            failure = failure or error
+    for state_scale in _state_scales(model, loop):
+        for share in _SHARES:
+            try:
+                return _certified_in(state_scale, loop, order, share * norm)
+            except NoSolution as error:
+                failure = failure or error
     assert failure is not None
     raise failure
 
 
-def _certified_in(model: SpeedModel, loop: DelayLoop, order: int, scale: float) -> CertifiedGain:
+def _state_scales(model: SpeedModel, loop: DelayLoop) -> list[Array]:
+    """The model's own units, then currents in those of what the feedback makes of 1 rad/s."""
+    own = float(abs(loop.K[1])) or float(model.state_scale[0])
+    changed = []
+    for factor in _CURRENT_FACTORS:
+        scale = model.state_scale.copy()
+        scale[0] = factor * own
+        changed.append(scale)
+    return [model.state_scale, *changed]
+
+
+def _certified_in(state_scale: Array, loop: DelayLoop, order: int, scale: float) -> CertifiedGain:
     # A first answer that is far from 1 in these units is asked for again, in units of its own.
     for _ in range(3):
         if loop.delay_s == 0.0:
-            problem = ordinary_gain_problem(loop, model.state_scale, scale)
+            problem = ordinary_gain_problem(loop, state_scale, scale)
         else:
-            problem = gain_problem(scaled(loop, model.state_scale, scale), order)
+            problem = gain_problem(scaled(loop, state_scale, scale), order)
         y = solve(problem).y
         gain = scale * math.sqrt(max(float(y[-1]), 0.0))
         if 0.5 < gain / scale < 2.0:

@@ -5,14 +5,14 @@ design for the sampled plant itself, with its hold and delay, in the bilinear pl
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 
 from design.errors import InfeasibleDesign
-from design.hinf import synthesise
+from design.hinf import gamma_min, synthesise, verified_norm
 from design.hinf_plant import GeneralisedPlant
 from design.margins import Margins, margins
 from design.mixed_sensitivity import mixed_sensitivity
@@ -99,15 +99,43 @@ def sampled_figures(G: StateSpace, K: StateSpace, delay_samples: int) -> Sampled
     return SampledFigures(margins(loop), float(np.abs(closed.poles()).max()))
 
 
-def direct_design(
-    G: StateSpace, weights: Weights, gamma: float, rate_hz: float, delay_samples: int
-) -> tuple[StateSpace, GeneralisedPlant]:
-    """The controller for the sampled plant itself, and the plant in the bilinear plane that it was made for.
+@dataclass(frozen=True, slots=True, eq=False)
+class DiscreteDesign:
+    """A controller made for the sampled plant itself."""
 
-    Raises InfeasibleDesign where the delay leaves no controller for ``gamma``.
+    controller: StateSpace
+    gamma: float
+    gamma_min: float
+    """Of the sampled plant with its hold and delay."""
+    norm: float
+    """That the controller reaches there."""
+
+
+def discrete_plant(G: StateSpace, weights: Weights, rate_hz: float, delay_samples: int) -> GeneralisedPlant:
+    """The mixed-sensitivity problem of the sampled plant, in the bilinear plane, where its norm is the same.
+
+    The weights are those of the continuous problem in that plane: at a real frequency w they weigh what
+    they say at 2/T tan(w T/2).
     """
-    plant = mixed_sensitivity(to_bilinear(balanced(held(G, rate_hz, delay_samples))), weights)
-    return from_bilinear(synthesise(plant, gamma).controller, 1.0 / rate_hz), plant
+    return mixed_sensitivity(to_bilinear(balanced(held(G, rate_hz, delay_samples))), weights)
+
+
+def discrete_design(
+    G: StateSpace, weights: Weights, gamma: float, factor: float, rate_hz: float, delay_samples: int
+) -> DiscreteDesign:
+    """The controller for ``gamma``, or for ``factor`` times the sampled plant's gamma_min if that is more."""
+    plant = discrete_plant(G, weights, rate_hz, delay_samples)
+    least = gamma_min(plant)
+    reached = max(gamma, factor * least)
+    K = synthesise(plant, reached).controller
+    return DiscreteDesign(from_bilinear(K, 1.0 / rate_hz), reached, least, verified_norm(plant, K))
+
+
+def gamma_min_over_rates(
+    G: StateSpace, weights: Weights, rates_hz: Sequence[float], delay_samples: int
+) -> list[float]:
+    """gamma_min of the sampled plant at each rate: the later the voltage comes, the larger."""
+    return [gamma_min(discrete_plant(G, weights, rate, delay_samples)) for rate in rates_hz]
 
 
 def lowest_rate_hz(

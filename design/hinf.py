@@ -22,6 +22,10 @@ from design.system_norm import hinf_norm
 GAMMA_MIN_RELATIVE = 1e-10
 """How far apart, relative, the last feasible and the last infeasible gamma of the bisection are."""
 _DOUBLINGS_MAX = 60
+_TRIES = 3
+"""Steps of regula falsi in which the interval is to shrink to a quarter, as two halvings would."""
+_BESIDE = 0.4
+"""Of the width asked for: so far inside the interval the zero is tried at least."""
 _TWO = np.longdouble(2)
 _ERROR_MAX = 0.02
 """Relative error of X or Y beyond which no figure is given, but the reason."""
@@ -59,6 +63,16 @@ class _Feasible:
     Y: RiccatiSolution
     F: Array
     L: Array
+    radius: float
+    """Spectral radius of X Y."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fails:
+    """Which condition of theorem 1 fails, and :func:`_distance` where it is known."""
+
+    condition: str
+    distance: float | None = None
 
 
 def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
@@ -68,11 +82,11 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
     """
     normal = normal_form(plant)
     found = _feasible(normal, gamma)
-    if isinstance(found, str):
+    if isinstance(found, _Fails):
         least = gamma_min(plant)
         raise InfeasibleDesign(
             f"gamma = {gamma:.9g}",
-            f"gamma_min is {least:.9g} ({found})",
+            f"gamma_min is {least:.9g} ({found.condition})",
             "take a larger gamma, or relax the weights",
         )
     _require_accurate(found)
@@ -88,28 +102,78 @@ def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> 
     low = direct_gain_bound(normal.D11, plant.controls, plant.measurements)
     high = max(2.0 * low, 1.0)
     for _ in range(_DOUBLINGS_MAX):
-        if not isinstance(_feasible(normal, high), str):
+        if not isinstance(_feasible(normal, high), _Fails):
             break
         low, high = high, 2.0 * high
     else:
         raise InfeasibleDesign("a finite gamma", f"none up to {high:.3g}", "check the scaling of w and z")
     if low == 0.0:
         low = high
-        while low > high * 1e-12 and not isinstance(_feasible(normal, low * 0.5), str):
+        while low > high * 1e-12 and not isinstance(_feasible(normal, low * 0.5), _Fails):
             low *= 0.5
         high, low = low, low * 0.5
-    while high - low > relative * high:
-        middle = math.sqrt(low * high) if low > 0.0 else 0.5 * high
-        if not low < middle < high:
-            break
-        if isinstance(_feasible(normal, middle), str):
-            low = middle
-        else:
-            high = middle
+    high = _last_feasible(normal, low, high, relative)
     beside = _feasible(normal, high * (1.0 + 1e-4))
-    if not isinstance(beside, str):
+    if not isinstance(beside, _Fails):
         _require_accurate(beside)
     return high
+
+
+def _last_feasible(normal: NormalPlant, low: float, high: float, relative: float) -> float:
+    """The feasible gamma next to an infeasible one, between ``low``, infeasible, and ``high``, feasible.
+
+    Where the distance from the limit is known at both ends its zero is tried (regula falsi with the steps of
+    Illinois). Where it is not, or three steps have not quartered the interval, that is halved.
+    """
+    ends: dict[bool, float | None] = {False: None, True: _distance(normal, high)}
+    width, tries = high - low, 0
+    last: bool | None = None
+    while high - low > relative * high:
+        middle = math.sqrt(low * high) if low > 0.0 else 0.5 * high
+        below, above = ends[False], ends[True]
+        if tries < _TRIES and below is not None and above is not None and math.isfinite(above):
+            guess = (low * above - high * below) / (above - below)
+            step = _BESIDE * relative * high
+            middle = min(max(guess, low + step), high - step)
+        if not low < middle < high:
+            break
+        value = _distance(normal, middle)
+        feasible = value is not None and value > 0.0
+        low, high = (low, middle) if feasible else (middle, high)
+        ends[feasible] = value
+        other = ends[not feasible]
+        if feasible is last and other is not None:
+            ends[not feasible] = 0.5 * other
+        last, tries = feasible, tries + 1
+        if high - low < 0.25 * width:
+            width, tries = high - low, 0
+    return high
+
+
+def _distance(normal: NormalPlant, gamma: float) -> float | None:
+    """Above 0 where ``gamma`` is feasible, and nearly straight through 0; None where X or Y is missing.
+
+    inf where X and Y are nothing: then it does not say how far the limit is.
+
+    X and Y cease to be >= 0 through infinity, so that 1 over the eigenvalue that does so is straight.
+    """
+    found = _solutions(normal, gamma)
+    if isinstance(found, _Fails):
+        return found.distance
+    coupling = gamma**2 / found.radius - 1.0 if found.radius > 0.0 else math.inf
+    if coupling <= 0.0:
+        return coupling
+    largest = max(float(np.linalg.norm(_double(each.X), 2)) for each in (found.X, found.Y))
+    return min(coupling, 1.0 / largest) if largest > 0.0 else coupling
+
+
+def _indefinite(solution: RiccatiSolution) -> float:
+    """1 over the most negative eigenvalue of an X that is not >= 0."""
+    return 1.0 / min(float(np.linalg.eigvalsh(_double(solution.X))[0]), -1e-300)
+
+
+def _double(matrix: LongArray) -> Array:
+    return np.asarray(matrix, dtype=float)
 
 
 def _require_accurate(found: _Feasible) -> None:
@@ -143,29 +207,35 @@ def direct_gain_bound(D11: Array, controls: int, measurements: int) -> float:
     return max(sizes)
 
 
-def _feasible(normal: NormalPlant, gamma: float) -> _Feasible | str:
-    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails.
+def _feasible(normal: NormalPlant, gamma: float) -> _Feasible | _Fails:
+    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails."""
+    found = _solutions(normal, gamma)
+    if not isinstance(found, _Fails) and found.radius >= gamma**2:
+        return _Fails("condition (b): the spectral radius of X Y")
+    return found
+
+
+def _solutions(normal: NormalPlant, gamma: float) -> _Feasible | _Fails:
+    """The same before the radius of X Y is looked at.
 
     Feasibility is decided by the signs of X and Y and by the radius of their product; eigenvalues near the
     imaginary axis are no safe sign when modes lie eight decades apart.
     """
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     if gamma <= direct_gain_bound(normal.D11, m2, p2):
-        return "condition (a): the direct gain from w to z"
+        return _Fails("condition (a): the direct gain from w to z")
     D1s = np.hstack([normal.D11, np.eye(len(normal.D11))[:, -m2:]])
     Ds1 = np.vstack([normal.D11, np.eye(normal.D11.shape[1])[-p2:]])
     B, C = np.hstack([normal.B1, normal.B2]), np.vstack([normal.C1, normal.C2])
     X, F = _control_side(normal.A, B, normal.C1, D1s, gamma, normal.B1.shape[1])
     if X is None or not is_positive_semidefinite(X):
-        return "condition (b): no stabilising X >= 0"
+        return _Fails("condition (b): no stabilising X >= 0", None if X is None else _indefinite(X))
     Y, Lt = _control_side(normal.A.T, C.T, normal.B1.T, Ds1.T, gamma, len(normal.C1))
     if Y is None or not is_positive_semidefinite(Y):
-        return "condition (b): no stabilising Y >= 0"
+        return _Fails("condition (b): no stabilising Y >= 0", None if Y is None else _indefinite(Y))
     product = np.asarray(X.X @ Y.X, dtype=float)
     radius = float(np.abs(np.linalg.eigvals(product)).max(initial=0.0))
-    if radius >= gamma**2:
-        return "condition (b): the spectral radius of X Y"
-    return _Feasible(X, Y, F, Lt.T)
+    return _Feasible(X, Y, F, Lt.T, radius)
 
 
 def _control_side(

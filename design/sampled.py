@@ -6,7 +6,8 @@ can be better, and between the two lies the truth.
 """
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +16,10 @@ from design.delay_loop import Array
 from design.errors import NoSolution
 from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.loss_patterns import Pattern, WorstGain, pattern_gains, repeated, slowest_pattern, worst_gain
+from design.peak_certificate import certify_peak
 from design.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
 from design.speed_loop import SpeedModel
+from design.worst_peak import worst_peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,10 @@ class SampledAnalysis:
     gain_proof: SequenceCertificate | None
     without_certificate: str = ""
     """Why there is none, if that is so."""
+    peak_found: float = math.nan
+    """Largest error after a load step of 1 N m that was reached, rad/s; nan: not looked at."""
+    peak_certified: float | None = None
+    """Error that no sequence exceeds, rad/s; None: none was proved."""
 
     @property
     def network(self) -> SampledNetwork:
@@ -95,6 +102,21 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
     if not why and (decay_proof is None or gain_proof is None):
         why = "no quadratic functions were found that fall along every sequence"
     return SampledAnalysis(loop, regular, gains, slowest, worst, decay_proof, gain_proof, why)
+
+
+def with_peak(found: SampledAnalysis) -> SampledAnalysis:
+    """The same with the largest error after a load step."""
+    if found.refuted:
+        return replace(found, peak_found=math.inf)
+    reached = worst_peak(found.loop).peak
+    bound = None
+    if found.decay_certified_per_s:
+        patterns = [found.worst.pattern, found.slowest, *found.regular]
+        with suppress(NoSolution):
+            bound = certify_peak(found.loop, patterns, found.gain_found, found.decay_certified_per_s, reached)
+    if bound is None:
+        return replace(found, peak_found=reached)
+    return replace(found, peak_found=max(reached, bound.reached), peak_certified=bound.certified)
 
 
 def regular_patterns(loop: HeldLoop) -> list[Pattern]:

@@ -7,15 +7,28 @@ import numpy as np
 
 from design.coupled_robustness import coupled_robustness, worst_motor
 from design.current_design import AxisDesign, axis_inductance_h
-from design.current_loop import direct_design, lowest_rate_hz, sampled_figures, tustin
+from design.current_loop import (
+    SampledFigures,
+    discrete_design,
+    discrete_plant,
+    gamma_min_over_rates,
+    lowest_rate_hz,
+    sampled_figures,
+    to_bilinear,
+    tustin,
+)
 from design.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
-from design.errors import InfeasibleDesign
+from design.hinf import verified_norm
 from design.motor import PmsmParameters
 from design.robustness import axis_robustness
 from design.statespace import StateSpace
 from drivers.errors import BadInput
 from hil.current_request import CurrentRequest, OtherAxis
 
+FACTOR = 1.05
+"""Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""
+RATE_FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25)
+"""Times the rate: where gamma_min is told."""
 SPEEDS = 11
 MARGIN_KEPT = 0.9
 """Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
@@ -59,21 +72,15 @@ def sampled_design(
 ) -> tuple[StateSpace, dict[str, Any]]:
     """The sampled controller and its figures. Raises BadInput for a rate that is too low."""
     assert request.rate_hz is not None
-    crossover = design.margins.phase_margin_rad_s
+    made: StateSpace | None = None
+    discrete: dict[str, Any] = {}
     try:
-        if request.direct:
-            controller, _ = direct_design(
-                design.plant, design.weights, gamma, request.rate_hz, request.delay_samples
-            )
-        else:
-            controller = tustin(design.controller, request.rate_hz, crossover)
         beside = OtherAxis(tustin(other.controller, request.rate_hz, other.crossover_rad_s), 0.0)
+        if request.discrete:
+            made, discrete = _discrete(request, gamma, design)
+        controller = _tustin(request, design) if made is None else made
     except ValueError as error:
         raise BadInput("--sample-rate-hz", "", request.rate_hz, str(error)) from None
-    except InfeasibleDesign as error:
-        reason = f"a rate at which gamma = {gamma:g} can be held with the hold and the delay; {error.best}"
-        remedy = "sample faster, shorten the delay, take a larger gamma, or lower the crossing of w1"
-        raise BadInput("--sample-rate-hz", "", request.rate_hz, reason, remedy) from None
     found = sampled_figures(design.plant, controller, request.delay_samples)
     if found.spectral_radius >= 1.0:
         raise BadInput(
@@ -81,20 +88,70 @@ def sampled_design(
             "",
             request.rate_hz,
             f"a rate at which the loop is stable; its spectral radius is {found.spectral_radius:.4f}",
-            "sample faster, shorten the delay, or lower the crossing of w1",
+            "sample faster, shorten the delay, lower the crossing of w1, or design with --discrete",
         )
     figures: dict[str, Any] = {
         "rate_hz": request.rate_hz,
         "delay_samples": request.delay_samples,
-        "method": "direct" if request.direct else "tustin",
-        "phase_margin_deg": finite(found.margins.phase_margin_deg),
-        "gain_margin_db": finite(found.margins.gain_margin_db),
-        "modulus_margin": found.margins.modulus_margin,
-        "spectral_radius": found.spectral_radius,
+        "method": "discrete" if request.discrete else "tustin",
+        **_loop_figures(found),
+        **discrete,
         "lowest_rate": _lowest_rate(request, design, other, speed_rad_s),
         "coupled": _coupled(request, beside.pair(request.axis, controller), speed_rad_s),
     }
     return controller, figures
+
+
+def _tustin(request: CurrentRequest, design: AxisDesign) -> StateSpace:
+    assert request.rate_hz is not None
+    return tustin(design.controller, request.rate_hz, design.margins.phase_margin_rad_s)
+
+
+def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tuple[StateSpace, dict[str, Any]]:
+    """The controller for the sampled plant, and its figures beside those of the sampled continuous one."""
+    assert request.rate_hz is not None
+    plant, weights, delay = design.plant, design.weights, request.delay_samples
+    wanted = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
+    found = discrete_design(plant, weights, wanted, request.gamma_factor or FACTOR, request.rate_hz, delay)
+    if request.gamma is not None and found.gamma > request.gamma:
+        raise BadInput(
+            "--gamma",
+            "",
+            request.gamma,
+            f"more than gamma_min = {found.gamma_min:.9g} of the plant sampled at {request.rate_hz:g} Hz",
+            "sample faster, shorten the delay, or lower the crossing of w1",
+        )
+    rates = [request.rate_hz * factor for factor in RATE_FACTORS]
+    table = zip(rates, gamma_min_over_rates(plant, weights, rates, delay), strict=True)
+    return found.controller, {
+        "gamma": found.gamma,
+        "gamma_min": found.gamma_min,
+        "closed_loop_norm": found.norm,
+        "gamma_min_by_rate": [{"rate_hz": rate, "gamma_min": least} for rate, least in table],
+        "continuous_sampled": _beside(request, design),
+    }
+
+
+def _beside(request: CurrentRequest, design: AxisDesign) -> dict[str, Any]:
+    """The continuous controller by Tustin's rule at the same rate."""
+    assert request.rate_hz is not None
+    delay = request.delay_samples
+    try:
+        controller = _tustin(request, design)
+    except ValueError:
+        return {"spectral_radius": None}
+    found = sampled_figures(design.plant, controller, delay)
+    plant = discrete_plant(design.plant, design.weights, request.rate_hz, delay)
+    return {**_loop_figures(found), "closed_loop_norm": finite(verified_norm(plant, to_bilinear(controller)))}
+
+
+def _loop_figures(found: SampledFigures) -> dict[str, float | None]:
+    return {
+        "phase_margin_deg": finite(found.margins.phase_margin_deg),
+        "gain_margin_db": finite(found.margins.gain_margin_db),
+        "modulus_margin": finite(found.margins.modulus_margin),
+        "spectral_radius": found.spectral_radius,
+    }
 
 
 def _lowest_rate(

@@ -34,7 +34,8 @@ class CurrentRequest:
     method: Method = Method.TRUNCATE
     rate_hz: float | None = None
     delay_samples: int = 1
-    direct: bool = False
+    discrete: bool = False
+    """Whether the controller is made for the sampled plant itself."""
     modulus_margin: float | None = None
     other: OtherAxis | None = None
     """The other axis' continuous controller; by the rules if absent."""

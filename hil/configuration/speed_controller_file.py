@@ -70,6 +70,9 @@ class SequenceProof(Section):
     gain_certified_all_bandwidths: float | None = Field(default=None, gt=0)
     """The same for every bandwidth of ``current_loop``."""
     gain_found: float = Field(gt=0)
+    step_peak_certified_rad_s: float | None = Field(default=None, gt=0)
+    """Speed error that no sequence exceeds after a load step of 1 N m; absent: none was proved."""
+    step_peak_found_rad_s: float | None = Field(default=None, gt=0)
     decay_certified_per_s: float = Field(gt=0)
     decay_certified_all_bandwidths_per_s: float | None = Field(default=None, gt=0)
     decay_found_per_s: float = Field(gt=0)

@@ -25,9 +25,8 @@ from design.lmi import SOLVER
 from design.loss_patterns import Pattern
 from design.monte_carlo import Chance, Estimate, run_many
 from design.motor import PmsmParameters
-from design.sampled import SampledAnalysis, analyse_sampled
+from design.sampled import SampledAnalysis, analyse_sampled, with_peak
 from design.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
-from design.worst_peak import worst_peak
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +141,7 @@ def _percent(
 
 def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, Any]:
     """The loop that really runs, over ``network``."""
-    found = analyse_sampled(request.model, request.K, network)
+    found = with_peak(analyse_sampled(request.model, request.K, network))
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
@@ -165,14 +164,13 @@ def sequence_figures(found: SampledAnalysis, percent: float) -> dict[str, Any]:
     """
     gain, proofs = found.gain_certified, [found.gain_proof, found.decay_proof]
     margins = [proof.min_margin for proof in proofs if proof is not None]
-    peak = math.inf if found.refuted else worst_peak(found.loop).peak
+    peak, bound = found.peak_found, found.peak_certified
     return {
         "certified": found.certified,
         "refuted": found.refuted,
         "sequences": {
-            # no bound of the peak is proved over every sequence: only what a search reaches is known
-            "step_peak_rad_s": _bounds(None, peak),
-            "step_peak_percent": _bounds(None, peak * percent),
+            "step_peak_rad_s": _bounds(bound, peak),
+            "step_peak_percent": _bounds(None if bound is None else bound * percent, peak * percent),
             "gain": _bounds(gain, found.gain_found),
             "error_percent": _bounds(None if gain is None else gain * percent, found.gain_found * percent),
             "decay_per_s": _bounds(found.decay_certified_per_s, found.decay_found_per_s),

@@ -114,6 +114,8 @@ def _sequences(result: DesignResult) -> SequenceProof | None:
         gain_certified=gain.gain,
         gain_certified_all_bandwidths=result.bandwidths.gain if result.bandwidths else None,
         gain_found=sampled.gain_found,
+        step_peak_certified_rad_s=sampled.peak_certified,
+        step_peak_found_rad_s=finite(sampled.peak_found),
         decay_certified_per_s=decay.decay_per_s,
         decay_certified_all_bandwidths_per_s=result.bandwidths.decay_per_s if result.bandwidths else None,
         decay_found_per_s=sampled.decay_found_per_s,

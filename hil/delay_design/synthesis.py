@@ -14,7 +14,7 @@ from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.lmi import SOLVER
 from design.lmi_design import largest_certified_delay, least_certified_gain
 from design.motor import PmsmParameters
-from design.sampled import SampledAnalysis, analyse_sampled
+from design.sampled import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled_design import least_sampled_gain
 from design.speed_design import largest_delay, least_gain
 from design.speed_loop import (
@@ -265,8 +265,11 @@ class _Found:
 def design_speed(request: DesignRequest) -> DesignResult:
     """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
     model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
-    if request.for_sampled:
-        return _for_sampled(model, request)
+    result = _for_sampled(model, request) if request.for_sampled else _for_constant(model, request)
+    return result if result.sampled is None else replace(result, sampled=with_peak(result.sampled))
+
+
+def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
     if request.delay_s is None:
         assert request.gamma is not None
         try:

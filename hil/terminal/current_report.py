@@ -32,6 +32,10 @@ def print_figures(figures: dict[str, Any], indent: str = "") -> None:
             print_figures(value, indent + "  ")
         elif isinstance(value, float):
             typer.echo(f"{indent}{key:<28} {value:.6g}")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            typer.echo(f"{indent}{key}")
+            for row in value:
+                typer.echo(f"{indent}  " + "  ".join(f"{name} {item:.6g}" for name, item in row.items()))
         elif isinstance(value, list):
             texts = [_number(item) for item in value]
             typer.echo(f"{indent}{key:<28} {'  '.join(texts)}")

@@ -51,8 +51,9 @@ RateOption = Annotated[
 DelayOption = Annotated[
     int, typer.Option("--delay-samples", metavar="N", min=0, max=10, help="Computation delay, periods.")
 ]
-DirectOption = Annotated[
-    bool, typer.Option("--direct", help="Design for the sampled plant itself, instead of Tustin's rule.")
+DiscreteOption = Annotated[
+    bool,
+    typer.Option("--discrete", help="Design for the sampled plant with its delay, instead of Tustin's rule."),
 ]
 MarginOption = Annotated[
     float | None,
@@ -96,7 +97,7 @@ def current(
     reduce_by: Annotated[ReduceBy, typer.Option("--reduce-by")] = ReduceBy.TRUNCATE,
     sample_rate_hz: RateOption = None,
     delay_samples: DelayOption = 1,
-    direct: DirectOption = False,
+    discrete: DiscreteOption = False,
     modulus_margin: MarginOption = None,
     other: OtherOption = None,
     speed_rpm: SpeedOption = None,
@@ -119,6 +120,8 @@ def current(
 
         if gamma is not None and gamma_factor is not None:
             raise BadInput("--gamma-factor", "", gamma_factor, "either --gamma or --gamma-factor")
+        if discrete and sample_rate_hz is None:
+            raise BadInput("--discrete", "", discrete, "--sample-rate-hz with it")
         request = CurrentRequest(
             motor=load_motor(motor, NamedBy("MOTOR.toml", "", str(motor))).parameters,
             axis=axis.value,
@@ -130,7 +133,7 @@ def current(
             method=Method(reduce_by.value),
             rate_hz=sample_rate_hz,
             delay_samples=delay_samples,
-            direct=direct,
+            discrete=discrete,
             modulus_margin=modulus_margin,
             other=_other_axis(other, axis.value),
             speed_max_rad_s=None if speed_rpm is None else speed_rpm * RAD_S_PER_RPM,

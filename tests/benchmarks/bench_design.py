@@ -13,11 +13,14 @@ from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.loss_patterns import worst_gain
 from design.monte_carlo import Chance, Uncertainty, run_many
 from design.papers.ling2012 import DELAY_S, MODEL, MOTOR, PERIOD_S, TABLE_2, TAU_S, K, table2_row
+from design.peak_certificate import certify_peak
 from design.sampled import regular_patterns
 from design.sequence_certificate import certify_decay, certify_gain
 from design.speed_loop import Units
+from design.worst_peak import worst_peak
 from hil.delay_design.reproduction import table2
-from tests.unit.design.random_loops import random_bounds
+from tests.unit.design.random_loops import order_is_found, random_bounds
+from tests.unit.design.random_peaks import peaks_of
 
 REPEATS = 30
 RUNS = 10_000
@@ -49,10 +52,12 @@ def main() -> None:
     print(
         f"certificate of order 0: {theirs / ours[0]:.1f} x faster than the cvxpy formulation of the same run"
     )
+    random_orders()
     sampled()
     monte_carlo()
     if "--random" in sys.argv[1:]:
         random_loops()
+        random_peaks()
     table("--whole-table" in sys.argv[1:])
 
 
@@ -66,6 +71,19 @@ def sampled() -> None:
     report("sampled loop: search for the worst pattern", lambda: worst_gain(loop, regular), 3)
     report("sampled loop: certificate of the gain", lambda: certify_gain(loop, patterns, worst.gain), 3)
     report("sampled loop: certificate of the decay", lambda: certify_decay(loop, patterns, worst.gain), 3)
+    decay, peak = min(each.decay_per_s for each in patterns), worst_peak(loop).peak
+    report(
+        "sampled loop: certificate of the peak",
+        lambda: certify_peak(loop, patterns, worst.gain, 0.999 * decay, peak),
+        3,
+    )
+
+
+def random_orders(count: int = 200) -> None:
+    """Certificates of an asked order, 0 to 4, of stable loops with a constant delay."""
+    draw = np.random.default_rng(5)
+    found = sum(order_is_found(draw) for _ in range(count))
+    print(f"{count} random stable loops: the certificate of the asked order found for {found}")
 
 
 def random_loops(count: int = 200) -> None:
@@ -78,6 +96,18 @@ def random_loops(count: int = 200) -> None:
     print(
         f"{count} random sampled loops: {len(certified)} certified, {below} of them below what is found; "
         f"gap p50 {100 * np.median(gaps):.2f} %, max {100 * gaps.max():.1f} %"
+    )
+
+
+def random_peaks(count: int = 30) -> None:
+    """Largest error after a load step: certified beside found and beside brute force over every pattern."""
+    bounds = np.array([peaks_of(seed) for seed in range(count)])
+    certified, found, brute = bounds.T
+    below = np.count_nonzero(certified < np.maximum(found, brute))
+    gaps = 100.0 * (certified / found - 1.0)
+    print(
+        f"{count} random sampled loops: certified peak below found or brute force {below} times; "
+        f"gap p50 {np.median(gaps):.2f} %, max {gaps.max():.1f} %"
     )
 
 

@@ -79,6 +79,25 @@ def test_design_current_writes_a_controller_that_a_bench_runs(
     assert speed[-1] == pytest.approx(175.0, abs=1.0)
 
 
+def test_a_discrete_design_runs_in_the_simulated_drive(servo_bench: BenchRunner, tmp_path: Path) -> None:
+    """H-infinity on the plant sampled at the drive's inner rate, with one sample of computing delay."""
+    out_file = tmp_path / "kq.toml"
+    status, out, _ = _run(
+        "design", "current", MOTOR, "--axis", "q", "--sample-rate-hz", "16000", "--discrete",
+        "--out", str(out_file), "--json",
+    )  # fmt: skip
+    assert status == 0
+    found = json.loads(out)["sampled"]
+    assert found["method"] == "discrete"
+    assert found["spectral_radius"] < 1.0
+    assert found["gamma_min"] <= found["closed_loop_norm"] < found["gamma"]
+    table = [row["gamma_min"] for row in found["gamma_min_by_rate"]]
+    assert table == sorted(table)
+    assert found["continuous_sampled"]["closed_loop_norm"] > found["gamma_min"]
+    speed = _speed(servo_bench, {"drive.axis1.current_control.controller": str(out_file)})
+    assert speed[-1] == pytest.approx(175.0, abs=1.0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -87,7 +106,11 @@ def test_design_current_writes_a_controller_that_a_bench_runs(
         (["--gamma-factor", "1.0"], ["at least 1.0005 times gamma_min", "runs to infinity"]),
         (["--sample-rate-hz", "40"], ["more than 46.1 Hz", "sample faster"]),
         (["--sample-rate-hz", "100"], ["a rate at which the loop is stable", "sample faster"]),
-        (["--sample-rate-hz", "300", "--direct"], ["gamma_min is 1.4", "sample faster"]),
+        (
+            ["--sample-rate-hz", "300", "--discrete", "--gamma", "1"],
+            ["more than gamma_min = 1.4", "sample faster"],
+        ),
+        (["--discrete"], ["--sample-rate-hz with it"]),
         (["--reduce", "9"], ["fewer states than the 4"]),
         (["--other", str(EXAMPLES / "controllers" / "azaiz2007-kq.toml")], ["one for the d axis"]),
         (["--picture", "/nonexistent/x.png"], ["a PNG file that can be written"]),

@@ -114,6 +114,8 @@ def test_analysis_of_the_sampled_loop() -> None:
     assert sequences["gain"]["found"] == pytest.approx(136.425, rel=1e-5)
     assert sequences["gain"]["certified"] == pytest.approx(136.425, rel=1e-3)
     assert sequences["gain"]["gap_percent"] < 0.1
+    assert sequences["step_peak_rad_s"]["certified"] >= sequences["step_peak_rad_s"]["found"]
+    assert sequences["step_peak_rad_s"]["gap_percent"] < 6.0
     assert found["monte_carlo"]["diverged"]["value"] == 0.0
     peaks = found["monte_carlo"]["peak_rad_s"]
     assert peaks["p50"]["low"] <= peaks["p50"]["value"] <= peaks["p99"]["value"]
@@ -251,7 +253,11 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     assert made.made_for is not None
     assert made.made_for.losses_in_a_row_max == network.losses_max + 3
     assert made.certificate is not None
-    assert made.certificate.sequences is not None
+    sequences = made.certificate.sequences
+    assert sequences is not None
+    assert sequences.step_peak_certified_rad_s is not None
+    assert sequences.step_peak_found_rad_s is not None
+    assert sequences.step_peak_certified_rad_s >= sequences.step_peak_found_rad_s
     _bench(_designed_bench(controller, 0.05), tmp_path / "good")
     again = load_bench(tmp_path / "good" / "bench.toml")
     assert again.drive["axis1"].controller == made

@@ -1,7 +1,12 @@
 """Random sampled loops, for the certificates."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from design.certificate import certified_gain
+from design.delay_norm import hinf_norm, largest_stable_delay_s
+from design.errors import NoSolution
 from design.held_loop import SampledNetwork, Strategy
 from design.sampled import analyse_sampled
 from design.speed_loop import speed_model
@@ -21,3 +26,25 @@ def random_bounds(draw: np.random.Generator) -> tuple[float, float | None]:
         analysis = analyse_sampled(model, K, network)
         if not analysis.refuted:
             return analysis.gain_found, analysis.gain_certified
+
+
+def order_is_found(draw: np.random.Generator) -> bool:
+    """Whether the certificate of an order that ``draw`` chooses is found for a stable loop that it makes.
+
+    Error: AssertionError for a certificate below the exact gain.
+    """
+    while True:
+        motor = replace(LING, inertia_kg_m2=LING.inertia_kg_m2 * float(np.exp(draw.uniform(-3.0, 3.0))))
+        bandwidth_hz = float(np.exp(draw.uniform(np.log(30.0), np.log(1500.0))))
+        model = speed_model(motor, current_bandwidth_hz=bandwidth_hz)
+        delay_s = float(np.exp(draw.uniform(np.log(3e-4), np.log(0.3))))
+        crossing_rad_s = float(draw.uniform(0.1, 1.2)) / (delay_s - 1.0 / float(model.A[0, 0]))
+        loop = model.loop([draw.uniform(-0.4, 0.1), -crossing_rad_s / float(model.A[1, 0])], delay_s)
+        if delay_s < 0.8 * largest_stable_delay_s(loop):
+            break
+    try:
+        found = certified_gain(model, loop, int(draw.integers(0, 5)))
+    except NoSolution:
+        return False
+    assert found.gain >= hinf_norm(loop) * (1.0 - 1e-9)
+    return True

@@ -2,6 +2,7 @@
 
 import itertools
 
+import numpy as np
 import pytest
 
 from design.as_printed import theorem_3_1, theorem_3_3
@@ -19,6 +20,7 @@ from design.errors import NoSolution
 from design.lmi import solve
 from design.speed_loop import speed_model
 from tests.motors import AZAIZ, LING
+from tests.unit.design.random_loops import order_is_found
 
 MODEL = speed_model(LING)
 PUBLISHED = MODEL.loop([0.0, -0.0212], 0.064)
@@ -45,6 +47,12 @@ def test_published_design_certified() -> None:
     assert all(later <= earlier * (1.0 + 1e-6) for earlier, later in itertools.pairwise(gains))
     assert all(gain >= hinf_norm(PUBLISHED) * (1.0 - 1e-9) for gain in gains)
     assert all(each.proof.min_margin > 0.0 for each in found)
+
+
+def test_an_asked_order_is_found() -> None:
+    """In random stable loops up to 0.8 of their largest delay, orders 0 to 4; 200 in ``bench_design``."""
+    draw = np.random.default_rng(5)
+    assert sum(order_is_found(draw) for _ in range(60)) >= 57
 
 
 def test_order_is_chosen_automatically() -> None:

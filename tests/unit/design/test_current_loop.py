@@ -10,8 +10,9 @@ import scipy.signal
 
 from design.current_design import design_axis, reduced_design, rule_weights
 from design.current_loop import (
-    direct_design,
+    discrete_design,
     from_bilinear,
+    gamma_min_over_rates,
     held,
     lowest_rate_hz,
     sampled_figures,
@@ -32,7 +33,7 @@ from design.margins import margins
 from design.mixed_sensitivity import axis_plant
 from design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
 from design.reduction import Method, hankel_singular_values, reduce
-from design.statespace import StateSpace, connect, from_zpk, state_space, zeros, zpk
+from design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
 from design.step_response import step_figures
 from design.system_norm import hinf_norm
 from design.weights import crossing_weight, error_weight, slope_weight
@@ -170,14 +171,49 @@ def test_bilinear_there_and_back() -> None:
     assert back.response(omega) == pytest.approx(sampled.response(omega), rel=1e-9)
 
 
-def test_direct_design_keeps_the_margin_that_tustin_loses() -> None:
+def test_discrete_design_keeps_the_margin_that_tustin_loses() -> None:
     G = Q.plant
     rate_hz = 2000.0
-    direct, _ = direct_design(G, Q.weights, 1.02, rate_hz, 1)
+    discrete = discrete_design(G, Q.weights, 1.03, 1.0, rate_hz, 1)
     by_tustin = sampled_figures(G, tustin(Q_REDUCED.controller, rate_hz, 145.0), 1)
-    found = sampled_figures(G, direct, 1)
+    found = sampled_figures(G, discrete.controller, 1)
     assert found.spectral_radius < 1.0
     assert found.margins.modulus_margin > by_tustin.margins.modulus_margin
+
+
+@pytest.mark.parametrize(("rate_hz", "delay"), [(2000.0, 1), (8000.0, 1), (8000.0, 2), (16_000.0, 0)])
+def test_norm_of_a_discrete_design_is_that_of_a_sweep_of_its_loop(rate_hz: float, delay: int) -> None:
+    """Hold and delay by scipy and by hand; the loop along the unit circle."""
+    found = discrete_design(Q.plant, Q.weights, 0.0, 1.02, rate_hz, delay)
+    period_s = 1.0 / rate_hz
+    A, B, C, D, _ = scipy.signal.cont2discrete((Q.plant.A, Q.plant.B, Q.plant.C, Q.plant.D), period_s)
+    angle = np.concatenate([np.logspace(-7, np.log10(math.pi), 20_000)[:-1], [math.pi - 1e-9]])
+    z = np.exp(1j * angle)
+    g = np.array([(C @ np.linalg.solve(each * np.eye(1) - A, B) + D)[0, 0] for each in z]) * z**-delay
+    k = found.controller.response(angle / period_s)[:, 0, 0]
+    s = 2.0 / period_s * np.tan(0.5 * angle)
+    S = 1.0 / (1.0 + g * k)
+    weighted = [
+        weight.system.response(s)[:, 0, 0] * part
+        for weight, part in [(Q.weights.error, S), (Q.weights.control, k * S), (Q.weights.output, g * k * S)]
+    ]
+    swept = float(np.sqrt(sum(np.abs(each) ** 2 for each in weighted)).max())
+    assert found.norm == pytest.approx(swept, rel=1e-5)
+    assert found.gamma_min <= swept < found.gamma
+    poles = np.abs(
+        connect(series(held(Q.plant, rate_hz, delay), found.controller), [[-1.0]], [[1.0]], [[1.0]]).poles()
+    )
+    assert poles.max() < 1.0
+
+
+def test_gamma_min_rises_as_the_rate_falls_and_is_the_continuous_one_at_last() -> None:
+    rates = [400_000.0, 32_000.0, 16_000.0, 8000.0, 4000.0, 2000.0, 1000.0]
+    found = gamma_min_over_rates(Q.plant, Q.weights, rates, 1)
+    assert found == sorted(found)
+    assert found[0] == pytest.approx(Q.gamma_min, rel=1e-3)
+    assert found[-1] > 1.05 * Q.gamma_min
+    longer = gamma_min_over_rates(Q.plant, Q.weights, rates, 2)
+    assert all(late > early for late, early in zip(longer, found, strict=True))
 
 
 def test_the_lowest_rate_holds_the_margin_and_a_lower_one_does_not() -> None:

@@ -9,6 +9,7 @@ from design.monte_carlo import Chance, run_many
 from design.speed_loop import speed_model
 from design.worst_peak import worst_peak
 from tests.motors import LING
+from tests.unit.design.random_peaks import peaks_of
 
 MODEL = speed_model(LING)
 K = np.array([0.0, -0.0212])
@@ -34,3 +35,12 @@ def test_it_cannot_be_less_than_what_inertia_alone_makes_of_the_load() -> None:
     network = SampledNetwork(Strategy.ARRIVAL, 0.01, 3, 0.004)
     found = worst_peak(HeldLoop(MODEL, K, network))
     assert found.peak > 0.044 / LING.inertia_kg_m2 * 0.9
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_certified_is_never_below_brute_force_nor_far_above(seed: int) -> None:
+    """All sequences of a few periods; more seeds in ``bench_design --random``."""
+    certified, found, brute = peaks_of(seed)
+    assert brute <= certified
+    assert found <= certified
+    assert certified < 1.2 * found
