@@ -207,6 +207,7 @@ def recording_plan(
         deadline=config.loop.deadline,
         review=ReviewPlan(axes, config.verdict.limits, config.verdict.settling),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
+        started_at=world.clock.now(),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,
         segments=tuple(segment.name for segment in config.bus.segment),

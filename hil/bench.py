@@ -267,6 +267,8 @@ class _Run:
         for drive in self._drives:
             identity = connect(drive, host.connect_timeout_s, self._stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
+            told = f"node {drive.node_id}: {identity}"
+            self._recorder.identity(self._world.clock.now(), drive.name, told)
             if (sheet := self._sheets.get(drive.name)) is not None:
                 for note in identity_notes(identity, sheet, drive.node_id):
                     self._say(f"{drive.name}: {note}", "WARN")

@@ -80,7 +80,7 @@ class Logger:
         if faults is not None:
             self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
             if plan.faults:
-                self._keepers.append(FaultsKeeper(plan.folder, self._fault_blocks))
+                self._keepers.append(FaultsKeeper(plan, self._fault_blocks))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 

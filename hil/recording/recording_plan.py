@@ -5,12 +5,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.timebase import Duration
+from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.figures.summary import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""
-NO_OFFSET = Duration(0)
+SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
+"""Where the first cycle of a simulated run lies in frames.log, ns since 1970: in September 2001, so that no
+stamp is taken for a real one, and run times can be read off at sight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +53,10 @@ class RecordingPlan:
     review: ReviewPlan
     bench_toml: str
     """The resolved bench file."""
-    wall_offset: Duration = NO_OFFSET
-    """Wall clock minus bench clock, for frames.log; 0 in simulated time."""
+    started_at: Instant = Instant(0)  # noqa: RUF009 - an int
+    """When the recording began; the time zero of a run that comes to no cycle."""
+    wall_offset: Duration | None = None
+    """Wall clock minus bench clock, for frames.log; None in simulated time."""
     frames: bool = True
     """Whether frames.log is kept."""
     segments: tuple[str, ...] = ()
@@ -65,6 +69,10 @@ class RecordingPlan:
     """Of the loop, for network.toml; 0: none is written."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """Shown beside the verdict, e.g. {"controller": "pid"}."""
+
+    def stamp_offset(self, zero: Instant) -> Duration:
+        """Epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""
+        return Duration(SIMULATED_EPOCH - zero) if self.wall_offset is None else self.wall_offset
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
