@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.exchange import Drive
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
 from hil.axis import Axis, AxisParts, LoadMachine
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
@@ -22,7 +22,7 @@ from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.recording.recording_plan import AxisPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
@@ -214,6 +214,7 @@ def recording_plan(
         faults=config.faults is not None,
         period_us=config.loop.period_us,
         view=view,
+        set_points=_set_points(config),
         notes={
             "motor": first.motor.motor.name,
             "controller": first.controller.kind,
@@ -223,8 +224,14 @@ def recording_plan(
     )
 
 
-def planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
-    """What the bench file plans for an axis: seconds from the run's start, and in words."""
-    events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
-    events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
-    return sorted(events)
+def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
+    """What the bench file plans for each axis, in words."""
+    planned: list[PlannedSetPoint] = []
+    for number, axis in enumerate(config.axes):
+        for segment in config.reference.get(axis, ()):
+            text = f"{axis}: reference {segment.describe()}"
+            planned.append(PlannedSetPoint(duration_s(segment.at_s), number, text))
+        for step in config.load.get(axis, ()):
+            text = f"{axis}: load torque {step.torque_nm:g} N m"
+            planned.append(PlannedSetPoint(duration_s(step.at_s), number, text))
+    return tuple(sorted(planned))

@@ -1,7 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from drivers.errors import BenchError, PeerFault
 from drivers.network import CanopenNetwork
 from drivers.pdo import DONE
 from drivers.servo import ServoDrive
+from drivers.state_control import FAULTY
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
 from hil.axis import Axis
@@ -24,7 +25,7 @@ from hil.drive_settings import data_sheets, drive_settings, identity_notes
 from hil.figures.summary import RunOutcome, Summary
 from hil.load_machines import LoadMachines
 from hil.loop import Loop, LoopOutcome, LoopTiming
-from hil.machine.realtime import quiet_garbage_collector, realtime_process
+from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import NetworkGuard, WorseNetwork, allowed, made_for, worse_network
 from hil.pace import OwnSync, Pace
@@ -106,7 +107,7 @@ def run_bench(
         if log is not None:
             log.send_to(recorder.fault_block)
         run = _Run(config, world, recorder, stop, progress, controllers or {}, worse, devices, sheets)
-        with _timing_conditions(world.real_time and privileged) as refused:
+        with timing_conditions(world.real_time and privileged) as refused:
             try:
                 summary = run.to_the_end(refused)
             except PeerFault as error:
@@ -114,18 +115,6 @@ def run_bench(
                 raise
     interrupted = stop() and not summary.verdict.completed
     return BenchResult(summary.as_json(), summary.verdict.passed, interrupted, folder)
-
-
-@contextmanager
-def _timing_conditions(privileged: bool) -> Iterator[Sequence[str]]:
-    """What the kernel refused. Before any drive is told to listen for the host's heartbeat: to lock a large
-    memory takes up to a second."""
-    if privileged:
-        with realtime_process() as refused:
-            yield refused
-    else:
-        with quiet_garbage_collector():
-            yield ()
 
 
 class _Run:
@@ -176,7 +165,6 @@ class _Run:
             outcome = self._run_and_release()
         except BenchError as error:
             outcome = _cut_short(str(error))
-            self._recorder.event(self._world.clock.now(), "CRITICAL", str(error))
             raise
         finally:
             if self._world.faults is not None:
@@ -193,8 +181,18 @@ class _Run:
     def _run_and_release(self) -> RunOutcome:
         try:
             return self._run()
+        except BenchError as error:
+            self._tell_end(error)
+            raise
         finally:
             self._release()
+
+    def _tell_end(self, error: BenchError) -> None:
+        """What ended the run and in what states the drives are, each as of when it showed."""
+        seen_at = error.seen_at if isinstance(error, PeerFault) else None
+        self._recorder.event(seen_at or self._world.clock.now(), "CRITICAL", str(error))
+        for drive in self._drives:
+            self._note_state(drive, drive.control.fault_seen_at if drive.state in FAULTY else None)
 
     def _run(self) -> RunOutcome:
         config, world = self._config, self._world
@@ -267,8 +265,7 @@ class _Run:
         for drive in self._drives:
             identity = connect(drive, host.connect_timeout_s, self._stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
-            told = f"node {drive.node_id}: {identity}"
-            self._recorder.identity(self._world.clock.now(), drive.name, told)
+            self._recorder.identity(self._world.clock.now(), drive.name, str(identity))
             if (sheet := self._sheets.get(drive.name)) is not None:
                 for note in identity_notes(identity, sheet, drive.node_id):
                     self._say(f"{drive.name}: {note}", "WARN")
@@ -291,8 +288,13 @@ class _Run:
             duration_s(self._config.bench.duration_s),
             self._stop,
             self._start,
-            lambda done: self._progress("running", done * period_s),
+            lambda done: self._note_progress(done * period_s),
         )
+
+    def _note_progress(self, time_s: float) -> None:
+        self._progress("running", time_s)
+        if self._world.faults is not None:
+            self._world.faults.finish()
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
@@ -300,9 +302,6 @@ class _Run:
         self._load.begin(at)
         if self._world.faults is not None:
             self._world.faults.start(at)
-        for name in self._config.axes:
-            for when_s, text in assembly.planned_events(self._config, name):
-                self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
     def _outcome(self, ended: LoopOutcome, took: Duration) -> RunOutcome:
         if ended.cycles_missed:
@@ -374,6 +373,8 @@ class _Run:
             self._note_state(drive)
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
+            elif release.rested_at is not None:
+                self._recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
         self._load.take_off(self._say)
         self._progress("stopped", self._config.bench.duration_s)
 
@@ -384,10 +385,11 @@ class _Run:
         self._progress(phase, 0.0)
         self._recorder.state(self._world.clock.now(), "phase", phase)
 
-    def _note_state(self, drive: ServoDrive) -> None:
-        state = drive.state
-        label = "unknown" if state is None else state.value
-        self._recorder.state(self._world.clock.now(), f"{drive.name} drive", label)
+    def _note_state(self, drive: ServoDrive, seen_at: Instant | None = None) -> None:
+        """``seen_at``: when the state showed; None: with the statusword that tells it."""
+        at = seen_at or drive.control.status_told_at or self._world.clock.now()
+        label = "unknown" if drive.state is None else drive.state.value
+        self._recorder.state(at, f"{drive.name} drive", label)
 
     def _say(self, text: str, level: str = "INFO") -> None:
         self._recorder.event(self._world.clock.now(), level, text)

@@ -85,7 +85,7 @@ class WorldFaults:
             injection.stop()
 
     def finish(self) -> None:
-        """Let the log have what it has not got yet."""
+        """Let the log have what it has not got yet; also while the run goes on."""
         for injection, _ in self._parts:
             injection.finish()
 

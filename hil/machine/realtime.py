@@ -50,3 +50,18 @@ def realtime_process() -> Iterator[tuple[str, ...]]:
         os.sched_setscheduler(0, policy, parameter)
         if locked:
             libc.munlockall()
+
+
+@contextmanager
+def timing_conditions(real_time: bool) -> Iterator[tuple[str, ...]]:
+    """Those of a run; yields what the kernel refused.
+
+    To be entered before any drive is told to listen for the host's heartbeat: to lock a large memory takes
+    up to a second.
+    """
+    if real_time:
+        with realtime_process() as refused:
+            yield refused
+    else:
+        with quiet_garbage_collector():
+            yield ()

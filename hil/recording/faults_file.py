@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.log_files import AppendFile
 from hil.recording.recording_plan import RecordingPlan
@@ -31,40 +32,49 @@ assert BLOCK_DTYPE.itemsize == BLOCK.size
 _SINCE_POWER_ON = frozenset({KIND_CODES["late"], KIND_CODES["boot"]})
 
 
+class FaultEntries:
+    """The entries of a run in run time, as its ring brings them."""
+
+    def __init__(self, blocks: RingReader, started_at: Instant) -> None:
+        """``started_at``: when the drives were switched on."""
+        self.fresh: list[Entry] = []
+        """Those of the last :meth:`take`."""
+        self._blocks = blocks
+        self._started_at = started_at
+        self._early: list[Entry] = []
+
+    def take(self, zero: RunZero, at_end: bool = False) -> list[Entry]:
+        """What came since the last call; nothing before the first cycle is told, unless it never will be."""
+        for row in self._blocks.drain():
+            self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
+        self.fresh = []
+        if zero.told or at_end:
+            self.fresh = [self._in_run_time(entry, zero.at) for entry in self._early]
+            self._early.clear()
+        return self.fresh
+
+    def _in_run_time(self, entry: Entry, zero: Instant) -> Entry:
+        if entry.code not in _SINCE_POWER_ON:
+            return entry
+        return entry._replace(at_ns=entry.at_ns + self._started_at - zero)
+
+
 class FaultsKeeper:
-    """Drains the ring of fault blocks by itself whenever the others get their rows."""
+    """Writes what :class:`FaultEntries` took last whenever the others get their rows."""
 
     name = FAULTS_FILE
 
-    def __init__(self, plan: RecordingPlan, blocks: RingReader) -> None:
+    def __init__(self, plan: RecordingPlan, entries: FaultEntries) -> None:
         self._file = AppendFile(plan.folder / FAULTS_FILE)
-        self._blocks = blocks
-        self._started_at = plan.started_at
-        self._zero = RunZero(plan.started_at)
-        self._early: list[Entry] = []
+        self._entries = entries
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         """See :class:`hil.recording.log_files.Keeper`."""
-        self._zero.look(events)
-        for row in self._blocks.drain():
-            self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
-        if self._zero.told:
-            self._write()
+        self._file.write("".join(f"{entry_line(entry)}\n" for entry in self._entries.fresh).encode())
 
     def flush(self) -> None:
-        """What waits has no time yet."""
+        """Nothing is held back."""
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         """See :class:`hil.recording.log_files.Keeper`."""
-        self._write()
         self._file.close()
-
-    def _write(self) -> None:
-        lines = [f"{entry_line(self._in_run_time(entry))}\n" for entry in self._early]
-        self._early.clear()
-        self._file.write("".join(lines).encode())
-
-    def _in_run_time(self, entry: Entry) -> Entry:
-        if entry.code not in _SINCE_POWER_ON:
-            return entry
-        return entry._replace(at_ns=entry.at_ns + self._started_at - self._zero.at)

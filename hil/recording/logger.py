@@ -19,12 +19,15 @@ import rerun as rr
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, Summary, summarise
-from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
+from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
+from hil.recording.injected_faults import InjectedFaults
 from hil.recording.log_files import Keeper, open_keepers
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE
+from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.ring import RingReader
-from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
+from hil.recording.run_zero import RunZero
+from hil.recording.set_points import SetPointTeller
+from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
 
 _DRAIN_PERIOD_S = 0.1
 _FLUSH_PERIOD_NS = NS_PER_S
@@ -76,11 +79,16 @@ class Logger:
         self._review = Review(plan.review)
         self._faults: list[str] = []
         self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
+        self._zero = RunZero(plan.started_at)
+        self._set_points = SetPointTeller(plan.set_points)
+        self._injected = InjectedFaults()
+        self._fault_entries: FaultEntries | None = None
         self._fault_blocks: RingReader | None = None
         if faults is not None:
             self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
+            self._fault_entries = FaultEntries(self._fault_blocks, plan.started_at)
             if plan.faults:
-                self._keepers.append(FaultsKeeper(plan, self._fault_blocks))
+                self._keepers.append(FaultsKeeper(plan, self._fault_entries))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
@@ -95,12 +103,14 @@ class Logger:
             wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()
-        self._drain()
+        self._drain(at_end=True)
         return self._finish(outcome or _WRITER_DIED)
 
-    def _drain(self) -> int:
+    def _drain(self, at_end: bool = False) -> int:
         """Take all that is there; the number of cycle rows."""
         rows, frames, events = self._rows.drain(), self._frames.drain(), events_of(self._events.drain())
+        self._zero.look(events)
+        events = sorted([*events, *self._told_by(rows, at_end)], key=lambda event: event.at)
         self._review.add(rows)
         for keeper in list(self._keepers):
             try:
@@ -108,6 +118,15 @@ class Logger:
             except OSError as error:
                 self._give_up(keeper, error)
         return rows.size
+
+    def _told_by(self, rows: Rows, at_end: bool) -> list[RunEvent]:
+        """What nobody says, but the rows of the cycles and the entries of the fault log show."""
+        told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
+        if self._fault_entries is not None:
+            told += self._injected.take(self._fault_entries.take(self._zero, at_end), self._zero.at)
+        if at_end:
+            told += self._injected.finish()
+        return told
 
     def _flush(self) -> None:
         self._flushed_at = self._clock.now()

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.figures.summary import VerdictLimits
@@ -35,6 +35,16 @@ class ReviewPlan:
     """How long after a reference step the speed error is not counted."""
 
 
+class PlannedSetPoint(NamedTuple):
+    """A reference or a load that an axis is to be asked for."""
+
+    after: Duration
+    """The first cycle."""
+    axis: int
+    text: str
+    """It, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
     """One run's recording."""
@@ -61,6 +71,8 @@ class RecordingPlan:
     """Whether frames.log is kept."""
     segments: tuple[str, ...] = ()
     """Names of the bus's further segments, in frames.log in the place of the interface."""
+    set_points: tuple[PlannedSetPoint, ...] = ()
+    """What the axes are to be asked for; told as it is acted upon."""
     faults: bool = False
     """Whether faults.jsonl is kept: what was injected."""
     view: bool = False
@@ -89,6 +101,7 @@ class RecordingPlan:
                 **found,
                 "folder": Path(found["folder"]),
                 "segments": tuple(found["segments"]),
+                "set_points": tuple(PlannedSetPoint(*each) for each in found["set_points"]),
                 "review": ReviewPlan(
                     tuple(AxisPlan(**axis) for axis in review["axes"]),
                     VerdictLimits(**review["limits"]),
