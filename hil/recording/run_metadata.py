@@ -5,10 +5,12 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from drivers.timebase import Instant
+from hil.recording.record_columns import FORMAT
 from hil.recording.recording_plan import RecordingPlan
 
 _ROOT = Path(__file__).parents[2]
@@ -21,6 +23,7 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
     ``zero``: the first cycle on the bench clock. ``drives``: by axis, who its drive says it is.
     """
     return {
+        "format": FORMAT,
         "bench": plan.name,
         "seed": str(plan.seed),
         "bus": plan.bus,
@@ -54,6 +57,7 @@ def _version() -> str:
         return ""
 
 
+@cache
 def _commit() -> str:
     """Of the source tree that runs, with "-dirty" if it was changed since; empty if it is none of git's."""
     if not (_ROOT / ".git").exists():

@@ -29,7 +29,8 @@ from hil.recording.row_states import (
     HostStates,
     LinkStates,
 )
-from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.run_metadata import run_metadata
+from hil.recording.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.verdict_text import verdict_markdown, verdict_word
 from hil.samples import CommandFate
 
@@ -73,6 +74,7 @@ _LATEST = 2**62
 _FLUSH_MAX_S = 10.0
 _APPLICATION = "servobench"
 RERUN_FILE = "run.rrd"
+_PROPERTIES = "run"
 
 
 class Telemetry:
@@ -166,6 +168,9 @@ class Telemetry:
     def _start_at(self, origin: int) -> None:
         self._origin = origin
         held, self._held = self._held, []
+        drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
+        told = run_metadata(self._plan, Instant(origin), drives)
+        self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self.take_events(held)
         if held:
             self._extend_plots_to(held[0].at)

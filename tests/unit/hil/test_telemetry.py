@@ -13,7 +13,7 @@ from hil.figures.review import Review
 from hil.figures.summary import RunOutcome, summarise
 from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.recording.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
-from hil.recording.side_rows import BeginEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.telemetry import Telemetry, _round_width
 from hil.samples import CommandFate
 from tests.unit.hil.recording_tools import plan_for
@@ -271,3 +271,18 @@ def _axis_ranges(path: Path) -> list[tuple[float, float]]:
             if "ScalarAxis:range" in batch.schema.names:
                 found += [tuple(low_high) for (low_high,) in batch.column("ScalarAxis:range").to_pylist()]
     return found
+
+
+def test_what_the_run_was_is_a_property_of_the_recording(tmp_path: Path) -> None:
+    events = (IdentityEvent(Instant(ORIGIN - 9), "axis1", "a drive of the lab"), *EVENTS)
+    path = write_run(plan_for(tmp_path), plain_rows(4), events)
+    found = {
+        name: batch.column(name).to_pylist()[0][0]
+        for chunk in RrdReader(path).stream()
+        for batch in [chunk.to_record_batch()]
+        for name in batch.schema.names
+        if "properties" in chunk.entity_path and "run" in chunk.entity_path and not name.startswith("rerun.")
+    }
+    assert found["drives"] == '{"axis1": "a drive of the lab"}'
+    assert found["seed"] == "2012"
+    assert found["format"] == "1"
