@@ -103,7 +103,7 @@ COLUMNS: Final = (
     _instant("command_acts_after", "the latest instant known at which it did not act yet"),
     _instant("command_acts_by", "the earliest instant known at which it acted"),
     _instant("clock_offset_ns", "run time minus the drive's clock, by the map of that clock"),
-    Column("clock_error_ns", "int64", "ns", "half the width of what the offset is known to"),
+    Column("clock_error_ns", "int64", "ns", "error of an instant that this map places"),
 )
 """In the order of :data:`hil.recording.records.LAYOUT`."""
 

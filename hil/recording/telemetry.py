@@ -170,7 +170,7 @@ class Telemetry:
         held, self._held = self._held, []
         drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
         told = run_metadata(self._plan, Instant(origin), drives)
-        self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
+        self._stream.send_property(_PROPERTIES, rr.AnyValues(drop_untyped_nulls=True, **told))
         self.take_events(held)
         if held:
             self._extend_plots_to(held[0].at)
