@@ -6,6 +6,7 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -169,8 +170,8 @@ class Telemetry:
         self._origin = origin
         held, self._held = self._held, []
         drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
-        told = run_metadata(self._plan, Instant(origin), drives)
-        self._stream.send_property(_PROPERTIES, rr.AnyValues(drop_untyped_nulls=True, **told))
+        told: dict[str, Any] = {**run_metadata(self._plan, Instant(origin), drives)}
+        self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self.take_events(held)
         if held:
             self._extend_plots_to(held[0].at)
