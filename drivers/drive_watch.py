@@ -53,18 +53,22 @@ class DriveWatch:
                 f"{control.title} was lost",
                 f"no heartbeat for {status.timeout_ns / NS_PER_MS:.0f} ms",
                 "check its supply and the cable",
+                status.lost_at,
             )
         if not self.active:
             return
         if status.boot_ups != self._boot_ups:
             self.active = False
             raise DriveInFault(
-                f"{control.title} restarted", f"{status.boot_ups - self._boot_ups} boot-up message"
+                f"{control.title} restarted",
+                f"{status.boot_ups - self._boot_ups} boot-up message",
+                seen_at=status.heartbeat_at,
             )
         if self._beats and status.state is not NmtState.OPERATIONAL:
             self.active = False
             left = "an unknown NMT state" if status.state is None else status.state.name
-            raise DriveInFault(f"{control.title} fell back to {left}", control.evidence())
+            seen_at = status.heartbeat_at
+            raise DriveInFault(f"{control.title} fell back to {left}", control.evidence(), seen_at=seen_at)
         if control.emergency_came:
             control.ask_after_emergency()
         if self._told.statusword & _ENABLED_BITS != _ENABLED:
@@ -84,7 +88,10 @@ class DriveWatch:
         if state in FAULTY:
             return control.in_fault()
         named = "an unknown state" if state is None else repr(state.value)
-        return DriveInFault(f"{control.title} fell out of operation into {named}", control.evidence())
+        seen_at = self._told.at
+        return DriveInFault(
+            f"{control.title} fell out of operation into {named}", control.evidence(), seen_at=seen_at
+        )
 
 
 def _silence_borne(plan: PdoPlan, silence_ms: int) -> Duration:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.printable import printable
+from drivers.timebase import Instant
 
 PART_SHOWN_MAX = 400
 """Characters of each part of a message: a file may hold keys and names as long as itself."""
@@ -66,6 +67,8 @@ class PeerFault(BenchError):
     summary: str
     evidence: str = ""
     remedy: str = ""
+    seen_at: Instant | None = None
+    """When it showed, by the stamp of the frame that told it; None: when this was raised."""
 
     def __str__(self) -> str:
         return "; ".join(part for part in (self.summary, self.evidence, self.remedy) if part)

@@ -184,11 +184,12 @@ class ServoDrive(Drive):
         if failure is not None:
             done = end_heartbeat(self.network, watched=bool(self._consumer_entry))
             return Release(False, self.state, f"{failure}; {done}")
+        rested_at = self.network.clock.now()
         try:
             self._leave()
         except PeerFault as error:
-            return Release(True, self.state, str(error))
-        return Release(True, self.state)
+            return Release(True, self.state, str(error), rested_at)
+        return Release(True, self.state, rested_at=rested_at)
 
     def reset_fault(self, deadline: Instant) -> None:
         """Send a rising edge of the fault reset bit; raises DriveInFault if the fault stays."""

@@ -17,7 +17,7 @@ from drivers.profile402 import (
     command_path,
     state_of,
 )
-from drivers.readings import Seen
+from drivers.readings import NEVER_TOLD, Seen
 from drivers.setpoint import SetPoint
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
@@ -31,6 +31,9 @@ _ASK_S = 0.01
 """Wait for a statusword that is asked for in the middle of a cycle: ten SDO transfers on a full bus."""
 _OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
 """A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
+_FAULT_SPAN = Duration(100 * NS_PER_MS)
+"""The EMCY of a fault is no longer before the statusword that tells of it: the event timer of such a TPDO, or
+the SDO that asks for it, takes less."""
 _EMERGENCIES_KEPT = 8
 _EMERGENCIES_SHOWN = 2
 
@@ -179,10 +182,24 @@ class StateControl:
             parts.append(f"error register {register:02X}h ({register_text(register)})")
         return parts
 
+    @property
+    def status_told_at(self) -> Instant | None:
+        """When the last statusword came, by whatever way; None before the first."""
+        return None if self._told.at == NEVER_TOLD else self._told.at
+
+    @property
+    def fault_seen_at(self) -> Instant:
+        """When the fault that the statusword tells showed first: by its EMCY, or by the statusword itself."""
+        since = self._told.at - _FAULT_SPAN
+        return min(
+            (each.at for each in self.emergencies if each.code and each.at >= since), default=self._told.at
+        )
+
     def in_fault(self) -> DriveInFault:
         """The error for a drive that reports a fault."""
+        seen_at = self.fault_seen_at
         return DriveInFault(
-            f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault"
+            f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault", seen_at
         )
 
     def stuck(self, action: str) -> DriveInFault:

@@ -20,7 +20,7 @@ from drivers.pdo_planner import features_of
 from drivers.pdo_plans import TARGETS
 from drivers.profile402 import Mode, State
 from drivers.readings import ReadingAssembler
-from drivers.timebase import NS_PER_MS, Duration
+from drivers.timebase import NS_PER_MS, Duration, Instant
 
 _EVENT_TIMER: Final = 5
 """Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
@@ -33,6 +33,8 @@ class Release(NamedTuple):
     state: State | None
     evidence: str = ""
     """What went wrong on the way; empty if nothing did."""
+    rested_at: Instant | None = None
+    """When it was seen to be at rest; None if it was not, or never moved."""
 
 
 class CommandSupervision:

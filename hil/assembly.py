@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.exchange import Drive
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
 from hil.axis import Axis, AxisParts, LoadMachine
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
@@ -23,7 +23,7 @@ from hil.controllers import Controller, Pid, PidGains, StateFeedback
 from hil.delay import DelayMeter
 from hil.loop import Actuation, LoopTiming
 from hil.order_attribution import OrderAttribution
-from hil.recording.recording_plan import AxisPlan, CertifiedPlan, RecordingPlan, ReviewPlan
+from hil.recording.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
@@ -232,12 +232,14 @@ def recording_plan(
         deadline=config.loop.deadline,
         review=review_plan(config, certified),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
+        started_at=world.clock.now(),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,
         segments=tuple(segment.name for segment in config.bus.segment),
         faults=config.faults is not None,
         period_us=config.loop.period_us,
         view=view,
+        set_points=_set_points(config),
         notes={
             "motor": first.motor.motor.name,
             "controller": first.controller.kind,
@@ -247,13 +249,6 @@ def recording_plan(
     )
 
 
-def planned_events(config: BenchConfig, axis: str) -> list[tuple[float, str]]:
-    """What the bench file plans for an axis: seconds from the run's start, and in words."""
-    events = [(segment.at_s, f"reference {segment.describe()}") for segment in config.reference.get(axis, ())]
-    events += [(step.at_s, f"load torque {step.torque_nm:g} N m") for step in config.load.get(axis, ())]
-    return sorted(events)
-
-
 def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> VerdictLimits:
     """The bench file's, with what the controllers' files ask of the torque; of several the smallest."""
     asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
@@ -261,3 +256,16 @@ def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> Verdic
         config.verdict.limits,
         torque_rms_nm_max=min((each for each in asked if each is not None), default=None),
     )
+
+
+def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
+    """What the bench file plans for each axis, in words."""
+    planned: list[PlannedSetPoint] = []
+    for number, axis in enumerate(config.axes):
+        for segment in config.reference.get(axis, ()):
+            text = f"{axis}: reference {segment.describe()}"
+            planned.append(PlannedSetPoint(duration_s(segment.at_s), number, text))
+        for step in config.load.get(axis, ()):
+            text = f"{axis}: load torque {step.torque_nm:g} N m"
+            planned.append(PlannedSetPoint(duration_s(step.at_s), number, text))
+    return tuple(sorted(planned))

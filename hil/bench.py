@@ -11,6 +11,7 @@ from drivers.errors import BadInput, BenchError, PeerFault
 from drivers.network import CanopenNetwork
 from drivers.pdo import DONE
 from drivers.servo import ServoDrive
+from drivers.state_control import FAULTY
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil import assembly
 from hil.axis import Axis
@@ -178,7 +179,6 @@ class _Run:
             self._conclusion.came_to_its_end()
         except BenchError as error:
             self._conclusion.failed(error)
-            self._say(str(error), "CRITICAL")
             with suppress(RecordingFailed):  # what ended the run is to be told
                 self._close(concluded)
             raise
@@ -203,8 +203,18 @@ class _Run:
     def _run_and_release(self) -> None:
         try:
             self._run()
+        except BenchError as error:
+            self._tell_end(error)
+            raise
         finally:
             self._release()
+
+    def _tell_end(self, error: BenchError) -> None:
+        """What ended the run and in what states the drives are, each as of when it showed."""
+        seen_at = error.seen_at if isinstance(error, PeerFault) else None
+        self._recorder.event(seen_at or self._world.clock.now(), "CRITICAL", str(error))
+        for drive in self._drives:
+            self._note_state(drive, drive.control.fault_seen_at if drive.state in FAULTY else None)
 
     def _run(self) -> None:
         config, world = self._config, self._world
@@ -264,6 +274,7 @@ class _Run:
         for drive in self._drives:
             identity = connect(drive, host.connect_timeout_s, self._stop)
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
+            self._recorder.identity(self._world.clock.now(), drive.name, str(identity))
             if (sheet := self._sheets.get(drive.name)) is not None:
                 for note in identity_notes(identity, sheet, drive.node_id):
                     self._say(f"{drive.name}: {note}", "WARN")
@@ -286,8 +297,13 @@ class _Run:
             duration_s(self._config.bench.duration_s),
             self._stop,
             self._start,
-            lambda done: self._watch.attend(done * period_s),
+            lambda done: self._note_progress(done * period_s),
         )
+
+    def _note_progress(self, time_s: float) -> None:
+        self._watch.attend(time_s)
+        if self._world.faults is not None:
+            self._world.faults.finish()
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
@@ -296,9 +312,6 @@ class _Run:
         self._load.begin(at)
         if self._world.faults is not None:
             self._world.faults.start(at)
-        for name in self._config.axes:
-            for when_s, text in assembly.planned_events(self._config, name):
-                self._recorder.event(Instant(at + duration_s(when_s)), "INFO", f"{name}: {text}")
 
     def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
@@ -357,6 +370,8 @@ class _Run:
             self._conclusion.released(drive, release)
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
+            elif release.rested_at is not None:
+                self._recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
         if self._enabled_from is not None:
             for drive in self._drives:
                 self._conclusion.told(drive, self._enabled_from, self._zero)
@@ -368,10 +383,11 @@ class _Run:
         self._progress(phase, 0.0)
         self._recorder.state(self._world.clock.now(), "phase", phase)
 
-    def _note_state(self, drive: ServoDrive) -> None:
-        state = drive.state
-        label = "unknown" if state is None else state.value
-        self._recorder.state(self._world.clock.now(), f"{drive.name} drive", label)
+    def _note_state(self, drive: ServoDrive, seen_at: Instant | None = None) -> None:
+        """``seen_at``: when the state showed; None: with the statusword that tells it."""
+        at = seen_at or drive.control.status_told_at or self._world.clock.now()
+        label = "unknown" if drive.state is None else drive.state.value
+        self._recorder.state(at, f"{drive.name} drive", label)
 
     def _say(self, text: str, level: str = "INFO") -> None:
         self._recorder.event(self._world.clock.now(), level, text)

@@ -37,8 +37,8 @@ class World:
     load_percent: Callable[[Instant, Instant], float]
     """Bus load between two instants, percent: exact on a simulated segment, the busiest if there are several;
     else from the frames seen."""
-    wall_offset: Duration
-    """Wall clock minus the world's clock; 0 in simulated time."""
+    wall_offset: Duration | None
+    """Wall clock minus the world's clock; None in simulated time."""
     error_frames: Callable[[], int]
     """How many error frames there were on the bus so far, as far as they can be seen."""
     tap_errors: Callable[[Tap], None]
@@ -85,7 +85,7 @@ class WorldFaults:
             injection.stop()
 
     def finish(self) -> None:
-        """Let the log have what it has not got yet."""
+        """Let the log have what it has not got yet; also while the run goes on."""
         for injection, _ in self._parts:
             injection.finish()
 
@@ -220,7 +220,7 @@ def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World
         plan.paced,
         WorldFaults(parts) if parts else None,
         lambda since, until: max(each.segment.load_percent(since, until) for each in made),
-        Duration(0),
+        None,
         lambda: sum(each.segment.errors for each in made),
         made[0].tap_errors,
         tuple(

@@ -16,10 +16,14 @@ _STATES_SHARE, _LANE_SHARE, _STATES_SHARE_MAX = 0.055, 0.04, 0.5
 """Of the height of a window of 1080 lines, so that each lane is seen whole."""
 
 
-def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint:
-    """The layout while the run goes on, or with ranges that fit the figures once they are known."""
+def layout(plan: RecordingPlan, summary: Summary | None = None, delay_least_us: float = 0.0) -> rrb.Blueprint:
+    """The layout while the run goes on, or with ranges that fit the figures once they are known.
+
+    ``delay_least_us``: below 0 where a drive's clock was wrong; it is to be seen.
+    """
     names = [axis.name for axis in plan.review.axes]
-    plots = [_axis_plots(name, plan, summary) for name in names]
+    delay_range = _delay_range(plan, summary, delay_least_us)
+    plots = [_axis_plots(name, summary, delay_range) for name in names]
     # One lane for each axis' drive and link, one for the phase, one for the host
     lanes = 2 * len(names) + 2
     states_share = min(_STATES_SHARE + _LANE_SHARE * lanes, _STATES_SHARE_MAX)
@@ -56,12 +60,12 @@ def layout(plan: RecordingPlan, summary: Summary | None = None) -> rrb.Blueprint
     )
 
 
-def _axis_plots(name: str, plan: RecordingPlan, summary: Summary | None) -> rrb.Vertical:
+def _axis_plots(name: str, summary: Summary | None, delay_range: tuple[float, float] | None) -> rrb.Vertical:
     return rrb.Vertical(
         _plot(f"/{name}/speed", "Speed [rpm]"),
         _plot(f"/{name}/error", "Speed error [rpm]", _error_range(summary), legend=False),
         _plot(f"/{name}/torque", "Torque [N m]"),
-        _plot(f"/{name}/delay", "Delay of the readings [us]", _delay_range(plan, summary)),
+        _plot(f"/{name}/delay", "Delay of the readings [us]", delay_range),
         rrb.Horizontal(
             _plot(f"/{name}/commands", "Commands, from hand-over [us]"),
             _plot(f"/{name}/clock", "Clock offset since the start, with its bounds [us]", legend=False),
@@ -94,8 +98,8 @@ def _error_range(summary: Summary | None) -> tuple[float, float] | None:
     return -2.5 * peak * _RPM, 2.5 * peak * _RPM
 
 
-def _delay_range(plan: RecordingPlan, summary: Summary | None) -> tuple[float, float] | None:
+def _delay_range(plan: RecordingPlan, summary: Summary | None, least_us: float) -> tuple[float, float] | None:
     if summary is None:
         return None
     top = 1.15 * max(plan.deadline / 1_000, summary.delay_us.max or 0.0)
-    return -0.08 * top, top
+    return min(-0.08 * top, 1.15 * least_us), top

@@ -1,8 +1,9 @@
-"""Raw frames as a log that candump -L would write, and that can-utils, python-can and SavvyCAN read.
+"""Raw frames as a log that candump -L would write: can-utils, Wireshark, python-can and SavvyCAN read it.
 
-    (1436509052.249713) can0 123#11223344 T
+    (1436509052.249713) can0 123#11223344
 
-T was sent by the bench, R was received by it. The lines are made by columns, ~0.2 us each.
+Which of them the bench sent has no place in that format: Wireshark refuses a line with more in it. It is told
+line by line beside it. The lines are made by columns, ~0.2 us each.
 """
 
 from collections.abc import Sequence
@@ -58,12 +59,17 @@ def candump_lines(
     data = _HEX[np.stack((rows["data"] >> 4, rows["data"] & 15), 2)].reshape(count, 16)
     present = np.repeat(np.arange(8) < rows["length"][:, None], 2, 1) & ~remote[:, None]
     parts.append((data, present))
-    text(" ")
-    parts.append((np.where(rows["sent"] & 1, ord("T"), ord("R")).astype(np.uint8)[:, None], always))
     text("\n")
     letters = np.concatenate([part for part, _ in parts], 1)
     lines: bytes = letters[np.concatenate([kept for _, kept in parts], 1)].tobytes()
     return lines
+
+
+def direction_lines(rows: NDArray[np.void]) -> bytes:
+    """A line for each of ``rows``, (n,) of FRAME_DTYPE: T was sent by the bench, R was received by it."""
+    lines = np.full((rows.size, 2), ord("\n"), np.uint8)
+    lines[:, 0] = np.where(rows["sent"] & 1, ord("T"), ord("R"))
+    return lines.tobytes()
 
 
 def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:

@@ -1,36 +1,75 @@
-"""faults.jsonl: what was injected into a run, a line for each entry of its fault log."""
+"""faults.jsonl: what was injected into a run, a line for each entry of its fault log.
+
+The log counts from the first cycle, as all files do, but for a slow drive's entries: those count from the
+power-on of the drive, which in simulated time is the beginning. Entries wait until the first cycle is known.
+"""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.append_file import AppendFile
 from hil.recording.records import Rows
 from hil.recording.ring import RingReader
+from hil.recording.run_zero import RunZero
 from hil.recording.side_rows import RunEvent
-from virtual_bus.fault_injection.fault_log import BLOCK, BLOCK_BYTES, FAULTS_FILE, entries_of, entry_line
+from virtual_bus.fault_injection.fault_log import (
+    BLOCK,
+    BLOCK_BYTES,
+    FAULTS_FILE,
+    KIND_CODES,
+    Entry,
+    entries_of,
+    entry_line,
+)
 
 BLOCK_DTYPE = np.dtype([("length", "<u4"), ("block", "u1", (BLOCK_BYTES,))])
 assert BLOCK_DTYPE.itemsize == BLOCK.size
+_SINCE_POWER_ON = frozenset({KIND_CODES["late"], KIND_CODES["boot"]})
+
+
+class FaultEntries:
+    """The entries of a run in run time, as its ring brings them."""
+
+    def __init__(self, blocks: RingReader, started_at: Instant) -> None:
+        """``started_at``: when the drives were switched on."""
+        self.fresh: list[Entry] = []
+        """Those of the last :meth:`take`."""
+        self._blocks = blocks
+        self._started_at = started_at
+        self._early: list[Entry] = []
+
+    def take(self, zero: RunZero, at_end: bool = False) -> list[Entry]:
+        """What came since the last call; nothing before the first cycle is told, unless it never will be."""
+        for row in self._blocks.drain():
+            self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
+        self.fresh = []
+        if zero.told or at_end:
+            self.fresh = [self._in_run_time(entry, zero.at) for entry in self._early]
+            self._early.clear()
+        return self.fresh
+
+    def _in_run_time(self, entry: Entry, zero: Instant) -> Entry:
+        if entry.code not in _SINCE_POWER_ON:
+            return entry
+        return entry._replace(at_ns=entry.at_ns + self._started_at - zero)
 
 
 class FaultsKeeper:
-    """Drains the ring of fault blocks by itself whenever the others get their rows."""
+    """Writes what :class:`FaultEntries` took last whenever the others get their rows."""
 
     name = FAULTS_FILE
 
-    def __init__(self, folder: Path, blocks: RingReader, *, fresh: bool = True) -> None:
+    def __init__(self, folder: Path, entries: FaultEntries, *, fresh: bool = True) -> None:
         self._file = AppendFile(folder / FAULTS_FILE, fresh=fresh)
-        self._blocks = blocks
+        self._entries = entries
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         """See :class:`hil.recording.log_files.Keeper`."""
-        for row in self._blocks.drain():
-            filled = row["block"].tobytes()[: int(row["length"])]
-            self._file.write("".join(f"{entry_line(entry)}\n" for entry in entries_of(filled)).encode())
+        self._file.write("".join(f"{entry_line(entry)}\n" for entry in self._entries.fresh).encode())
 
     def flush(self) -> None:
         """Nothing is held back."""

@@ -12,16 +12,27 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from drivers.timebase import Duration, Instant
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
 from hil.recording.append_file import AppendFile
-from hil.recording.candump import candump_lines
+from hil.recording.candump import candump_lines, direction_lines
+from hil.recording.frame_order import FrameOrder
 from hil.recording.network_meter import NetworkKeeper
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import Rows
 from hil.recording.records_file import RECORDS_FILE, RecordsWriter
-from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE
-from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.run_folder import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
+from hil.recording.run_metadata import run_metadata
+from hil.recording.run_zero import RunZero
+from hil.recording.side_rows import (
+    BeginEvent,
+    IdentityEvent,
+    LoadEvent,
+    RunEvent,
+    StateEvent,
+    TextEvent,
+)
 from hil.recording.tail import Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from virtual_bus.child_python import python_command, python_environment
@@ -74,17 +85,29 @@ class RowBlocks:
 
 
 class RecordsKeeper:
-    """records.arrow, and what is not yet in it."""
+    """records.arrow, and what is not yet in it.
+
+    Its head is written with the first cycle, when all that it says of the run is known.
+    """
 
     name = RECORDS_FILE
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, plan: RecordingPlan, folder: Path) -> None:
+        self._plan = plan
         self._writer = RecordsWriter(folder / RECORDS_FILE)
         self._blocks = RowBlocks()
         self._tail = Tail(folder)
         self._stored = 0
+        self._zero = RunZero(plan.started_at)
+        self._drives: dict[str, str] = {}
+        self._begun = False
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        for event in events:
+            if isinstance(event, IdentityEvent):
+                self._drives[event.axis] = event.text
+        if self._zero.look(events):
+            self._begin()
         if self._blocks.add(rows):
             self.flush()
         else:
@@ -93,49 +116,90 @@ class RecordsKeeper:
     def flush(self) -> None:
         block = self._blocks.take()
         if block is not None:
+            self._begin()
             self._writer.write(block)
             self._stored += block.size
             self._tail.restart(self._stored)
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self.flush()
+        self._begin()
         self._writer.close()
         self._tail.remove()
 
+    def _begin(self) -> None:
+        if not self._begun:
+            self._begun = True
+            self._writer.begin(run_metadata(self._plan, self._zero.at, self._drives), self._zero.at)
+
 
 class FramesKeeper:
-    """frames.log."""
+    """frames.log, and beside it the direction of each frame.
+
+    In simulated time the stamps count from the first cycle, so the frames before it wait until that is known.
+    """
 
     name = FRAMES_FILE
 
-    def __init__(self, plan: RecordingPlan, folder: Path, *, fresh: bool = True) -> None:
-        self._file = AppendFile(folder / FRAMES_FILE, fresh=fresh)
-        self._interface = plan.bus.rpartition(":")[2]
-        self._segments = plan.segments
-        self._wall_offset = plan.wall_offset
+    def __init__(
+        self, plan: RecordingPlan, folder: Path, zero: RunZero | None = None, *, fresh: bool = True
+    ) -> None:
+        """``zero``: the first cycle, if it is known; not ``fresh``: the files go on behind what they have."""
+        self._plan = plan
+        self._frames = AppendFile(folder / FRAMES_FILE, fresh=fresh)
+        self._directions = AppendFile(folder / DIRECTIONS_FILE, fresh=fresh)
+        self._order = FrameOrder(1 + len(plan.segments))
+        self._zero = zero or RunZero(plan.started_at)
+        self._early: list[NDArray[np.void]] = []
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        self._file.write(candump_lines(frames, self._interface, self._wall_offset, self._segments))
+        self._zero.look(events)
+        ready = self._order.take(frames)
+        if self._plan.wall_offset is None and not self._zero.told:
+            self._early.append(ready)
+        else:
+            self._write(ready)
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """What is held back cannot be written yet."""
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
-        self._file.close()
+        self._write(self._order.rest())
+        self._frames.close()
+        self._directions.close()
+        if self._order.late:
+            raise OSError(f"{self._order.late} frames came too late to be put in their place of time")
+
+    def _write(self, ready: NDArray[np.void]) -> None:
+        plan = self._plan
+        frames = np.concatenate((*self._early, ready))
+        self._early.clear()
+        # Its direction first: no frame is there without one, wherever the two are cut off.
+        self._directions.write(direction_lines(frames))
+        interface = plan.bus.rpartition(":")[2]
+        self._frames.write(candump_lines(frames, interface, plan.stamp_offset(self._zero.at), plan.segments))
 
 
 class EventsKeeper:
-    """events.jsonl: one JSON object a line, with the bench's instant in ns."""
+    """events.jsonl: one JSON object a line, with the instant in ns since the first cycle."""
 
     name = EVENTS_FILE
 
-    def __init__(self, folder: Path, *, fresh: bool = True) -> None:
-        self._file = AppendFile(folder / EVENTS_FILE, fresh=fresh)
+    def __init__(
+        self, plan: RecordingPlan, folder: Path, zero: RunZero | None = None, *, fresh: bool = True
+    ) -> None:
+        """``zero``: the first cycle, if the file counts from it; not ``fresh``: behind what the file has."""
+        self._path = folder / EVENTS_FILE
+        self._file = AppendFile(self._path, fresh=fresh)
+        self._zero = zero or RunZero(plan.started_at)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
-        for event in events:
-            if not isinstance(event, LoadEvent):
-                self._file.write((json.dumps(_event_json(event)) + "\n").encode())
+        shown = [event for event in events if isinstance(event, TextEvent | StateEvent | BeginEvent)]
+        before = self._zero.at
+        if self._zero.look(events):
+            self._recount(Duration(before - self._zero.at))
+        lines = [json.dumps(_event_json(event, self._zero.at)) + "\n" for event in shown]
+        self._file.write("".join(lines).encode())
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -144,22 +208,32 @@ class EventsKeeper:
         self._file.close()
 
 
+    def _recount(self, moved: Duration) -> None:
+        """The first cycle is known: what the file has counted from the start of the bench until now."""
+        entries = [json.loads(line) for line in self._path.read_bytes().splitlines()]
+        lines = [json.dumps({**entry, "at_ns": entry["at_ns"] + moved}) + "\n" for entry in entries]
+        self._file.restart("".join(lines).encode())
+
+
 class LoadKeeper:
-    """load.csv, if there is a load machine that measures."""
+    """load.csv, if there is a load machine that measures; it does from the first cycle on."""
 
     name = LOAD_FILE
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, plan: RecordingPlan, folder: Path) -> None:
         self._path = folder / LOAD_FILE
         self._file: AppendFile | None = None
+        self._zero = RunZero(plan.started_at)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._zero.look(events)
         for event in events:
             if isinstance(event, LoadEvent):
                 if self._file is None:
                     self._file = AppendFile(self._path)
                     self._file.write(b"at_ns,axis,torque_nm,speed_rad_s\n")
-                line = f"{event.at},{event.axis},{event.torque_nm:.6g},{event.speed_rad_s:.6g}\n"
+                at = event.at - self._zero.at
+                line = f"{at},{event.axis},{event.torque_nm:.6g},{event.speed_rad_s:.6g}\n"
                 self._file.write(line.encode())
 
     def flush(self) -> None:
@@ -236,9 +310,9 @@ def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
         return []
     recording_id = uuid4().hex
     keepers: list[Keeper] = [
-        RecordsKeeper(plan.folder),
-        EventsKeeper(plan.folder),
-        LoadKeeper(plan.folder),
+        RecordsKeeper(plan, plan.folder),
+        EventsKeeper(plan, plan.folder),
+        LoadKeeper(plan, plan.folder),
     ]
     if plan.frames:
         keepers.append(FramesKeeper(plan, plan.folder))
@@ -271,9 +345,10 @@ def _free_port() -> int:
         return port
 
 
-def _event_json(event: TextEvent | StateEvent | BeginEvent) -> dict[str, object]:
+def _event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dict[str, object]:
+    at = {"at_ns": event.at - zero}
     if isinstance(event, TextEvent):
-        return {"at_ns": event.at, "level": event.level, "text": event.text}
+        return {**at, "level": event.level, "text": event.text}
     if isinstance(event, BeginEvent):
-        return {"at_ns": event.at, "begin": True}
-    return {"at_ns": event.at, "track": event.track, "state": event.label}
+        return {**at, "begin": True}
+    return {**at, "track": event.track, "state": event.label}

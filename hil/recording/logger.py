@@ -21,17 +21,20 @@ import rerun as rr
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.figures.review import Review
 from hil.figures.summary import Summary, summarise
-from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
+from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
+from hil.recording.injected_faults import InjectedFaults
 from hil.recording.line_reader import LineReader
 from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE
+from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE
 from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import SUMMARY_FILE, Reserve, write_summary
-from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
+from hil.recording.run_zero import RunZero
+from hil.recording.set_points import SetPointTeller
+from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
 from hil.verdict import RunOutcome
 
 _DRAIN_PERIOD_S = 0.1
@@ -69,11 +72,16 @@ class Logger:
         self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
         self._given_up: list[Keeper] = []
         """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
+        self._zero = RunZero(plan.started_at)
+        self._set_points = SetPointTeller(plan.set_points)
+        self._injected = InjectedFaults()
+        self._fault_entries: FaultEntries | None = None
         self._fault_blocks: RingReader | None = None
         if faults is not None:
             self._fault_blocks = RingReader(faults, BLOCK_DTYPE)
+            self._fault_entries = FaultEntries(self._fault_blocks, plan.started_at)
             if plan.faults and plan.folder is not None:
-                self._keepers.append(FaultsKeeper(plan.folder, self._fault_blocks))
+                self._keepers.append(FaultsKeeper(plan.folder, self._fault_entries))
         self._clock = MonotonicClock()
         self._flushed_at = self._clock.now()
 
@@ -90,7 +98,7 @@ class Logger:
             wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()
-        self._drain()
+        self._drain(at_end=True)
         return self._finish(outcome or _WRITER_DIED)
 
     def _confirm(self) -> None:
@@ -99,11 +107,13 @@ class Logger:
         if not self._faults:
             self._tell(STORED)
 
-    def _drain(self) -> int:
+    def _drain(self, at_end: bool = False) -> int:
         """Take all that is there; the number of cycle rows."""
         rows, frames, events = self._rows.look(), self._frames.drain(), events_of(self._events.drain())
+        self._zero.look(events)
         self._review.add(rows)
-        events += self._review.take_events()
+        told = [*events, *self._told_by(rows, at_end), *self._review.take_events()]
+        events = sorted(told, key=lambda event: event.at)
         for keeper in list(self._keepers):
             try:
                 keeper.take(rows, frames, events)
@@ -111,6 +121,15 @@ class Logger:
                 self._give_up(keeper, error)
         self._rows.release()
         return rows.size
+
+    def _told_by(self, rows: Rows, at_end: bool) -> list[RunEvent]:
+        """What nobody says, but the rows of the cycles and the entries of the fault log show."""
+        told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
+        if self._fault_entries is not None:
+            told += self._injected.take(self._fault_entries.take(self._zero, at_end), self._zero.at)
+        if at_end:
+            told += self._injected.finish()
+        return told
 
     def _flush(self) -> None:
         self._flushed_at = self._clock.now()

@@ -25,6 +25,7 @@ from hil.recording.side_rows import (
     EVENT,
     FRAME,
     BeginEvent,
+    IdentityEvent,
     LoadEvent,
     StateEvent,
     TextEvent,
@@ -81,6 +82,10 @@ class Recorder(Protocol):
         """
         ...
 
+    def identity(self, at: Instant, axis: str, text: str) -> None:
+        """Who the drive of an axis is, as it told."""
+        ...
+
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
         """What the load machine of an axis measured; a few dozen times a second at most."""
         ...
@@ -134,6 +139,9 @@ class MemoryRecorder:
     def state(self, at: Instant, track: str, label: str) -> None:
         self.events.append(StateEvent(at, track, label))
 
+    def identity(self, at: Instant, axis: str, text: str) -> None:
+        """Nobody reads it here."""
+
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
         self.events.append(LoadEvent(at, axis, torque_nm, speed_rad_s))
 
@@ -185,6 +193,9 @@ class FolderRecorder:
 
     def state(self, at: Instant, track: str, label: str) -> None:
         self._events.push(*event_fields(StateEvent(at, track, label)))
+
+    def identity(self, at: Instant, axis: str, text: str) -> None:
+        self._events.push(*event_fields(IdentityEvent(at, axis, text)))
 
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
         self._events.push(*event_fields(LoadEvent(at, axis, torque_nm, speed_rad_s)))

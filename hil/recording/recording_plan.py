@@ -3,14 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from drivers.timebase import Duration
+from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.verdict import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""
-NO_OFFSET = Duration(0)
+SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
+"""Where the first cycle of a simulated run lies in frames.log, ns since 1970: in September 2001, so that no
+stamp is taken for a real one, and run times can be read off at sight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,16 @@ class ReviewPlan:
     """How long after a reference step the speed error is not counted."""
 
 
+class PlannedSetPoint(NamedTuple):
+    """A reference or a load that an axis is to be asked for."""
+
+    after: Duration
+    """The first cycle."""
+    axis: int
+    text: str
+    """It, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingPlan:
     """One run's recording."""
@@ -83,12 +95,16 @@ class RecordingPlan:
     review: ReviewPlan
     bench_toml: str
     """The resolved bench file."""
-    wall_offset: Duration = NO_OFFSET
-    """Wall clock minus bench clock, for frames.log; 0 in simulated time."""
+    started_at: Instant = Instant(0)  # noqa: RUF009 - an int
+    """When the recording began; the time zero of a run that comes to no cycle."""
+    wall_offset: Duration | None = None
+    """Wall clock minus bench clock, for frames.log; None in simulated time."""
     frames: bool = True
     """Whether frames.log is kept."""
     segments: tuple[str, ...] = ()
     """Names of the bus's further segments, in frames.log in the place of the interface."""
+    set_points: tuple[PlannedSetPoint, ...] = ()
+    """What the axes are to be asked for; told as it is acted upon."""
     faults: bool = False
     """Whether faults.jsonl is kept: what was injected."""
     view: bool = False
@@ -97,6 +113,10 @@ class RecordingPlan:
     """Of the loop, for network.toml; 0: none is written."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """Shown beside the verdict, e.g. {"controller": "pid"}."""
+
+    def stamp_offset(self, zero: Instant) -> Duration:
+        """Epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""
+        return Duration(SIMULATED_EPOCH - zero) if self.wall_offset is None else self.wall_offset
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -113,6 +133,7 @@ class RecordingPlan:
                 **found,
                 "folder": None if found["folder"] is None else Path(found["folder"]),
                 "segments": tuple(found["segments"]),
+                "set_points": tuple(PlannedSetPoint(*each) for each in found["set_points"]),
                 "review": ReviewPlan(
                     tuple(AxisPlan.from_json(axis) for axis in review["axes"]),
                     VerdictLimits(**review["limits"]),

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.profile402 import state_of
+from drivers.readings import NEVER_TOLD
 from hil.recording.records import FATE_MISSED, FATE_SAMPLE, Rows
 
 LINK_WINDOW_CYCLES = 20
@@ -20,9 +21,9 @@ _STATE_BITS = 0x6F
 
 
 class Change(NamedTuple):
-    """From the due instant of a row on, ``label`` holds."""
+    """From an instant on, ``label`` holds."""
 
-    due_at: int
+    at: int
     label: str
 
 
@@ -39,7 +40,8 @@ class DriveStates:
         changed = np.flatnonzero(np.diff(words, prepend=self._last))
         if words.size:
             self._last = int(words[-1])
-        return [Change(int(read["due_at"][place]), drive_label(int(words[place]))) for place in changed]
+        told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
+        return [Change(int(told_at[place]), drive_label(int(words[place]))) for place in changed]
 
 
 class LinkStates:

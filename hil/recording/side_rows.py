@@ -37,6 +37,8 @@ class EventKind(IntEnum):
     """Its instant is the run's time zero."""
     LOAD = 3
     """Its text is an axis and what its load machine measured."""
+    IDENTITY = 4
+    """Its text is an axis and who its drive is."""
 
 
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
@@ -80,7 +82,15 @@ class LoadEvent(NamedTuple):
     speed_rad_s: float
 
 
-RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent
+class IdentityEvent(NamedTuple):
+    """The drive of an axis has told who it is."""
+
+    at: Instant
+    axis: str
+    text: str
+
+
+RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent | IdentityEvent
 
 
 def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
@@ -92,6 +102,8 @@ def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
     elif isinstance(event, LoadEvent):
         values = f"{event.torque_nm!r}{_SEPARATOR}{event.speed_rad_s!r}"
         kind, level, text = EventKind.LOAD, 0, f"{event.axis}{_SEPARATOR}{values}"
+    elif isinstance(event, IdentityEvent):
+        kind, level, text = EventKind.IDENTITY, 0, event.axis + _SEPARATOR + event.text
     else:
         kind, level, text = EventKind.BEGIN, 0, ""
     encoded = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore").encode()
@@ -114,4 +126,7 @@ def _event_of(row: np.void) -> RunEvent:
     if kind is EventKind.LOAD:
         axis, torque_nm, speed_rad_s = text.split(_SEPARATOR)
         return LoadEvent(at, axis, float(torque_nm), float(speed_rad_s))
+    if kind is EventKind.IDENTITY:
+        axis, _, identity = text.partition(_SEPARATOR)
+        return IdentityEvent(at, axis, identity)
     return BeginEvent(at)

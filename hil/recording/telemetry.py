@@ -7,6 +7,7 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 import json
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -30,7 +31,8 @@ from hil.recording.row_states import (
     HostStates,
     LinkStates,
 )
-from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.run_metadata import run_metadata
+from hil.recording.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.recording.verdict_text import verdict_markdown
 from hil.samples import CommandFate
 from hil.verdict import LimitResult
@@ -75,6 +77,7 @@ _LATEST = 2**62
 _FLUSH_MAX_S = 10.0
 _APPLICATION = "servobench"
 RERUN_FILE = "run.rrd"
+_PROPERTIES = "run"
 
 
 class Telemetry:
@@ -93,6 +96,7 @@ class Telemetry:
         self._origin: int | None = None
         self._held: list[RunEvent] = []
         self._first_at, self._last_at = _LATEST, -_LATEST
+        self._delay_least_us = 0.0
         self._axes = [axis.name for axis in plan.review.axes]
         self._drives = [DriveStates() for _ in self._axes]
         self._links = [LinkStates() for _ in self._axes]
@@ -160,13 +164,16 @@ class Telemetry:
             # A margin, so that the last state is wide enough for its label
             self._extend_plots_to(self._last_at + (self._last_at - self._first_at) // 20)
         self._show_verdict(summary)
-        self._stream.send_blueprint(layout(self._plan, summary))
+        self._stream.send_blueprint(layout(self._plan, summary, self._delay_least_us))
         self.flush()
         self._stream.disconnect()
 
     def _start_at(self, origin: int) -> None:
         self._origin = origin
         held, self._held = self._held, []
+        drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
+        told: dict[str, Any] = {**run_metadata(self._plan, Instant(origin), drives)}
+        self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self.take_events(held)
         if held:
             self._extend_plots_to(held[0].at)
@@ -221,7 +228,9 @@ class Telemetry:
         torques = np.stack((rows["command_torque_nm"], rows["load_torque_nm"]), axis=1)
         self._plot(f"/{name}/torque/command", due_at, torques)
         self._plot(f"/{name}/torque/measured", read["due_at"], read["torque_nm"])
-        self._plot(f"/{name}/delay/delay", came["due_at"], came["delay_ns"] / NS_PER_US)
+        delay_us = came["delay_ns"] / NS_PER_US
+        self._delay_least_us = min(self._delay_least_us, float(delay_us.min(initial=0.0)))
+        self._plot(f"/{name}/delay/delay", came["due_at"], delay_us)
         ends = due_at[[0, -1]]
         self._plot(f"/{name}/delay/deadline", ends, np.full(2, self._plan.deadline / NS_PER_US))
         self._plot(f"/{name}/delay/dropped", dropped["due_at"], np.zeros(dropped.size))
@@ -261,13 +270,13 @@ class Telemetry:
 
     def _show_changes(self, track: str, changes: Sequence[Change]) -> None:
         kept: list[Change] = []
-        for due_at, text in changes:
+        for at, text in changes:
             label = text[:1].upper() + text[1:]
             if self._labels.get(track) != label:
                 self._labels[track] = label
-                kept.append(Change(due_at, label))
+                kept.append(Change(at, label))
         if kept:
-            times = np.array([change.due_at for change in kept])
+            times = np.array([change.at for change in kept])
             states = rr.StateChange.columns(state=[change.label for change in kept])
             self._stream.send_columns(self._track_path(track), self._times(times), states)
 

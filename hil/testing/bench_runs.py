@@ -10,7 +10,6 @@ from typing import Any
 from drivers.adapters import parse_bus_spec
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BenchError
-from drivers.timebase import Duration, wall_clock_offset
 from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.config import BenchConfig
@@ -97,8 +96,7 @@ class BenchRunner:
         spec = parse_bus_spec(self.bus, "servo_bus")
         if not spec.simulated:
             self._put_drives_on_the_bus(config)
-        offset = Duration(0) if spec.simulated else wall_clock_offset()
-        run = Run(config, self._scratch / f"run-{next(self._numbers)}", offset)
+        run = Run(config, self._scratch / f"run-{next(self._numbers)}")
         interrupted = False
         try:
             summary = run_bench(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.profile402 import State, state_of
-from drivers.timebase import NS_PER_S, Instant
+from drivers.timebase import NS_PER_S
 from hil.recording.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
@@ -35,10 +35,10 @@ class Gap(NamedTuple):
 class AxisHistory:
     """Columns of (n,) values, one for each cycle; velocity and error are NaN where no reading was used."""
 
-    def __init__(self, name: str, rows: Rows, zero: Instant) -> None:
-        """``rows``: (n,) of ROW_DTYPE, of this axis, in order of sequence; times count from ``zero``."""
+    def __init__(self, name: str, rows: Rows) -> None:
+        """``rows``: (n,) of ROW_DTYPE in run time, of this axis, in order of sequence."""
         self.name = name
-        self.time_s: Floats = (rows["due_at"] - zero) / NS_PER_S
+        self.time_s: Floats = rows["due_at"] / NS_PER_S
         self.reference_rad_s: Floats = rows["reference_rad_s"]
         self.load_nm: Floats = rows["load_torque_nm"]
         self.torque_nm: Floats = rows["command_torque_nm"]
@@ -85,7 +85,8 @@ class AxisHistory:
         """When the drive's statusword began to tell another state, and which."""
         found: list[tuple[float, State | None]] = []
         for place in np.flatnonzero(self.sampled):
-            state = state_of(int(self.statusword[place]))
+            word = int(self.statusword[place])
+            state = None if word == NOTHING else state_of(word)
             if not found or found[-1][1] is not state:
                 found.append((float(self.time_s[place]), state))
         return found

@@ -17,13 +17,13 @@ from drivers.pdo_capability import capability_of
 from drivers.pdo_planner import PlanWish, plan_pdos
 from drivers.pdo_plans import torque_plan
 from drivers.profile402 import Mode, State
-from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.drive_settings import data_sheets
 from hil.figures.summary import Summary
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, read_records
-from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE
+from hil.recording.run_folder import EVENTS_FILE
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
 from hil.verdict import Outcome
@@ -53,16 +53,12 @@ def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["
 class Run:
     """One recorded run."""
 
-    def __init__(
-        self, config: BenchConfig, folder: Path, stamp_offset: Duration, error: BenchError | None = None
-    ) -> None:
-        """``stamp_offset``: of the stamps in frames.log from the bench's clock."""
+    def __init__(self, config: BenchConfig, folder: Path, error: BenchError | None = None) -> None:
         self.config = config
         self.folder = folder
         """Its recording."""
         self.error = error
         """What ended it, for a run that was to end so."""
-        self._stamp_offset = stamp_offset
 
     # ---- what there is to look at ---------------------------------------------------------------------
 
@@ -79,7 +75,7 @@ class Run:
 
     @cached_property
     def rows(self) -> Rows:
-        """(n,) of ROW_DTYPE: the records of all axes, as they were recorded."""
+        """(n,) of ROW_DTYPE: the records of all axes as they were recorded, in run time."""
         return np.concatenate([np.empty(0, ROW_DTYPE), *read_records(self.folder / RECORDS_FILE)])
 
     @cached_property
@@ -90,8 +86,8 @@ class Run:
 
     @cached_property
     def wire(self) -> Wire:
-        """Every frame that the bench sent or received, from connecting to releasing the drives."""
-        return read_wire(self.folder / FRAMES_FILE, self._stamp_offset, self._zero)
+        """Every frame that the bench sent or received, from connecting to the drives to their release."""
+        return read_wire(self.folder)
 
     def axis(self, name: str | None = None) -> AxisHistory:
         """One axis, cycle by cycle; ``name`` may be left out if there is only one."""
@@ -100,13 +96,7 @@ class Run:
             name = axes[0]
         if name not in axes:
             raise ValueError(f"axis {name!r}: say one of {', '.join(axes)}")
-        return AxisHistory(name, self.rows[self.rows["axis"] == axes.index(name)], self._zero)
-
-    @cached_property
-    def _zero(self) -> Instant:
-        """When the loop began; of a run that never came so far, the clock's own zero."""
-        begun = [event["at_ns"] for event in self.events if event.get("begin")]
-        return Instant(begun[0] if begun else 0)
+        return AxisHistory(name, self.rows[self.rows["axis"] == axes.index(name)])
 
     # ---- what may be claimed --------------------------------------------------------------------------
 
@@ -279,7 +269,7 @@ class Run:
         """When the drive was seen in another state, by the events before and after the loop too."""
         track = f"{axis} {_TRACK}"
         found = [
-            ((event["at_ns"] - self._zero) / NS_PER_S, str(event["state"]).lower())
+            (event["at_ns"] / NS_PER_S, str(event["state"]).lower())
             for event in self.events
             if event.get("track") == track
         ]

@@ -14,13 +14,15 @@ from typing import NamedTuple
 
 from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from hil.recording.records_file import RECORDS_FILE, read_metadata
+from hil.recording.run_folder import DIRECTIONS_FILE, FRAMES_FILE
 from hil.testing.frame_names import frame_name
 
 ORIGIN = Instant(0)
 SHOWN_MAX = 5
 """Frames that a message lists."""
-_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#(R?)([0-9A-F]*) ([TR])\n?")
+_LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#(R?)([0-9A-F]*)\n?")
 _PATTERN = re.compile(r"(?P<id>[0-9A-Fa-f.]{3}|[0-9A-Fa-f.]{8})#(?P<data>R|[0-9A-Fa-f.]*)(?P<rest>\*?)")
 SDO_REQUEST = 0x600
 _SDO_WRITE = 0x20
@@ -201,14 +203,18 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
     return rules
 
 
-def read_wire(path: Path, offset: Duration, zero: Instant) -> Wire:
-    """The wire as ``frames.log`` of a run keeps it. ``offset``: of its stamps from the bench's clock."""
-    found = Wire(zero, recording=path.parent)
-    for line in path.read_text(encoding="ascii").splitlines():
+def read_wire(folder: Path) -> Wire:
+    """The wire as a run's folder keeps it, in run time."""
+    offset = int(read_metadata(folder / RECORDS_FILE)["first_cycle_epoch_ns"])
+    path = folder / FRAMES_FILE
+    lines = path.read_text(encoding="ascii").splitlines()
+    directions = (folder / DIRECTIONS_FILE).read_text(encoding="ascii").splitlines()
+    found = Wire(recording=folder)
+    for line, direction in zip(lines, directions, strict=False):
         fields = _LINE.fullmatch(line)
         if fields is None:
             raise ValueError(f"{path}: no line of a candump log: {line!r}")
-        seconds, micros, identifier, remote, data, direction = fields.groups()
+        seconds, micros, identifier, remote, data = fields.groups()
         at = Instant(int(seconds) * NS_PER_S + int(micros) * NS_PER_US - offset)
         extended = len(identifier) > _STANDARD_DIGITS
         frame = SeenFrame(

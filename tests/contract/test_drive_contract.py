@@ -165,7 +165,7 @@ def test_disable_goes_down_the_ramp(bench: Bench) -> None:
 def test_a_released_drive_stays_without_a_fault_when_the_host_is_gone(bench: Bench) -> None:
     bench.enable()
     bench.run(100, 1.0)
-    assert bench.drive.release() == (True, State.SWITCH_ON_DISABLED, "")
+    assert bench.drive.release()[:3] == (True, State.SWITCH_ON_DISABLED, "")
     bench.network.produce_heartbeat(Duration(0))
     bench.network.pump(bench.soon())
     assert bench.drive.control.read_state() is State.SWITCH_ON_DISABLED
@@ -230,7 +230,7 @@ def test_a_bus_that_loses_every_tenth_frame_is_lived_with(seed: int) -> None:
     bench.enable()
     readings = bench.run(200, 0.3)
     assert 120 < len(readings) < 190
-    assert bench.drive.release() == (True, State.SWITCH_ON_DISABLED, "")
+    assert bench.drive.release()[:3] == (True, State.SWITCH_ON_DISABLED, "")
     bench.bus.shutdown()
 
 

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from drivers.timebase import NS_PER_MS, Instant
 from hil import bench, world
 from hil.cli import app
+from hil.recording.records_file import RECORDS_FILE, read_metadata
 from hil.recording.run_folder import EVENTS_FILE
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.servo import ServoApplication, SimulatedServo
@@ -102,7 +103,8 @@ def run(tmp_path: Path, loss: str, lacks: str) -> tuple[int, Shaft, list[dict[st
 def test_it_rests_in_time_and_the_run_says_so(tmp_path: Path, loss: str, lacks: str) -> None:
     status, shaft, events, output = run(tmp_path, loss, lacks)
     assert status == 3, output
-    begun = next(event["at_ns"] for event in events if event.get("begin")) // NS_PER_MS
+    metadata = read_metadata(tmp_path / "run" / RECORDS_FILE)
+    begun = int(metadata["first_cycle_bench_ns"]) // NS_PER_MS
     lost_at = begun + LOST_AT_MS
     assert shaft.turned_at(lost_at) > 100.0, "it turned when the commands were lost"
     stated = next(event["text"] for event in events if "and at rest within" in event.get("text", ""))

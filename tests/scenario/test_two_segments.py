@@ -21,7 +21,7 @@ def frames_of(folder: Path) -> dict[str, list[tuple[str, str]]]:
     """(time, identifier) of the frames, by segment."""
     found: dict[str, list[tuple[str, str]]] = {}
     for line in (folder / "frames.log").read_text().splitlines():
-        stamp, segment, frame, _ = line.split()
+        stamp, segment, frame = line.split()
         found.setdefault(segment, []).append((stamp, frame.partition("#")[0]))
     return found
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hil.configuration.config import BenchConfig
 from hil.recording.records import ROW_DTYPE
-from hil.recording.records_file import RECORDS_FILE, read_records
+from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.hosted import DriveProcess
 from hil.testing.run import pdo_plans
 from tests.scenario.processes import run
@@ -74,7 +74,9 @@ def _outcome(
     config: BenchConfig, folder: Path, status: int, said: str, summary: dict[str, Any]
 ) -> HubOutcome:
     frames, heard_commands = heard(folder / FRAMES), heard(folder / COMMANDS)
-    rows = np.concatenate([np.empty(0, ROW_DTYPE), *read_records(folder / "run" / RECORDS_FILE)])
+    records = folder / "run" / RECORDS_FILE
+    first_cycle = int(read_metadata(records)["first_cycle_bench_ns"])
+    rows = np.concatenate([np.empty(0, ROW_DTYPE), *read_records(records, first_cycle)])
     timing = Timing(config.loop.period, config.loop.deadline, config.loop.horizon_periods)
     readings, commands, negative, delays = Judgement(), CommandJudgement(), 0, list[int]()
     plans = pdo_plans(config)

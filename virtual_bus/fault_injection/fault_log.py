@@ -12,7 +12,8 @@ line of JSON, by kind:
     error_frame                             the same, of attempts to send; bit on the wire
     silence, bus_off, drive_fault,          at_ns, node, and what happens
     clock_step, clock_drift
-    late, boot                              a slow drive: at_ns since its power-on, node, can_id, n, delay_ns
+    late, boot                              a slow drive: node, can_id, n, delay_ns; at_ns since its power-on,
+                                            in a recording since the first cycle, as everywhere
     host_stall                              at_ns, n and late_ns: the host's n-th action came so much later
 
 A frame that was struck at a drive's own connection bears side ("drive") and node as well, and n counts there.

@@ -282,6 +282,7 @@ class FaultyDevice:
         at_ns, kind, a, b, c = event
         if self._log is not None:
             self._log.note(KIND_CODES[kind], at_ns, self.node_id, 0, 0, a, b, c)
+            self._log.flush()  # rare, and to be told at once
         if kind == "silence":
             self._silent_until = max(self._silent_until, now + a)
         elif kind == "bus_off":

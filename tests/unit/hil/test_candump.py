@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.recording.candump import candump_lines
+from hil.recording.candump import candump_lines, direction_lines
 from hil.recording.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
 
 Row = tuple[int, int, int, int, bytes]
@@ -36,10 +36,11 @@ def test_lines_by_the_letter() -> None:
         ]
     )
     assert candump_lines(rows, "can0", 0).decode().splitlines() == [
-        "(1436509052.249713) can0 123#11223344 T",
-        "(0000000000.000000) can0 12345678# R",
-        "(0000000000.000005) can0 07F#R R",
+        "(1436509052.249713) can0 123#11223344",
+        "(0000000000.000000) can0 12345678#",
+        "(0000000000.000005) can0 07F#R",
     ]
+    assert direction_lines(rows) == b"T\nR\nR\n"
 
 
 def test_the_wall_offset_moves_the_stamps() -> None:
@@ -49,6 +50,7 @@ def test_the_wall_offset_moves_the_stamps() -> None:
 
 def test_nothing_gives_nothing() -> None:
     assert candump_lines(packed([]), "can0", 0) == b""
+    assert direction_lines(packed([])) == b""
 
 
 @settings(derandomize=True, deadline=None)
@@ -61,12 +63,11 @@ def test_python_can_reads_back_what_was_written(
     with can.CanutilsLogReader(path) as reader:
         messages = list(reader)
     assert len(messages) == len(rows)
-    for message, (at, word, _, sent, data) in zip(messages, rows, strict=True):
+    for message, (at, word, _, _, data) in zip(messages, rows, strict=True):
         assert message.arbitration_id == word & (2**29 - 1)
         assert message.is_extended_id == bool(word & EXTENDED_FLAG)
         assert message.is_remote_frame == bool(word & REMOTE_FLAG)
         assert bytes(message.data) == data
-        assert message.is_rx == (not sent)
         assert message.timestamp == pytest.approx(at / 1e9, rel=1e-12, abs=2e-6)
         assert message.channel == "vcan0"
 
@@ -76,8 +77,8 @@ def test_frames_of_further_segments_bear_their_names() -> None:
         [(0, 0x181, 0, 0, b""), (0, 0x182, 0, 2, b""), (0, 0x202, 0, 3, b""), (0, 0x203, 0, 5, b"")]
     )
     assert [line[20:] for line in candump_lines(rows, "can0", 0, ("feed", "x")).decode().splitlines()] == [
-        "can0 181# R",
-        "feed 182# R",
-        "feed 202# T",
-        "x 203# T",
+        "can0 181#",
+        "feed 182#",
+        "feed 202#",
+        "x 203#",
     ]

@@ -66,7 +66,7 @@ def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
     folder, summary = run
     found = {path.name for path in folder.iterdir()}
     expected = {"run.rrd", "frames.log", "records.arrow", "bench.toml", "summary.json", "events.jsonl"}
-    assert found == expected | {"logger.log"}
+    assert found == expected | {"frames.directions", "logger.log"}
     assert (folder / "logger.log").read_text() == ""
     assert (folder / "bench.toml").read_text() == "# resolved\n"
     assert Summary.from_json(json.loads((folder / "summary.json").read_text())) == summary
@@ -80,7 +80,8 @@ def test_the_records_are_all_there_in_order(run: tuple[Path, Summary]) -> None:
 def test_frames_and_events_are_there(run: tuple[Path, Summary]) -> None:
     lines = (run[0] / "frames.log").read_text().splitlines()
     assert len(lines) == 2 * CYCLES
-    assert lines[:2] == ["(0000000000.000000) simulated 080# T", "(0000000000.000000) simulated 181#3716 R"]
+    assert lines[:2] == ["(1000000000.000000) simulated 080#", "(1000000000.000000) simulated 181#3716"]
+    assert (run[0] / "frames.directions").read_text() == "T\nR\n" * CYCLES
     events = [json.loads(line) for line in (run[0] / "events.jsonl").read_text().splitlines()]
     assert events == [
         {"at_ns": -5, "level": "INFO", "text": "set up"},

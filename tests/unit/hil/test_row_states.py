@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drivers.readings import NEVER_TOLD
 from hil.recording.records import FATE_MISSED
 from hil.recording.row_states import (
     LINK_WINDOW_CYCLES,
@@ -19,9 +20,12 @@ ENABLED, READY, FAULT = 0x0627, 0x0621, 0x0608
 
 def test_drive_states_change_with_the_statusword_and_only_with_its_state_bits() -> None:
     words = [READY, READY | 0x1000, ENABLED, ENABLED, FAULT]
-    assert DriveStates().changes(plain_rows(5, statusword=words)) == [
-        Change(0, "Ready to switch on"),
-        Change(2_000_000, "Operation enabled"),
+    rows = plain_rows(5, statusword=words)
+    rows["status_told_at"] = rows["due_at"] + 300_000
+    rows["status_told_at"][4] = NEVER_TOLD
+    assert DriveStates().changes(rows) == [
+        Change(300_000, "Ready to switch on"),
+        Change(2_300_000, "Operation enabled"),
         Change(4_000_000, "Fault"),
     ]
 
@@ -38,14 +42,14 @@ def test_an_undefined_statusword_is_named() -> None:
 
 def test_link_goes_down_and_comes_back() -> None:
     fate = [0] * 30 + [1] * 25 + [0] * 40
-    labels = [(c.due_at // 1_000_000, c.label) for c in LinkStates().changes(plain_rows(95, fate=fate))]
+    labels = [(c.at // 1_000_000, c.label) for c in LinkStates().changes(plain_rows(95, fate=fate))]
     assert labels == [(0, "OK"), (34, "DEGRADED"), (49, "DOWN"), (55, "DEGRADED"), (70, "OK")]
 
 
 def test_cycles_without_sync_are_the_hosts_and_not_the_links() -> None:
     rows = plain_rows(95, fate=[0] * 30 + [FATE_MISSED] * 25 + [0] * 40)
     assert [change.label for change in LinkStates().changes(rows)] == ["OK"]
-    labels = [(c.due_at // 1_000_000, c.label) for c in HostStates().changes(rows)]
+    labels = [(c.at // 1_000_000, c.label) for c in HostStates().changes(rows)]
     assert labels == [(0, "In time"), (30, "MISSED"), (55, "In time")]
 
 

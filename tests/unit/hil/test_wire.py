@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from drivers.pdo_plans import all_modes_plan, torque_plan
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.timebase import NS_PER_MS, Instant
+from hil.recording.records_file import RecordsWriter
 from hil.testing.frame_names import frame_name
 from hil.testing.wire import Wire, intended_frames, read_wire
 
@@ -124,22 +125,25 @@ def test_a_window_of_time() -> None:
     assert [frame.text for frame in seen.frames] == ["181#00"]
 
 
-def test_a_recorded_log_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "frames.log"
-    path.write_text(
-        "(0000000005.000100) simulated 601#4041600000000000 T\n"
-        "(0000000005.000200) simulated 18ABCDEF#0102 R\n"
-        "(0000000005.000300) simulated 701#R R\n"
+def test_a_recorded_wire_is_read_back_in_run_time(tmp_path: Path) -> None:
+    (tmp_path / "frames.log").write_text(
+        "(0000000005.000100) simulated 601#4041600000000000\n"
+        "(0000000005.000200) simulated 18ABCDEF#0102\n"
+        "(0000000005.000300) simulated 701#R\n"
     )
-    found = read_wire(path, Duration(5_000_000_000), Instant(0))
+    (tmp_path / "frames.directions").write_text("T\nR\nR\n")
+    writer = RecordsWriter(tmp_path / "records.arrow")
+    writer.begin({"first_cycle_epoch_ns": "5000000000"}, Instant(0))
+    writer.close()
+    found = read_wire(tmp_path)
     assert [(frame.at, frame.sent, frame.text) for frame in found.frames] == [
         (100_000, True, "601#4041600000000000"),
         (200_000, False, "18ABCDEF#0102"),
         (300_000, False, "701#R"),
     ]
-    path.write_text("nonsense\n")
+    (tmp_path / "frames.log").write_text("nonsense\n")
     with pytest.raises(ValueError, match="no line of a candump log"):
-        read_wire(path, Duration(0), Instant(0))
+        read_wire(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,72 @@
+"""What a recording says of its run: in records.arrow and as properties of run.rrd."""
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from drivers.timebase import Instant
+from hil.recording.record_columns import FORMAT
+from hil.recording.recording_plan import RecordingPlan
+
+_ROOT = Path(__file__).parents[2]
+_GIT_MAX_S = 5.0
+
+
+def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) -> dict[str, str]:
+    """Names and texts, those of several parts as JSON.
+
+    ``zero``: the first cycle on the bench clock. ``drives``: by axis, who its drive says it is.
+    """
+    return {
+        "format": FORMAT,
+        "bench": plan.name,
+        "seed": str(plan.seed),
+        "bus": plan.bus,
+        "axes": json.dumps([axis.name for axis in plan.review.axes]),
+        "drives": json.dumps(dict(drives)),
+        "time": "simulated" if plan.wall_offset is None else "real",
+        "first_cycle_epoch_ns": str(zero + plan.stamp_offset(zero)),
+        "first_cycle_bench_ns": str(zero),
+        "bench_start_ns": str(plan.started_at - zero),
+        "host": json.dumps(_host()),
+        "servobench": _version(),
+        "commit": _commit(),
+    }
+
+
+def _host() -> dict[str, str]:
+    found = platform.uname()
+    return {
+        "name": found.node,
+        "system": f"{found.system} {found.release}",
+        "machine": found.machine,
+        "processors": str(os.cpu_count()),
+        "python": platform.python_version(),
+    }
+
+
+def _version() -> str:
+    try:
+        return version("servobench")
+    except PackageNotFoundError:
+        return ""
+
+
+@cache
+def _commit() -> str:
+    """Of the source tree that runs, with "-dirty" if it was changed since; empty if it is none of git's."""
+    if not (_ROOT / ".git").exists():
+        return ""
+    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        found = subprocess.run(
+            command, capture_output=True, text=True, timeout=_GIT_MAX_S, check=False, stdin=subprocess.DEVNULL
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return found.stdout.strip() if found.returncode == 0 else ""

@@ -1,0 +1,123 @@
+"""records.arrow as a whole file, and as one that was cut off at any place."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from drivers.timebase import NS_PER_MS, Instant
+from hil.recording.record_columns import COLUMNS
+from hil.recording.records import LAYOUT, NOTHING, Rows
+from hil.recording.records_file import RecordsWriter, finish_records, read_metadata, read_records
+from hil.recording.run_zero import RunZero
+from hil.recording.side_rows import BeginEvent, TextEvent
+from tests.unit.hil.row_tools import rows_of
+from tests.unit.hil.synthetic_run import synthetic_records
+
+ZERO = Instant(7_000_000_000)
+
+
+def write(path: Path, rows: Rows, blocks: int = 3) -> list[int]:
+    """The file's size after its head and after each block; the last is that with the footer."""
+    writer = RecordsWriter(path)
+    writer.begin({"bench": "synthetic"}, ZERO)
+    sizes = [path.stat().st_size]
+    for block in np.array_split(rows, blocks):
+        writer.write(block)
+        sizes.append(path.stat().st_size)
+    writer.close()
+    return [*sizes, path.stat().st_size]
+
+
+@pytest.fixture
+def rows() -> Rows:
+    return rows_of(synthetic_records(300, origin=ZERO))
+
+
+def test_the_columns_are_those_of_a_row() -> None:
+    assert [column.name for column in COLUMNS] == [name for name, _ in LAYOUT]
+
+
+def test_it_begins_with_the_magic_bytes_and_is_read_back_in_run_time(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    assert path.read_bytes()[:8] == b"ARROW1\0\0"
+    assert pa.ipc.open_file(path).read_all().num_rows == 300
+    found = np.concatenate(list(read_records(path)))
+    assert found["due_at"].tolist() == [cycle * NS_PER_MS for cycle in range(300)]
+    on_bench_clock = np.concatenate(list(read_records(path, ZERO)))
+    assert on_bench_clock.tobytes() == rows.tobytes()
+
+
+def test_nothing_is_null_and_no_number_stands_for_it(tmp_path: Path, rows: Rows) -> None:
+    """Not even by accident: a delay of -1 ns is one."""
+    rows = rows.copy()
+    rows["delay_ns"][:2] = -1, NOTHING
+    rows["statusword"][:2] = 0x1637, -1
+    rows["torque_told_at"][:2] = ZERO - 1, -1
+    rows["torque_nm"][:2] = 1.0, np.nan
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    table = pa.ipc.open_file(path).read_all().slice(0, 2).to_pydict()
+    for name, known in {"delay_ns": -1, "statusword": 0x1637, "torque_told_at": -1, "torque_nm": 1.0}.items():
+        assert table[name] == [known, None]
+    whole = pa.ipc.open_file(path).read_all()
+    for column in whole.columns:
+        if pa.types.is_integer(column.type):
+            assert pa.compute.min(column).as_py() > -(2**60)
+
+
+def test_units_and_codes_are_with_the_columns(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    schema = pa.ipc.open_file(path).schema
+    codes = json.loads(schema.field("fate").metadata[b"codes"])
+    assert codes == {"0": "sample", "1": "lost", "2": "late", "3": "stale", "4": "missed"}
+    assert schema.field("velocity_rad_s").metadata[b"unit"] == b"rad/s"
+    assert schema.field("due_at").metadata[b"unit"] == b"ns since the first cycle"
+    assert all(field.metadata[b"meaning"] for field in schema)
+    assert read_metadata(path) == {"format": "1", "bench": "synthetic"}
+
+
+@pytest.mark.parametrize("whole_blocks", [0, 1, 2, 3])
+@pytest.mark.parametrize("more", [0, 1, 100, -1])
+def test_one_that_was_cut_off_is_finished(tmp_path: Path, rows: Rows, whole_blocks: int, more: int) -> None:
+    path = tmp_path / "records.arrow"
+    sizes = write(path, rows)
+    end = sizes[whole_blocks] + (more if more >= 0 else sizes[whole_blocks + 1] - sizes[whole_blocks] - 1)
+    path.write_bytes(path.read_bytes()[:end])
+    expected = rows[: 100 * whole_blocks].tobytes()
+    assert b"".join(batch.tobytes() for batch in read_records(path, ZERO)) == expected
+    assert finish_records(path) == 100 * whole_blocks
+    assert pa.ipc.open_file(path).read_all().num_rows == 100 * whole_blocks
+    assert b"".join(batch.tobytes() for batch in read_records(path, ZERO)) == expected
+    assert read_metadata(path) == {"format": "1", "bench": "synthetic"}
+    assert [found.name for found in tmp_path.iterdir()] == ["records.arrow"]
+
+
+@pytest.mark.parametrize("size", [0, 3, 8, 20])
+def test_one_without_a_head_becomes_an_empty_one(tmp_path: Path, rows: Rows, size: int) -> None:
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    path.write_bytes(path.read_bytes()[:size])
+    assert read_metadata(path) == {}
+    assert finish_records(path) == 0
+    assert pa.ipc.open_file(path).read_all().num_rows == 0
+
+
+def test_a_whole_one_is_left_as_it_is(tmp_path: Path, rows: Rows) -> None:
+    path = tmp_path / "records.arrow"
+    write(path, rows)
+    before = path.read_bytes(), path.stat().st_ino
+    assert finish_records(path) == 300
+    assert (path.read_bytes(), path.stat().st_ino) == before
+
+
+def test_the_time_zero_is_the_first_cycle_once_it_is_told() -> None:
+    zero = RunZero(Instant(5))
+    assert not zero.look([TextEvent(Instant(6), "INFO", "set up")])
+    assert (zero.at, zero.told) == (5, False)
+    assert zero.look([BeginEvent(Instant(9))])
+    assert (zero.at, zero.told) == (9, True)
