@@ -248,7 +248,7 @@ class _Run:
         loop.calibrate()
         self._stop.check()
         self._enter("enabling")
-        self._watch.confirm(self._network.pump if self._world.real_time else None)
+        self._watch.confirm(self._network)
         for drive in self._drives:
             drive.enable(self._deadline(ENABLE_TIMEOUT_S))
             self._note_state(drive)
