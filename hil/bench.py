@@ -250,7 +250,7 @@ class _Run:
         loop.calibrate()
         self._stop.check()
         self._enter("enabling")
-        self._watch.confirm(self._network.pump if self._world.real_time else None)
+        self._watch.confirm(self._network)
         self._enabled_from = self._world.clock.now()
         for drive in self._drives:
             drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))

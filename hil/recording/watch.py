@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 
+from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder
 from hil.terminal.progress import Progress
+from virtual_bus.timeline import SimulatedClock
 
 _POLL_NS = NS_PER_MS
 
@@ -23,17 +25,18 @@ class RecordingWatch:
         self._say = say
         self._phase = "running"
 
-    def confirm(self, pump: Callable[[Instant], object] | None) -> None:
+    def confirm(self, network: CanopenNetwork) -> None:
         """All so far is in the files, or nothing may move. Raises RecordingFailed.
 
-        ``pump``: serves the bus up to an instant of the monotonic clock; None in simulated time, which stands
-        still meanwhile, so that no run depends on how fast its logger starts.
+        The bus is served meanwhile, but simulated time stands still, paced or not: no run depends on
+        how fast its logger starts.
         """
-        clock = MonotonicClock()
-        serve = clock.sleep_until if pump is None else pump
+        wall = MonotonicClock()
+        simulated = isinstance(network.clock, SimulatedClock)
+        serve = wall.sleep_until if simulated else network.pump
 
         def wait() -> None:
-            serve(Instant(clock.now() + _POLL_NS))
+            serve(Instant(wall.now() + _POLL_NS))
 
         self._recorder.confirm(wait)
 
