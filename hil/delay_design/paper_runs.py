@@ -35,8 +35,10 @@ from drivers.timebase import NS_PER_S
 from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
+from hil.machine.stopping import Interrupted
 from hil.recording.records_file import RECORDS_FILE, read_records
 from hil.terminal.progress import no_progress
+from hil.verdict import Outcome
 
 CAREFUL_RAD_S, EAGER_RAD_S = 60.0, 200.0
 """Crossings of the two PI controllers of Case 2, both well damped without sampling."""
@@ -169,6 +171,8 @@ def _run(variant: Variant, folder: Path, tell: Callable[[str], None]) -> PaperRu
     summary = run_bench(
         config, bus_spec=None, time=None, seed=None, record=record, view=False, progress=no_progress
     )
+    if ended_by := summary.verdict.of(Outcome.INTERRUPTED):
+        raise Interrupted("; ".join(ended_by))
     time_s, error = _errors(record)
     figures = _figures(variant, time_s, error) | {
         "delay_p99_us": summary.delay_us.p99,
