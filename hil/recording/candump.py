@@ -65,9 +65,13 @@ def candump_lines(
     return lines
 
 
+DIRECTION_BYTES = 2
+"""Of a line of :func:`direction_lines`."""
+
+
 def direction_lines(rows: NDArray[np.void]) -> bytes:
     """A line for each of ``rows``, (n,) of FRAME_DTYPE: T was sent by the bench, R was received by it."""
-    lines = np.full((rows.size, 2), ord("\n"), np.uint8)
+    lines = np.full((rows.size, DIRECTION_BYTES), ord("\n"), np.uint8)
     lines[:, 0] = np.where(rows["sent"] & 1, ord("T"), ord("R"))
     return lines.tobytes()
 

@@ -5,6 +5,7 @@ power-on of the drive, which in simulated time is the beginning. Entries wait un
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray

@@ -163,8 +163,12 @@ class FramesKeeper:
     def flush(self) -> None:
         """What is held back cannot be written yet."""
 
-    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+    def write_rest(self) -> None:
+        """Nothing comes any more. Error: OSError."""
         self._write(self._order.rest())
+
+    def finish(self, summary: Summary) -> None:  # noqa: ARG002
+        self.write_rest()
         self._frames.close()
         self._directions.close()
         if self._order.late:
@@ -206,7 +210,6 @@ class EventsKeeper:
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self._file.close()
-
 
     def _recount(self, moved: Duration) -> None:
         """The first cycle is known: what the file has counted from the start of the bench until now."""

@@ -163,7 +163,7 @@ class Logger:
             self._reserve.release()
         if any(fault.startswith(RECORDS_FILE) for fault in self._faults):
             with suppress(OSError):  # that it is incomplete is told already
-                for fault in whole_records(folder):
+                for fault in whole_records(self._plan, folder):
                     self._note(fault)
 
     def _end_summary(self, folder: Path, outcome: RunOutcome) -> None:

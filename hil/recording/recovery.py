@@ -15,18 +15,42 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.timebase import Instant
 from hil.figures.review import Review
 from hil.figures.summary import Summary, summarise
 from hil.recording.append_file import AppendFile
-from hil.recording.faults_file import BLOCK_DTYPE, FaultsKeeper
-from hil.recording.log_files import EventsKeeper, FramesKeeper, Keeper
+from hil.recording.candump import DIRECTION_BYTES
+from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
+from hil.recording.log_files import EventsKeeper, FramesKeeper
 from hil.recording.network_meter import NetworkKeeper
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import RECORDS_FILE, RecordsWriter, finish_records, read_records
+from hil.recording.records_file import (
+    RECORDS_FILE,
+    RecordsWriter,
+    finish_records,
+    read_metadata,
+    read_records,
+)
 from hil.recording.ring import RingReader
-from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE, LOAD_FILE, Reserve, write_summary
-from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, events_of
+from hil.recording.run_folder import (
+    DIRECTIONS_FILE,
+    EVENTS_FILE,
+    FRAMES_FILE,
+    LOAD_FILE,
+    Reserve,
+    write_summary,
+)
+from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
+from hil.recording.run_zero import RunZero
+from hil.recording.side_rows import (
+    EVENT_DTYPE,
+    FRAME_DTYPE,
+    BeginEvent,
+    IdentityEvent,
+    RunEvent,
+    events_of,
+)
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
 from hil.verdict import RunOutcome
@@ -68,16 +92,18 @@ def recover(
     folder = plan.folder
     assert folder is not None
     reserve = Reserve(folder)
-    for name in (FRAMES_FILE, EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
+    for name in (FRAMES_FILE, DIRECTIONS_FILE, EVENTS_FILE, LOAD_FILE, FAULTS_FILE):
         if (folder / name).exists():
             AppendFile(folder / name, fresh=False).close()
+    _as_many_directions(folder)
     told = [*faults, _UNFINISHED_RERUN]
     if rings is not None:
         told += _keep_the_rest(plan, folder, rings)
-    told += whole_records(folder, rings)
+    told += whole_records(plan, folder, rings)
     review = Review(plan.review)
     network = NetworkKeeper(folder, plan.period_us, len(plan.review.axes)) if plan.period_us else None
-    for rows in read_records(folder / RECORDS_FILE):
+    zero = _first_cycle(plan, folder / RECORDS_FILE, rings)
+    for rows in read_records(folder / RECORDS_FILE, zero.at):
         review.add(rows)
         if network is not None:
             network.take(rows, np.empty(0, FRAME_DTYPE), [])
@@ -96,25 +122,61 @@ def recover(
 def _keep_the_rest(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
     """Frames, events and faults that the logger had not taken; why some are missing."""
     told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
-    keepers: list[Keeper] = []
+    zero = _first_cycle(plan, folder / RECORDS_FILE, rings)
+    # of the events the logger may have come to know the first cycle later than of the records
+    counted = zero if _counts_from_the_first_cycle(folder / EVENTS_FILE) else None
+    events: list[RunEvent] = list(rings.events)
+    if zero.told and counted is None and not any(isinstance(event, BeginEvent) for event in events):
+        events.insert(0, BeginEvent(zero.at))
+    entries = FaultEntries(rings.fault_blocks, plan.started_at)
+    entries.take(zero, at_end=True)
+    no_rows = np.empty(0, ROW_DTYPE)
     try:
-        keepers.append(EventsKeeper(folder, fresh=False))
-        if plan.frames:
-            keepers.append(FramesKeeper(plan, folder, fresh=False))
+        EventsKeeper(plan, folder, counted, fresh=False).take(no_rows, rings.frames, events)
         if plan.faults:
-            keepers.append(FaultsKeeper(folder, rings.fault_blocks, fresh=False))
-        for keeper in keepers:
-            keeper.take(np.empty(0, ROW_DTYPE), rings.frames, rings.events)
+            FaultsKeeper(folder, entries, fresh=False).take(no_rows, rings.frames, events)
+        if plan.frames:
+            frames = FramesKeeper(plan, folder, zero, fresh=False)
+            frames.take(no_rows, rings.frames, events)
+            frames.write_rest()
     except OSError as error:
         told.append(f"frames and events end before the run: {error.strerror}")
     return told
 
 
-def whole_records(folder: Path, rings: Rings | None = None) -> list[str]:
+def _as_many_directions(folder: Path) -> None:
+    """A frame's direction is written before the frame: what is beyond the last frame goes."""
+    frames, directions = folder / FRAMES_FILE, folder / DIRECTIONS_FILE
+    if frames.exists() and directions.exists():
+        with frames.open("rb") as lines:
+            count = sum(1 for _ in lines)
+        os.truncate(directions, count * DIRECTION_BYTES)
+
+
+def _first_cycle(plan: RecordingPlan, records: Path, rings: Rings | None) -> RunZero:
+    """By the head of records.arrow, else by the events that nobody has taken."""
+    zero = RunZero(plan.started_at)
+    found = read_metadata(records) if records.exists() else {}
+    if found:
+        zero.at, zero.told = Instant(int(found[FIRST_CYCLE])), True
+    elif rings is not None:
+        zero.look(rings.events)
+    return zero
+
+
+def _counts_from_the_first_cycle(events: Path) -> bool:
+    return events.exists() and b'"begin": true' in events.read_bytes()
+
+
+def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None) -> list[str]:
     """records.arrow with all rows that are anywhere, and with its end; why some are missing."""
     path = folder / RECORDS_FILE
-    if not path.exists():  # the logger had not come so far
-        RecordsWriter(path).close()
+    zero = _first_cycle(plan, path, rings)
+    if not path.exists() or not read_metadata(path):  # the logger had not come so far
+        identities = [] if rings is None else [one for one in rings.events if isinstance(one, IdentityEvent)]
+        writer = RecordsWriter(path)
+        writer.begin(run_metadata(plan, zero.at, {one.axis: one.text for one in identities}), zero.at)
+        writer.close()
     stored = sum(rows.size for rows in read_records(path))
     more: list[Rows] = [tail for tail in [read_tail(folder, stored)] if tail.size]
     known = stored + sum(rows.size for rows in more)
@@ -125,23 +187,26 @@ def whole_records(folder: Path, rings: Rings | None = None) -> list[str]:
         more.append(rings.rows[max(0, known - rings.rows_before) :])
     try:
         if more:
-            _rewrite(path, more)
+            _rewrite(path, more, zero.at)
         else:
             finish_records(path)
     except OSError as error:
-        finish_records(path)
         lacking = sum(rows.size for rows in more)
         return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error.strerror}"]
     (folder / TAIL_FILE).unlink(missing_ok=True)
     return told
 
 
-def _rewrite(path: Path, more: Sequence[Rows]) -> None:
-    """``path`` with more rows behind those that it has. Error: OSError; it is as it was then."""
+def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
+    """``path`` with more rows, on the bench clock, behind those that it has.
+
+    Error: OSError; it is as it was then.
+    """
     part = path.with_name(f"{path.name}.part")
     try:
         writer = RecordsWriter(part)
-        for rows in chain(read_records(path), more):
+        writer.begin(read_metadata(path), zero)
+        for rows in chain(read_records(path, zero), more):
             writer.write(rows)
         writer.close()
         part.replace(path)
@@ -154,7 +219,7 @@ def main() -> int:
     """Entry point of the process."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     wanted = json.loads(sys.stdin.readline())
-    plan, outcome = RecordingPlan.from_json(wanted["plan"]), RunOutcome(**wanted["outcome"])
+    plan, outcome = RecordingPlan.from_json(wanted["plan"]), RunOutcome.from_json(wanted["outcome"])
     rings = Rings(*(int(argument) for argument in sys.argv[1:5]))
     summary = recover(plan, outcome, [wanted["trouble"]], rings)
     print(json.dumps(summary.as_json()))

@@ -13,6 +13,8 @@ from drivers.timebase import Instant
 from hil.recording.record_columns import FORMAT
 from hil.recording.recording_plan import RecordingPlan
 
+FIRST_CYCLE = "first_cycle_bench_ns"
+"""Key of the first cycle's instant on the bench clock, from which all times count."""
 _ROOT = Path(__file__).parents[2]
 _GIT_MAX_S = 5.0
 
@@ -31,7 +33,7 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
         "drives": json.dumps(dict(drives)),
         "time": "simulated" if plan.wall_offset is None else "real",
         "first_cycle_epoch_ns": str(zero + plan.stamp_offset(zero)),
-        "first_cycle_bench_ns": str(zero),
+        FIRST_CYCLE: str(zero),
         "bench_start_ns": str(plan.started_at - zero),
         "host": json.dumps(_host()),
         "servobench": _version(),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.profile402 import State
-from drivers.timebase import NS_PER_MS
+from drivers.timebase import NS_PER_MS, Instant
 from hil.configuration.bench_file import load_bench
 from hil.recording.records import NOTHING, ROW_DTYPE, Rows
 from hil.testing.run import Run
