@@ -34,7 +34,6 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 REST_RAD_S: Final = 1.0
 """A shaft that turns slower counts as at rest."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
-
 _CONNECT_TRY_S: Final = 0.1
 _SETTLE_NS: Final = 50 * NS_PER_MS
 

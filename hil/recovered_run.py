@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
-from drivers.timebase import duration_s
+from drivers.timebase import Duration, duration_s
 from hil import assembly
 from hil.configuration.config import BenchConfig
 from hil.figures.summary import Summary
@@ -13,8 +13,10 @@ from hil.loop import planned_cycles
 from hil.network_guard import certified_plans
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recording_plan import RecordingPlan
+from hil.recording.records_file import RECORDS_FILE, read_metadata
 from hil.recording.recovery import recover
 from hil.recording.run_folder import BENCH_FILE, SUMMARY_FILE
+from hil.recording.run_metadata import FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.verdict import RunOutcome
 
 _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended before it"
@@ -31,6 +33,12 @@ def refuse_whole(folder: Path) -> None:
     raise BadInput("RUN", "", str(folder), "a recording without a summary", "this one is whole")
 
 
+def _stamp_offset(records: Path) -> Duration | None:
+    """Of the stamps in frames.log from the bench clock, by the head of the records; None: it says nothing."""
+    found = read_metadata(records) if records.exists() else {}
+    return Duration(int(found[FIRST_CYCLE_EPOCH]) - int(found[FIRST_CYCLE])) if found else None
+
+
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
     """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
     spec = parse_bus_spec(config.bus.spec, config.source)
@@ -44,6 +52,8 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         review=assembly.review_plan(config, certified_plans(config, (), spec.simulated)),
         bench_toml="",
         frames=config.recording.frames,
+        segments=tuple(segment.name for segment in config.bus.segment),
+        wall_offset=_stamp_offset(folder / RECORDS_FILE),
         period_us=config.loop.period_us,
     )
     planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)

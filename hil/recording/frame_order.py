@@ -58,6 +58,11 @@ class FrameOrder:
             self._let_go_until = max(self._let_go_until, int(ready["at"][-1]))
         return ready
 
+    @property
+    def held(self) -> NDArray[np.void]:
+        """What may not be written yet, in order."""
+        return self._held
+
     def rest(self) -> NDArray[np.void]:
         """All that is held, in order: nothing comes any more."""
         rest, self._held = self._held, self._held[:0]

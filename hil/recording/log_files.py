@@ -20,12 +20,13 @@ from hil.recording.candump import candump_lines, direction_lines
 from hil.recording.frame_order import FrameOrder
 from hil.recording.network_meter import NetworkKeeper
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import Rows
+from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, RecordsWriter
 from hil.recording.run_folder import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.recording.run_metadata import run_metadata
 from hil.recording.run_zero import RunZero
 from hil.recording.side_rows import (
+    FRAME_DTYPE,
     BeginEvent,
     IdentityEvent,
     LoadEvent,
@@ -33,7 +34,7 @@ from hil.recording.side_rows import (
     StateEvent,
     TextEvent,
 )
-from hil.recording.tail import Tail
+from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from virtual_bus.child_python import python_command, python_environment
 
@@ -96,7 +97,7 @@ class RecordsKeeper:
         self._plan = plan
         self._writer = RecordsWriter(folder / RECORDS_FILE)
         self._blocks = RowBlocks()
-        self._tail = Tail(folder)
+        self._tail = Tail(folder / TAIL_FILE, ROW_DTYPE)
         self._stored = 0
         self._zero = RunZero(plan.started_at)
         self._drives: dict[str, str] = {}
@@ -148,15 +149,19 @@ class FramesKeeper:
         self._plan = plan
         self._frames = AppendFile(folder / FRAMES_FILE, fresh=fresh)
         self._directions = AppendFile(folder / DIRECTIONS_FILE, fresh=fresh)
+        self._written = 0
+        self._tail = Tail(folder / FRAMES_TAIL_FILE, FRAME_DTYPE) if fresh else None
         self._order = FrameOrder(1 + len(plan.segments))
         self._zero = zero or RunZero(plan.started_at)
-        self._early: list[NDArray[np.void]] = []
+        self._early = np.empty(0, FRAME_DTYPE)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         self._zero.look(events)
-        ready = self._order.take(frames)
+        ready = np.concatenate((self._early, self._order.take(frames)))
+        if self._tail is not None:
+            self._tail.restart(self._written, np.concatenate((ready, self._order.held)))
         if self._plan.wall_offset is None and not self._zero.told:
-            self._early.append(ready)
+            self._early = ready
         else:
             self._write(ready)
 
@@ -165,23 +170,25 @@ class FramesKeeper:
 
     def write_rest(self) -> None:
         """Nothing comes any more. Error: OSError."""
-        self._write(self._order.rest())
+        self._write(np.concatenate((self._early, self._order.rest())))
 
     def finish(self, summary: Summary) -> None:  # noqa: ARG002
         self.write_rest()
         self._frames.close()
         self._directions.close()
+        if self._tail is not None:
+            self._tail.remove()
         if self._order.late:
             raise OSError(f"{self._order.late} frames came too late to be put in their place of time")
 
-    def _write(self, ready: NDArray[np.void]) -> None:
+    def _write(self, frames: NDArray[np.void]) -> None:
         plan = self._plan
-        frames = np.concatenate((*self._early, ready))
-        self._early.clear()
+        self._early = frames[:0]
         # Its direction first: no frame is there without one, wherever the two are cut off.
         self._directions.write(direction_lines(frames))
         interface = plan.bus.rpartition(":")[2]
         self._frames.write(candump_lines(frames, interface, plan.stamp_offset(self._zero.at), plan.segments))
+        self._written += frames.size
 
 
 class EventsKeeper:

@@ -51,7 +51,7 @@ from hil.recording.side_rows import (
     RunEvent,
     events_of,
 )
-from hil.recording.tail import TAIL_FILE, read_tail
+from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
 from hil.verdict import RunOutcome
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
@@ -97,6 +97,8 @@ def recover(
             AppendFile(folder / name, fresh=False).close()
     _as_many_directions(folder)
     told = [*faults, _UNFINISHED_RERUN]
+    if plan.frames:
+        told += _keep_frames(plan, folder, rings)
     if rings is not None:
         told += _keep_the_rest(plan, folder, rings)
     told += whole_records(plan, folder, rings)
@@ -135,13 +137,26 @@ def _keep_the_rest(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]
         EventsKeeper(plan, folder, counted, fresh=False).take(no_rows, rings.frames, events)
         if plan.faults:
             FaultsKeeper(folder, entries, fresh=False).take(no_rows, rings.frames, events)
-        if plan.frames:
-            frames = FramesKeeper(plan, folder, zero, fresh=False)
-            frames.take(no_rows, rings.frames, events)
-            frames.write_rest()
     except OSError as error:
-        told.append(f"frames and events end before the run: {error.strerror}")
+        told.append(f"events end before the run: {error.strerror}")
     return told
+
+
+def _keep_frames(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:
+    """Frames that the logger had not written, and those that it had not taken; why some are missing."""
+    tail, frames = folder / FRAMES_TAIL_FILE, folder / FRAMES_FILE
+    stored = frames.read_bytes().count(b"\n") if frames.exists() else 0
+    held = read_tail(tail, FRAME_DTYPE, stored)
+    try:
+        keeper = FramesKeeper(plan, folder, _first_cycle(plan, folder / RECORDS_FILE, rings), fresh=False)
+        keeper.take(
+            np.empty(0, ROW_DTYPE), held if rings is None else np.concatenate((held, rings.frames)), []
+        )
+        keeper.write_rest()
+    except OSError as error:
+        return [f"{FRAMES_FILE} ends before the run: {error.strerror}"]
+    tail.unlink(missing_ok=True)
+    return []
 
 
 def _as_many_directions(folder: Path) -> None:
@@ -178,7 +193,7 @@ def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None)
         writer.begin(run_metadata(plan, zero.at, {one.axis: one.text for one in identities}), zero.at)
         writer.close()
     stored = sum(rows.size for rows in read_records(path))
-    more: list[Rows] = [tail for tail in [read_tail(folder, stored)] if tail.size]
+    more: list[Rows] = [tail for tail in [read_tail(folder / TAIL_FILE, ROW_DTYPE, stored)] if tail.size]
     known = stored + sum(rows.size for rows in more)
     told = []
     if rings is not None and rings.rows.size:

@@ -1,21 +1,23 @@
-"""The rows that are not yet in records.arrow, as they came, so that they survive a logger that is killed.
+"""Rows that are not yet in their file, as they came, so that they survive a logger that is killed.
 
-A batch of columns is worth its room only from some thousand rows on; until one is full, its rows lie here.
+Rows of cycles wait until there are enough for a batch of columns, frames until no earlier one can come.
 
     0   magic, row size       8 bytes, u64
-    16  rows before these     u64, that records.arrow holds when this file begins anew
+    16  rows before these     u64, that the file holds when this one begins anew
     24  rows
 """
 
 import struct
 from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.recording.append_file import AppendFile
-from hil.recording.records import ROW_DTYPE, Rows
 
-TAIL_FILE = "records.tail"
+TAIL_FILE: Final = "records.tail"
+FRAMES_TAIL_FILE: Final = "frames.tail"
 _MAGIC = b"rowtail1"
 _HEADER = struct.Struct("<8sQQ")
 
@@ -23,37 +25,40 @@ _HEADER = struct.Struct("<8sQQ")
 class Tail:
     """The writer's side."""
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / TAIL_FILE
-        self._file = AppendFile(self._path)
+    def __init__(self, path: Path, dtype: "np.dtype[np.void]") -> None:
+        self._path = path
+        self._dtype = dtype
+        self._file = AppendFile(path)
         self.restart(0)
 
-    def append(self, rows: Rows) -> None:
+    def append(self, rows: NDArray[np.void]) -> None:
         """Keep ``rows``, (n,). Error: OSError if the disk is full."""
         self._file.write(rows.tobytes())
 
-    def restart(self, stored: int) -> None:
-        """records.arrow holds the first ``stored`` rows of the run, and so all that were here."""
-        self._file.restart(_HEADER.pack(_MAGIC, ROW_DTYPE.itemsize, stored))
+    def restart(self, stored: int, rows: NDArray[np.void] | None = None) -> None:
+        """The file holds the first ``stored`` rows of the run, and this one ``rows`` behind them."""
+        # numpy drops the padding of rows that it joins
+        kept = b"" if rows is None else rows.astype(self._dtype).tobytes()
+        self._file.restart(_HEADER.pack(_MAGIC, self._dtype.itemsize, stored) + kept)
 
     def remove(self) -> None:
-        """records.arrow is whole."""
+        """The file is whole."""
         self._file.close()
         self._path.unlink()
 
 
-def read_tail(folder: Path, stored: int) -> Rows:
+def read_tail(path: Path, dtype: "np.dtype[np.void]", stored: int) -> NDArray[np.void]:
     """The rows behind the first ``stored`` ones of the run, (n,); none if there is no such file."""
     try:
-        data = (folder / TAIL_FILE).read_bytes()
+        data = path.read_bytes()
     except FileNotFoundError:
         data = b""
-    nothing = np.empty(0, ROW_DTYPE)
+    nothing = np.empty(0, dtype)
     if len(data) < _HEADER.size:
         return nothing
     magic, row_size, before = _HEADER.unpack_from(data)
-    if magic != _MAGIC or row_size != ROW_DTYPE.itemsize or before > stored:
+    if magic != _MAGIC or row_size != dtype.itemsize or before > stored:
         return nothing
     count = (len(data) - _HEADER.size) // row_size
-    rows: Rows = np.frombuffer(data, ROW_DTYPE, count, _HEADER.size)
+    rows: NDArray[np.void] = np.frombuffer(data, dtype, count, _HEADER.size)
     return rows[stored - before :]

@@ -89,7 +89,7 @@ def test_the_verdict_says_what_is_missing(run: Path) -> None:
     summary = Summary.from_json(json.loads((run / "summary.json").read_text()))
     assert not summary.verdict.passed
     assert not summary.verdict.completed
-    assert summary.verdict.reason.startswith("not recorded: the end of the run is not known")
+    assert summary.verdict.reason.startswith("the end of the run is not known")
     assert f"{summary.cycles} of 2000 planned cycles are recorded" in summary.recording_faults
     assert summary.bus_load_percent is None
     assert "planned cycles are recorded" in " ".join(said.split())
@@ -106,7 +106,7 @@ def test_half_entries_are_cut_off_and_a_torn_batch_is_made_up_for(run: Path) -> 
     assert recover(run)[0] == 0
     rows = np.concatenate(list(read_records(records)))
     assert CYCLES - rows.size <= 0.2 / PERIOD_S
-    assert (run / "frames.log").read_text().endswith("080# T\n")
+    assert (run / "frames.log").read_text().endswith("080#\n")
 
 
 def test_a_whole_recording_is_not_touched(run: Path) -> None:

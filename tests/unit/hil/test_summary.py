@@ -82,8 +82,8 @@ def test_json_has_the_promised_keys() -> None:
         "recording",
         "seed",
         "digest",
-        "torque_rms_nm",
         "drives",
+        "torque_rms_nm",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
     assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
