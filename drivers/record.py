@@ -1,6 +1,7 @@
 """Values that stages hand to each other, as plain classes.
 
-Compiled, one is made in a seventh to a quarter of the time of a named tuple, and its numbers need no objects of their own.
+Compiled, one is made in a seventh to a quarter of the time of a named tuple, and its numbers need no objects
+of their own.
 """
 
 from typing import Any, ClassVar, TypeVar

@@ -127,6 +127,8 @@ class Axis:
         self._fresh = False
         self._load_nm = 0.0
         self._readings = 0
+        self._kept: list[Reading] = []
+        """Readings that came and are not taken in yet, in their order."""
         self._placed: list[tuple[Instant, Instant] | None] = [None] * READINGS_REMEMBERED
         """Of the last readings, by their count: their SYNC's instant and their own; None if uncertain."""
 
@@ -158,7 +160,8 @@ class Axis:
 
     def discard(self) -> None:
         """Let go of what has come: it answers SYNCs from before."""
-        self._readings += len(self._drive.take_readings())
+        self._readings += len(self._drive.take_readings()) + len(self._kept)
+        self._kept.clear()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
 
@@ -178,8 +181,19 @@ class Axis:
 
     def collect(self) -> None:
         """Take in what has arrived."""
+        if self._kept:
+            kept, self._kept = self._kept, []
+            for reading in kept:
+                self._take(reading)
         for reading in self._drive.take_readings():
             self._take(reading)
+
+    def collect_before(self, at: Instant) -> None:
+        """Take in what had arrived by ``at``: what came later may answer a SYNC whose cycle is to begin."""
+        kept = self._kept
+        kept.extend(self._drive.take_readings())
+        while kept and kept[0].received_at < at:
+            self._take(kept.pop(0))
 
     def _collect_demands(self) -> None:
         """Take in what the drive told of its torque demand."""

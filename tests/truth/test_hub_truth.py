@@ -26,7 +26,7 @@ NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
 def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, tmp_path: Path) -> None:
     found = run_beside_a_listener(Plan("hub", axes=axes), CYCLES, tmp_path)
 
-    assert found.status in (0, 1), found.said
+    assert found.status in (0, 6), found.said  # 6: cycles were missed, and no limit says how many may
     assert found.readings.rows == axes * CYCLES
     assert (found.readings.wrong, found.readings.echo_wrong) == (0, 0), found.readings.examples
     assert found.readings.uncertain <= UNCERTAIN_MAX * found.readings.rows

@@ -27,8 +27,8 @@ def test_a_lock_whose_holders_remove_it_keeps_all_others_out(tmp_path: Path) -> 
             holders.append(number)
             os.sched_yield()
             crowded.extend(holders[1:])
-            path.unlink()
             holders.remove(number)
+            path.unlink()  # from here on another may hold it
             os.close(descriptor)
             held += 1
 
