@@ -53,6 +53,10 @@ class RecordsWriter:
             self._writer.close()
         self._file.close()
 
+    def drop(self) -> None:
+        """Close the file as it is."""
+        self._file.close()
+
 
 def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
     """Columns with their units and codes; ``metadata``: of the run."""
@@ -82,25 +86,23 @@ def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
 def finish_records(path: Path) -> int:
     """Give a file that was cut off its footer, and return its number of rows; a whole one is left as it is.
 
-    What was not written whole is left out. Error: OSError; the file is as it was then.
+    What was not written whole is left out. It needs room for the footer alone. Error: OSError.
     """
+    count: int = sum(batch.num_rows for batch in _batches(path))
     if _is_whole(path):
-        return sum(batch.num_rows for batch in _batches(path))
-    count = 0
-    finished = path.with_name(f"{path.name}.finished")
-    try:
-        with pa.OSFile(str(finished), "wb") as target, _finished_writer(target, path) as writer:
-            for batch in _batches(path):
-                writer.write_batch(batch)
-                count += batch.num_rows
-        os.replace(finished, path)
-    finally:
-        finished.unlink(missing_ok=True)
+        return count
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_file(sink, _schema_of(path) or records_schema({}), options=_OPTIONS) as writer:
+        for batch in _batches(path):
+            writer.write_batch(batch)
+        end = sink.tell()
+    whole = sink.getvalue().to_pybytes()
+    with path.open("r+b") as file:
+        kept = end if file.read(end) == whole[:end] else 0
+        file.seek(kept)
+        file.write(whole[kept:])
+        file.truncate()
     return count
-
-
-def _finished_writer(target: pa.NativeFile, path: Path) -> pa.RecordBatchFileWriter:
-    return pa.ipc.new_file(target, _schema_of(path) or records_schema({}), options=_OPTIONS)
 
 
 def _schema_of(path: Path) -> pa.Schema | None:

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
@@ -206,6 +207,8 @@ def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None)
         else:
             finish_records(path)
     except OSError as error:
+        with suppress(OSError):
+            finish_records(path)
         lacking = sum(rows.size for rows in more)
         return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error.strerror}"]
     (folder / TAIL_FILE).unlink(missing_ok=True)
@@ -218,14 +221,15 @@ def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
     Error: OSError; it is as it was then.
     """
     part = path.with_name(f"{path.name}.part")
+    writer = RecordsWriter(part)
     try:
-        writer = RecordsWriter(part)
         writer.begin(read_metadata(path), zero)
         for rows in chain(read_records(path, zero), more):
             writer.write(rows)
         writer.close()
         part.replace(path)
     except OSError:
+        writer.drop()  # a file that is open keeps its room on the disk
         part.unlink(missing_ok=True)
         raise
 
