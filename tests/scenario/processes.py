@@ -155,6 +155,13 @@ class Observer:
             assert at - since < limit_s * NS_PER_S, f"still {self.state()} at {self.velocity_rad_s()} rad/s"
             self._network.pump(Instant(at + NS_PER_MS))
 
+    def until(self, state: State, limit_s: float) -> None:
+        """Wait until the drive is in ``state``: a quick stop ends a moment after the shaft rests."""
+        deadline = self._clock.now() + round(limit_s * NS_PER_S)
+        while (found := self.state()) is not state:
+            assert self._clock.now() < deadline, f"still {found}, expected {state}"
+            self.wait(0.001)
+
     def close(self) -> None:
         self._bus.shutdown()
 

@@ -40,7 +40,7 @@ HAND_WRITTEN = "[network]\nperiod_us = 2000\nlosses_in_a_row_max = 1\ndelay_max_
 
 
 def _run(*arguments: str) -> tuple[int, str, str]:
-    if "speed" in arguments[:2] and "--current-bandwidth-hz" not in arguments:
+    if "speed" in arguments[:2] and not {"--current-bandwidth-hz", "--bench"} & set(arguments):
         arguments = (*arguments, "--current-bandwidth-hz", WITHOUT_CURRENT_LOOP)
     result = CliRunner().invoke(app, list(arguments))
     return result.exit_code, result.stdout, result.stderr
@@ -244,7 +244,8 @@ def test_from_measured_network_to_running_controller(tmp_path: Path) -> None:
     assert 300 < network.delay_max_us < 2000
     status, _, err = _run(
         "design", "speed", MOTOR, "--network", str(measured / "network.toml"), "--feedback", "speed",
-        "--extra-losses", "3", "--delay-margin-percent", "5", "--out", str(controller),
+        "--bench", str(measured / "bench.toml"), "--extra-losses", "3", "--delay-margin-percent", "5",
+        "--out", str(controller),
     )  # fmt: skip
     assert status == 0, err
     config = bench_from(_designed_bench(controller, 0.05), "bench.toml", tmp_path)

@@ -7,23 +7,35 @@ import numpy as np
 from design.certificate import certified_gain
 from design.delay_norm import hinf_norm, largest_stable_delay_s
 from design.errors import NoSolution
-from design.held_loop import SampledNetwork, Strategy
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.sampled import analyse_sampled
 from design.speed_loop import speed_model
 from tests.motors import LING
 
 
+def random_loop(
+    draw: np.random.Generator, delay_periods: float, losses_below: int, crossing_min: float
+) -> HeldLoop:
+    """A sampled loop, stable or not.
+
+    ``delay_periods``: the most, in periods; ``crossing_min``: the least phase that its oldest sample and its
+    current loop cost together at the crossing frequency, rad.
+    """
+    period_s = float(np.exp(draw.uniform(np.log(0.0005), np.log(0.01))))
+    bandwidth_hz = float(np.exp(draw.uniform(np.log(30.0), np.log(800.0))))
+    delay_s = period_s * float(draw.uniform(0.0, delay_periods))
+    network = SampledNetwork(Strategy.ARRIVAL, period_s, int(draw.integers(0, losses_below)), delay_s)
+    model = speed_model(LING, current_bandwidth_hz=bandwidth_hz)
+    crossing_rad_s = float(draw.uniform(crossing_min, 0.6)) / (network.age_max_s + 1.0 / (6.3 * bandwidth_hz))
+    K = np.array([float(draw.uniform(-0.3, 0.1)), -crossing_rad_s / float(model.A[1, 0])])
+    return HeldLoop(model, K, network)
+
+
 def random_bounds(draw: np.random.Generator) -> tuple[float, float | None]:
     """Found and certified gain, rad/s per N m, of a stable loop that ``draw`` makes."""
     while True:
-        period_s = float(np.exp(draw.uniform(np.log(0.0005), np.log(0.01))))
-        bandwidth_hz = float(np.exp(draw.uniform(np.log(30.0), np.log(800.0))))
-        delay_s = period_s * float(draw.uniform(0.0, 1.5))
-        network = SampledNetwork(Strategy.ARRIVAL, period_s, int(draw.integers(0, 4)), delay_s)
-        model = speed_model(LING, current_bandwidth_hz=bandwidth_hz)
-        crossing_rad_s = float(draw.uniform(0.05, 0.6)) / (network.age_max_s + 1.0 / (6.3 * bandwidth_hz))
-        K = np.array([float(draw.uniform(-0.3, 0.1)), -crossing_rad_s / float(model.A[1, 0])])
-        analysis = analyse_sampled(model, K, network)
+        loop = random_loop(draw, delay_periods=1.5, losses_below=4, crossing_min=0.05)
+        analysis = analyse_sampled(loop.model, loop.K, loop.network)
         if not analysis.refuted:
             return analysis.gain_found, analysis.gain_certified
 

@@ -6,14 +6,13 @@ import numpy as np
 from scipy.linalg import expm
 
 from design.admissible_steps import families, node_count
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.held_loop import HeldLoop
 from design.loss_patterns import pattern_gains, slowest_pattern
 from design.peak_certificate import certify_peak
 from design.sampled import regular_patterns
 from design.sequence_certificate import certify_decay
-from design.speed_loop import speed_model
 from design.worst_peak import worst_peak
-from tests.motors import LING
+from tests.unit.design.random_loops import random_loop
 
 
 def brute_force(loop: HeldLoop, periods: int, phase: float) -> float:
@@ -53,23 +52,11 @@ def brute_force(loop: HeldLoop, periods: int, phase: float) -> float:
     return worst
 
 
-def random_loop(draw: np.random.Generator) -> HeldLoop:
-    """A sampled loop of few nodes, so that all sequences can be tried."""
-    period_s = float(np.exp(draw.uniform(np.log(0.0005), np.log(0.01))))
-    bandwidth_hz = float(np.exp(draw.uniform(np.log(30.0), np.log(800.0))))
-    delay_s = period_s * float(draw.uniform(0.0, 1.0))
-    network = SampledNetwork(Strategy.ARRIVAL, period_s, int(draw.integers(0, 3)), delay_s)
-    model = speed_model(LING, current_bandwidth_hz=bandwidth_hz)
-    crossing_rad_s = float(draw.uniform(0.2, 0.6)) / (network.age_max_s + 1.0 / (6.3 * bandwidth_hz))
-    K = np.array([float(draw.uniform(-0.3, 0.1)), -crossing_rad_s / float(model.A[1, 0])])
-    return HeldLoop(model, K, network)
-
-
 def peaks_of(seed: int) -> tuple[float, float, float]:
     """Certified, found, and the largest by brute force of the first stable loop that ``seed`` draws."""
     draw = np.random.default_rng(seed)
     while True:
-        loop = random_loop(draw)
+        loop = random_loop(draw, delay_periods=1.0, losses_below=3, crossing_min=0.2)
         slowest = slowest_pattern(loop)
         if slowest.decay_per_s <= 0.0:
             continue
