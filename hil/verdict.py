@@ -29,7 +29,7 @@ class ExitStatus(IntEnum):
     DEFECT = 70
     """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
     INTERRUPTED = 130
-    """Ctrl-C, SIGTERM or SIGHUP: whatever was found until then is no verdict (128 + SIGINT)."""
+    """Ctrl-C, SIGTERM, SIGHUP or the caller: whatever was found until then is no verdict (128 + SIGINT)."""
 
 
 class Outcome(StrEnum):
