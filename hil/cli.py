@@ -25,7 +25,7 @@ from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
 from hil.terminal.recover import recover
-from hil.terminal.run_object import RunCommand, RunObject
+from hil.terminal.run_object import RunCommand, RunObject, not_begun
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -209,8 +209,7 @@ def main() -> None:
     try:
         require_fresh()
     except BadInput as error:
-        told = RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv)
-        told.failed(error.exit_status, str(error))
+        not_begun(error.exit_status, str(error))
         sys.exit(complain(error))
     app()
 

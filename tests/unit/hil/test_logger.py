@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.line_reader import LineReader
@@ -31,9 +32,11 @@ class Rings:
     frames: RingWriter
     events: RingWriter
 
-    def fill(self) -> None:
+    def fill(self, doubled: int = 0) -> None:
+        """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
         for record in synthetic_records(CYCLES):
-            self.rows.push(row_of(record))
+            again = doubled and record.sequence == doubled + 1
+            self.rows.push(row_of(replaced(record, sequence=doubled) if again else record))
             self.frames.push(frame_row(record.due_at, 0x80, 1, b""))
         self.events.push(event_row(TextEvent(Instant(0), "WARN", "load")))
 
@@ -51,9 +54,10 @@ def run_logger(
     rings: Rings,
     said: bytes,
     within: AbstractContextManager[None] | None = None,
+    doubled: int = 0,
 ) -> Summary:
     """The logger over filled rings, with ``said`` on its input, once it has started ``within`` something."""
-    rings.fill()
+    rings.fill(doubled)
     read_end, write_end = os.pipe()
     os.write(write_end, said)
     os.close(write_end)
@@ -71,6 +75,17 @@ def test_a_run_that_ends_as_it_should(tmp_path: Path, rings: Rings) -> None:
     assert summary.cycles == CYCLES
     assert summary.verdict.completed
     assert summary.recording_faults == ()
+
+
+@pytest.mark.parametrize("doubled", [1, 120, CYCLES - 1])
+def test_a_run_with_a_row_twice_and_another_missing_has_not_passed(
+    tmp_path: Path, rings: Rings, doubled: int
+) -> None:
+    """As many rows as were planned: only their numbers tell."""
+    verdict = run_logger(tmp_path, rings, OUTCOME, doubled=doubled).verdict
+    assert verdict.outcome is Outcome.CUT_SHORT
+    assert not verdict.completed
+    assert verdict.reason == f"rows are missing or double behind cycle {doubled}"
 
 
 def test_an_input_that_ends_means_a_dead_writer(tmp_path: Path, rings: Rings) -> None:

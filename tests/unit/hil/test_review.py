@@ -48,6 +48,27 @@ def test_counts_and_delays_against_the_records(records: list[CycleRecord]) -> No
     assert found.delay_us.max == max(delays)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "dense"),
+    [([1, 2, 3, 4], 4), ([1, 2, 2, 4], 2), ([1, 2, 4, 5], 2), ([2, 3, 4, 5], 0), ([1, 3, 2, 4], 1)],
+)
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_rows_are_dense_up_to_the_first_that_is_missing_or_double(
+    numbers: list[int], dense: int, chunks: int
+) -> None:
+    rows = plain_rows(4)
+    rows["sequence"] = numbers
+    assert figures_of(*np.array_split(rows, chunks)).dense == dense
+
+
+def test_of_several_axes_the_least_dense_counts() -> None:
+    plan = ReviewPlan((AxisPlan("axis1", 1.0), AxisPlan("axis2", 1.0)))
+    first, second = plain_rows(5), plain_rows(4)
+    second["axis"] = 1
+    assert figures_of(first, second, plan=plan).dense == 4
+    assert figures_of(first, plan=plan).dense == 0
+
+
 def test_lateness_is_of_every_cycle() -> None:
     rows = plain_rows(100)
     rows["woke_at"] += np.arange(100) * 1_000
