@@ -55,6 +55,7 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         segments=tuple(segment.name for segment in config.bus.segment),
         wall_offset=_stamp_offset(folder / RECORDS_FILE),
         period_us=config.loop.period_us,
+        notes=assembly.recording_notes(config, config.bus.spec),
     )
     planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
     outcome = RunOutcome(completed=False, reason=_UNKNOWN_END, cycles_planned=planned)

@@ -33,6 +33,7 @@ from hil.recording.records_file import (
     read_metadata,
     read_records,
 )
+from hil.recording.rerun_anew import write_rerun_anew
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import (
     DIRECTIONS_FILE,
@@ -56,8 +57,6 @@ from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
 from hil.verdict import RunOutcome
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
-
-_UNFINISHED_RERUN = f"{RERUN_FILE} has no verdict and may lack the last seconds: rerun rrd optimize mends it"
 
 
 class Rings:
@@ -97,7 +96,7 @@ def recover(
         if (folder / name).exists():
             AppendFile(folder / name, fresh=False).close()
     _as_many_directions(folder)
-    told = [*faults, _UNFINISHED_RERUN]
+    told = [*faults]
     if plan.frames:
         told += _keep_frames(plan, folder, rings)
     if rings is not None:
@@ -113,13 +112,20 @@ def recover(
     figures = review.figures()
     if planned is not None and figures.cycles < planned:
         told.append(f"{figures.cycles} of {planned} planned cycles are recorded")
-    summary = summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
+
+    def summed_up() -> Summary:
+        return summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
+
     reserve.release()
     if network is not None:
-        network.finish(summary)
+        network.finish(summed_up())
+    try:
+        write_rerun_anew(plan, summed_up(), review.delay)
+    except OSError as error:
+        told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()
-    write_summary(folder, summary)
-    return summary
+    write_summary(folder, summed_up())
+    return summed_up()
 
 
 def _keep_the_rest(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:

@@ -14,9 +14,11 @@ from typer.testing import CliRunner
 from hil.cli import app
 from hil.configuration.bench_file import load_bench
 from hil.figures.summary import Summary
+from hil.recording import rerun_anew
 from hil.recording.records_file import read_records
 from hil.recording.run_folder import Reserve
 from tests.unit.hil.synthetic_run import synthetic_records
+from tests.unit.hil.test_telemetry import RPM, columns, numbers
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 PERIOD_S = 0.001
@@ -81,6 +83,29 @@ def test_all_but_the_last_200_ms_are_there(run: Path) -> None:
     assert frames.endswith("\n")
     assert not (run / "records.tail").exists()
     assert not (run / ".reserve").exists()
+
+
+def test_run_rrd_is_made_anew_from_the_other_files(run: Path) -> None:
+    before = json.loads(recover(run, "--json")[1])
+    rows = np.concatenate(list(read_records(run / "records.arrow")))
+    times, reference = numbers(run / "run.rrd", "/axis1/speed/reference")
+    np.testing.assert_array_equal(times, rows["due_at"])
+    np.testing.assert_allclose(reference, rows["reference_rad_s"] * RPM)
+    (((shown,),),) = [columns(run / "run.rrd", "/summary", "TextDocument:text")[1]]
+    assert json.loads(str(shown)) == before
+    assert not any("run.rrd" in fault for fault in before["recording_faults"])
+    assert not (run / "run.rrd.part").exists()
+
+
+def test_run_rrd_is_left_alone_where_there_is_no_room_for_it(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = (run / "run.rrd").read_bytes()
+    monkeypatch.setattr(rerun_anew, "ROOM_BYTES", 1 << 60)
+    assert recover(run)[0] == 0
+    faults = json.loads((run / "summary.json").read_text())["recording_faults"]
+    assert any(fault.startswith("run.rrd has no verdict") for fault in faults)
+    assert (run / "run.rrd").read_bytes() == there
 
 
 def test_the_verdict_says_what_is_missing(run: Path) -> None:

@@ -1,0 +1,73 @@
+"""run.rrd of a recording whose logger did not live to end it, made anew from the other files."""
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+from uuid import uuid4
+
+import rerun as rr
+
+from drivers.timebase import Instant
+from hil.figures.histogram import TimeHistogram
+from hil.figures.summary import Summary
+from hil.recording.recording_plan import RecordingPlan
+from hil.recording.records import ROW
+from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.recording.run_folder import EVENTS_FILE, LOAD_FILE
+from hil.recording.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.recording.telemetry import RERUN_FILE, Telemetry
+
+ROOM_BYTES: Final = 4 << 20
+"""For layout, verdict and events; rows take less than they do in memory."""
+
+
+def write_rerun_anew(plan: RecordingPlan, summary: Summary, delay: TimeHistogram) -> None:
+    """Put it in the place of the one that is there; all files beside it are whole.
+
+    It is not begun on a disk that it could fill: Rerun would wait there for ever. Error: OSError.
+    """
+    folder = plan.folder
+    assert folder is not None
+    needed = ROOM_BYTES + ROW.size * summary.cycles * len(plan.review.axes)
+    if shutil.disk_usage(folder).free < needed:
+        raise OSError(f"less than {needed >> 20} MB are free")
+    part = folder / f"{RERUN_FILE}.part"
+    try:
+        _write(folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, delay)
+        part.replace(folder / RERUN_FILE)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHistogram) -> None:
+    """As a logger sends it: what was before the first cycle, the cycles, what came after."""
+    telemetry.metadata = read_metadata(folder / RECORDS_FILE)
+    told = [*_events(folder / EVENTS_FILE), *_loads(folder / LOAD_FILE)]
+    telemetry.take_events([event for event in told if event.at <= 0])
+    for rows in read_records(folder / RECORDS_FILE):
+        telemetry.take_rows(rows)
+    telemetry.take_events([event for event in told if event.at > 0])
+    telemetry.show_histogram(delay)
+    telemetry.finish(summary)
+
+
+def _events(path: Path) -> Iterator[RunEvent]:
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        found = json.loads(line)
+        at = Instant(found["at_ns"])
+        if "begin" in found:
+            yield BeginEvent(at)
+        elif "track" in found:
+            yield StateEvent(at, found["track"], found["state"])
+        else:
+            yield TextEvent(at, found["level"], found["text"])
+
+
+def _loads(path: Path) -> Iterator[LoadEvent]:
+    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines() if path.exists() else ()):
+        at = Instant(int(row["at_ns"]))
+        yield LoadEvent(at, row["axis"], float(row["torque_nm"]), float(row["speed_rad_s"]))
