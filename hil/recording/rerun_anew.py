@@ -1,9 +1,9 @@
 """run.rrd of a recording whose logger did not live to end it, made anew from the other files."""
 
-import csv
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 from uuid import uuid4
@@ -22,6 +22,8 @@ from hil.recording.telemetry import RERUN_FILE, Telemetry
 
 ROOM_BYTES: Final = 4 << 20
 """For layout, verdict and events; rows take less than they do in memory."""
+
+INSTANT_MAX: Final = 1 << 62
 
 
 def write_rerun_anew(plan: RecordingPlan, summary: Summary, delay: TimeHistogram) -> None:
@@ -46,7 +48,7 @@ def write_rerun_anew(plan: RecordingPlan, summary: Summary, delay: TimeHistogram
 def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHistogram) -> None:
     """As a logger sends it: what was before the first cycle, the cycles, what came after."""
     telemetry.metadata = read_metadata(folder / RECORDS_FILE)
-    told = [*_events(folder / EVENTS_FILE), *_loads(folder / LOAD_FILE)]
+    told = [*_told(folder / EVENTS_FILE, _event), *_told(folder / LOAD_FILE, _load)]
     telemetry.take_events([event for event in told if event.at <= 0])
     for rows in read_records(folder / RECORDS_FILE):
         telemetry.take_rows(rows)
@@ -55,19 +57,30 @@ def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHist
     telemetry.finish(summary)
 
 
-def _events(path: Path) -> Iterator[RunEvent]:
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        found = json.loads(line)
-        at = Instant(found["at_ns"])
-        if "begin" in found:
-            yield BeginEvent(at)
-        elif "track" in found:
-            yield StateEvent(at, found["track"], found["state"])
-        else:
-            yield TextEvent(at, found["level"], found["text"])
+def _told(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]:
+    """The events in the lines of a file; a line that is none, such as a head, is passed over."""
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
+        with suppress(ValueError, KeyError, TypeError):
+            yield event_of(line)
 
 
-def _loads(path: Path) -> Iterator[LoadEvent]:
-    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines() if path.exists() else ()):
-        at = Instant(int(row["at_ns"]))
-        yield LoadEvent(at, row["axis"], float(row["torque_nm"]), float(row["speed_rad_s"]))
+def _event(line: str) -> RunEvent:
+    found = json.loads(line)
+    at = _instant(found["at_ns"])
+    if "begin" in found:
+        return BeginEvent(at)
+    if "track" in found:
+        return StateEvent(at, str(found["track"]), str(found["state"]))
+    return TextEvent(at, str(found["level"]), str(found["text"]))
+
+
+def _load(line: str) -> RunEvent:
+    at, axis, torque_nm, speed_rad_s = line.split(",")
+    return LoadEvent(_instant(int(at)), axis, float(torque_nm), float(speed_rad_s))
+
+
+def _instant(value: int) -> Instant:
+    """Raises ValueError for what no clock shows."""
+    if not isinstance(value, int) or abs(value) > INSTANT_MAX:
+        raise ValueError(value)
+    return Instant(value)
