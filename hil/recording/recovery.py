@@ -143,8 +143,8 @@ def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list
     try:
         keeper = EventsKeeper(plan, folder, counted, fresh=False)
         keeper.take(np.empty(0, ROW_DTYPE), np.empty(0, FRAME_DTYPE), events)
-    except (OSError, ValueError) as error:
-        return [f"{EVENTS_FILE} ends before the run: {error}"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:  # a line may be anything
+        return [f"{EVENTS_FILE} is not in run time: {error}"]
     return []
 
 

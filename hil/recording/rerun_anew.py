@@ -1,6 +1,5 @@
 """run.rrd of a recording whose logger did not live to end it, made anew from the other files."""
 
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -10,6 +9,9 @@ from uuid import uuid4
 
 import rerun as rr
 
+from drivers.bounded_file import parse_json
+from drivers.errors import BadInput
+from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.figures.histogram import TimeHistogram
 from hil.figures.summary import Summary
@@ -60,23 +62,23 @@ def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHist
 def _told(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]:
     """The events in the lines of a file; a line that is none, such as a head, is passed over."""
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
-        with suppress(ValueError, KeyError, TypeError):
+        with suppress(BadInput, ValueError, KeyError, TypeError):
             yield event_of(line)
 
 
 def _event(line: str) -> RunEvent:
-    found = json.loads(line)
+    found = parse_json(line, EVENTS_FILE, "an event")
     at = _instant(found["at_ns"])
     if "begin" in found:
         return BeginEvent(at)
     if "track" in found:
-        return StateEvent(at, str(found["track"]), str(found["state"]))
-    return TextEvent(at, str(found["level"]), str(found["text"]))
+        return StateEvent(at, printable(str(found["track"])), printable(str(found["state"])))
+    return TextEvent(at, printable(str(found["level"])), printable(str(found["text"])))
 
 
 def _load(line: str) -> RunEvent:
     at, axis, torque_nm, speed_rad_s = line.split(",")
-    return LoadEvent(_instant(int(at)), axis, float(torque_nm), float(speed_rad_s))
+    return LoadEvent(_instant(int(at)), printable(axis), float(torque_nm), float(speed_rad_s))
 
 
 def _instant(value: int) -> Instant:
