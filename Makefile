@@ -6,7 +6,8 @@
 #   make test        the tests that need no SocketCAN
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
-#   make swarm       hold runs drawn at random against what must be true of each, for at most SECONDS
+#   make swarm       hold runs drawn at random against what must be true of each, and mutated files
+#                    against their loaders, for at most SECONDS each
 #   make bench       print the benchmarks' figures
 #   make compile     compile the hot modules; demo, test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command: the same)
@@ -91,6 +92,7 @@ truth: $(TOOLS) compile
 
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
+	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python
