@@ -34,7 +34,8 @@ def running(
     """A run in a thread of its own, and the witnesses of its drives."""
     config = load_bench(EXAMPLES / "ling2012.toml")
     short = config.model_copy(update={"bench": config.bench.model_copy(update={"duration_s": 0.6})})
-    with witnessed() as drives, ThreadPoolExecutor(1) as pool:
+    drives: list[DriveWitness] = []
+    with witnessed(drives), ThreadPoolExecutor(1) as pool:
         yield (
             pool.submit(
                 run_bench,
