@@ -8,10 +8,14 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.record import replaced
+from drivers.timebase import NS_PER_MS
 from hil.samples import Observation, Sample
 
 HELD_MAX: Final = 64
 """Cycles for which a row waits for the answer to a question: longer than one stays open."""
+HELD_FOR: Final = 150 * NS_PER_MS
+"""The longest that a row waits so: those that wait in this process are gone if it is killed, and at most the
+last 200 ms of a run may be. Rows that were not waited for stay uncertain."""
 
 Tell = Callable[[str], None]
 
@@ -53,7 +57,7 @@ class Question:
     """What is held back while it is open which SYNCs the last readings answer.
 
     A reading that comes meanwhile is marked uncertain at first. With the answer its mark is taken back, or
-    stays; the rows of a run wait for that (:attr:`HELD_MAX` cycles at most).
+    stays; the rows of a run wait for that (:data:`HELD_MAX` cycles, :data:`HELD_FOR` at most).
     """
 
     __slots__ = ("_amended", "cleared", "open")

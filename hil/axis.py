@@ -8,7 +8,7 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.record import replaced
 from drivers.timebase import Duration, Instant
-from hil.attribution import HELD_MAX
+from hil.attribution import HELD_FOR, HELD_MAX
 from hil.command_meter import CommandMeter
 from hil.compensation import Compensator
 from hil.controllers import Controller
@@ -108,6 +108,7 @@ class Axis:
         self._number = number
         self._period = period
         self._half_period = period // 2
+        self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
         self._acts_later = acts_later
         self._drive = parts.drive
@@ -304,7 +305,7 @@ class Axis:
     def _hold_cycles(self) -> int:
         """How long a row waits, in cycles, for what may still become known of its reading."""
         if self._by_stamp.question.open or self._by_order.question.open:
-            return HELD_MAX
+            return self._held_max
         return REVOKED if self._by_stamp.spread else 0
 
     def _hold(self, fate: Fate) -> None:
