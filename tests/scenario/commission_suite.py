@@ -63,6 +63,7 @@ class CommissionSuite:
         assert turn["position_rad"] == pytest.approx(truth["units"]["position_rad"], rel=1e-3)
         assert turn["velocity_rad_s"] == pytest.approx(truth["units"]["velocity_rad_s"], rel=1e-3)
         mechanics = steps["mechanics"]["figures"]
+        assert mechanics, steps["mechanics"]
         assert mechanics["inertia_kg_m2"] == pytest.approx(truth["motor"]["inertia_kg_m2"], rel=0.1)
         watch = steps["watchdog"]["figures"]
         assert watch["timeout_ms"] == 1500
