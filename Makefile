@@ -7,6 +7,7 @@
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, for at most SECONDS
+#   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
 #   make compile     compile the hot modules; demo, test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command: the same)
@@ -25,7 +26,7 @@ TOOLS   := $(VENV)/.tools
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure demo check format test test-vcan truth swarm bench lock clean
+.PHONY: help setup compile pure demo check format test test-vcan truth swarm exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -91,6 +92,9 @@ truth: $(TOOLS) compile
 
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
+
+exits: $(TOOLS) compile
+	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python

@@ -4,7 +4,7 @@ A witness stands innermost, behind every fault, so no fault hides anything from 
 of it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 from unittest.mock import patch
@@ -22,15 +22,35 @@ VELOCITY_UNIT_RAD_S: Final = 2.0 * 3.141592653589793 / 60.0 * 1e-3
 """606Ch of the simulated drive counts 0.001 r/min."""
 
 
-class DriveWitness:
-    """Stands in front of one simulated drive."""
+class DriveHistory:
+    """What one drive did."""
 
-    def __init__(self, drive: SimulatedServo) -> None:
-        self.node_id: int = drive.node_id
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
         self.states: list[tuple[Instant, State]] = []
         """Each with the first instant at which it was seen."""
         self.emergencies: list[tuple[Instant, int]] = []
         """Error codes other than 0000h, each with when the drive sent it."""
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Of the shaft, when last seen."""
+        raise NotImplementedError
+
+    def enabled_throughout(self, first: Instant, last: Instant) -> bool:
+        """Whether it was in OPERATION ENABLED from one instant to another."""
+        before = [state for at, state in self.states if at <= first][-1:]
+        inside = [state for at, state in self.states if first < at <= last]
+        return bool(before) and all(state is State.OPERATION_ENABLED for state in (*before, *inside))
+
+
+class DriveWitness(DriveHistory):
+    """Stands in front of one simulated drive."""
+
+    def __init__(self, drive: SimulatedServo) -> None:
+        super().__init__(drive.node_id)
+        self.seen_at = Instant(0)
+        """When it last heard or did something."""
         self._drive = drive
 
     def __getattr__(self, name: str) -> Any:
@@ -39,14 +59,8 @@ class DriveWitness:
 
     @property
     def speed_rad_s(self) -> float:
-        """Of the shaft, as the drive has it."""
+        """As the drive has it."""
         return int(self._drive.dictionary.variable(VELOCITY, 0).read()) * VELOCITY_UNIT_RAD_S
-
-    def enabled_throughout(self, first: Instant, last: Instant) -> bool:
-        """Whether it was in OPERATION ENABLED from one instant to another."""
-        before = [state for at, state in self.states if at <= first][-1:]
-        inside = [state for at, state in self.states if first < at <= last]
-        return bool(before) and all(state is State.OPERATION_ENABLED for state in (*before, *inside))
 
     def start(self, now: Instant) -> Sequence[Frame]:
         """See :class:`virtual_bus.frame.Device`."""
@@ -61,6 +75,7 @@ class DriveWitness:
         return self._seen(self._drive.wake(now), now)
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
+        self.seen_at = now
         state = self._drive.drive_state
         if not self.states or self.states[-1][1] is not state:
             self.states.append((now, state))
@@ -73,7 +88,9 @@ class DriveWitness:
 
 
 @contextmanager
-def witnessed() -> Iterator[list[DriveWitness]]:
+def witnessed(
+    witness: Callable[[SimulatedServo], DriveWitness] = DriveWitness,
+) -> Iterator[list[DriveWitness]]:
     """Every drive that a bench simulates in this process has a witness as long as the context lasts."""
     witnesses: list[DriveWitness] = []
 
@@ -82,7 +99,7 @@ def witnessed() -> Iterator[list[DriveWitness]]:
         watched: list[Any] = []
         for device in devices:
             if isinstance(device, SimulatedServo):
-                witnesses.append(DriveWitness(device))
+                witnesses.append(witness(device))
                 watched.append(witnesses[-1])
             else:
                 watched.append(device)
