@@ -6,7 +6,8 @@
 #   make test        the tests that need no SocketCAN
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
-#   make swarm       hold runs drawn at random against what must be true of each, for at most SECONDS
+#   make swarm       hold runs drawn at random against what must be true of each, and mutated files
+#                    against their loaders, for at most SECONDS each
 #   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
 #   make compile     compile the hot modules; demo, test and bench do it by themselves
@@ -24,6 +25,8 @@ RUNTIME := $(VENV)/.runtime
 TOOLS   := $(VENV)/.tools
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# The matrices are small: a second thread costs more than it saves, and takes a core from the tests beside it.
+export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup compile pure demo check format test test-vcan truth swarm exits bench lock clean
@@ -92,6 +95,7 @@ truth: $(TOOLS) compile
 
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
+	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
 
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)

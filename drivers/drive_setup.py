@@ -31,8 +31,6 @@ from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 DEVICE_TYPE = 0x1000
 COMMUNICATION_CYCLE_PERIOD = 0x1006
 DEVICE_NAME = 0x1008
-CONSUMER_HEARTBEAT_TIME = 0x1016
-PRODUCER_HEARTBEAT_TIME = 0x1017
 IDENTITY = 0x1018
 ERROR_BEHAVIOUR = 0x1029
 NO_CHANGE_OF_NMT_STATE = 1
@@ -162,85 +160,6 @@ def _polarity_notes(polarity: int) -> list[str]:
     if not turned:
         return []
     return [f"607Eh turns the sign of {' and '.join(turned)}, not of torque: see that the loop pushes back"]
-
-
-class Heartbeats(NamedTuple):
-    """Who watches whom."""
-
-    consumer_entry: int
-    """Sub-index of 0x1016 in which the drive watches the host; 0 if it cannot."""
-    produced: bool
-    """The drive sends a heartbeat."""
-
-    @property
-    def notes(self) -> list[str]:
-        """What is not watched."""
-        found = []
-        if not self.consumer_entry:
-            found.append("1016h is missing or not taken: the drive does not notice that the host is gone")
-        if not self.produced:
-            found.append("1017h is missing: the host does not notice that the drive is gone")
-        return found
-
-
-def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> Heartbeats:
-    """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19).
-
-    Both are needed, unless the settings bear an unwatched drive: raises SettingRefused or TransferAborted if
-    the drive has them not, or does not take them.
-    """
-    produced = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H") is not None
-    watched = objects.read_if_there(CONSUMER_HEARTBEAT_TIME, 0, "B") is not None
-    if not (produced and watched) and not settings.unwatched:
-        raise SettingRefused(
-            f"node {objects.node_id} has no {'1017h' if watched else '1016h'}",
-            "; ".join(Heartbeats(int(watched), produced).notes),
-            "if somebody can stop it by hand, say so: unwatched = true",
-        )
-    if produced:
-        objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", settings.drive_heartbeat_ms)
-    if not watched:
-        return Heartbeats(0, produced)
-    try:
-        return Heartbeats(_watch_host(objects, settings), produced)
-    except (SettingRefused, TransferAborted):
-        if settings.unwatched:
-            return Heartbeats(0, produced)
-        raise
-
-
-def _watch_host(objects: RemoteObjects, settings: DriveSettings) -> int:
-    """Have the drive watch the host; the sub-index of 0x1016 that does."""
-    entry = consumer_entry(objects)
-    word = objects.network.node_id << 16 | settings.host_heartbeat_timeout_ms
-    objects.write_verified(CONSUMER_HEARTBEAT_TIME, entry, "I", word)
-    return entry
-
-
-def consumer_entry(objects: RemoteObjects) -> int:
-    """Sub-index of 0x1016 that watches the host already, or the first that watches nobody.
-
-    A second entry for one node is forbidden, so the first search goes first.
-    """
-    host = objects.network.node_id
-    count = objects.read(CONSUMER_HEARTBEAT_TIME, 0, "B")
-    words = [objects.read(CONSUMER_HEARTBEAT_TIME, sub) for sub in range(1, count + 1)]
-    for sub, word in enumerate(words, start=1):
-        if word >> 16 & 0x7F == host:
-            return sub
-    for sub, word in enumerate(words, start=1):
-        if not word & 0xFFFF or not word >> 16 & 0x7F:
-            return sub
-    raise SettingRefused(
-        f"node {objects.node_id} has no room to watch the host's heartbeat",
-        f"all {count} entries of 1016h watch other nodes",
-        "clear one of them",
-    )
-
-
-def forget_host(objects: RemoteObjects, entry: int) -> None:
-    """Have the drive watch the host no more, so that it takes no leave for a loss."""
-    objects.write(CONSUMER_HEARTBEAT_TIME, entry, "I", 0)
 
 
 def write_reactions(objects: RemoteObjects) -> list[str]:

@@ -5,17 +5,16 @@ from typing import Final
 from drivers.drive_setup import (
     DriveSettings,
     Identity,
-    forget_host,
     map_pdos,
     read_identity,
     read_scaling,
-    write_heartbeats,
     write_limits,
     write_reactions,
 )
 from drivers.drive_watch import DriveWatch
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.heartbeats import HostWatch, forget_host, write_heartbeats
 from drivers.mode_control import MODE_BITS, ModeControl
 from drivers.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
 from drivers.network import CanopenNetwork
@@ -71,7 +70,7 @@ class ServoDrive(Drive):
         self.modes = ModeControl(self.control)
         self.motion: Motion | None = None
         self._assembler: ReadingAssembler | None = None
-        self._consumer_entry = 0
+        self._host_watch: HostWatch | None = None
         self._beats = True
         self._watch = DriveWatch(self.control, self.status, self._told)
         self.supervision = CommandSupervision(self.objects)
@@ -105,7 +104,7 @@ class ServoDrive(Drive):
         if not network.produces_heartbeat:
             network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
         beats = write_heartbeats(self.objects, settings)
-        self._consumer_entry, self._beats = beats.consumer_entry, beats.produced
+        self._host_watch, self._beats = beats.host_watch, beats.produced
         watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
         network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
@@ -181,14 +180,14 @@ class ServoDrive(Drive):
         deadline = self.network.deadline_after(limit)
         failure = self._try_to_stop(deadline)
         if failure is not None:
-            done = end_heartbeat(self.network, watched=bool(self._consumer_entry))
+            done = end_heartbeat(self.network, watched=self._host_watch is not None)
             return Release(False, self.state, f"{failure}; {done}")
         rested_at = self.network.clock.now()
         try:
-            self._leave()
+            unwatched = self._leave()
         except PeerFault as error:
             return Release(True, self.state, str(error), rested_at)
-        return Release(True, self.state, rested_at=rested_at)
+        return Release(True, self.state, rested_at=rested_at, unwatched=unwatched)
 
     def reset_fault(self, deadline: Instant) -> None:
         """Send a rising edge of the fault reset bit; raises DriveInFault if the fault stays."""
@@ -378,12 +377,12 @@ class ServoDrive(Drive):
             else:
                 return None
 
-    def _leave(self) -> None:
-        """End the watch on either side, and the PDOs."""
+    def _leave(self) -> str:
+        """End the watch on either side, and the PDOs; as :func:`drivers.heartbeats.forget_host`."""
         self.network.watch(self.node_id, Duration(0))
-        if self._consumer_entry:
-            forget_host(self.objects, self._consumer_entry)
+        unwatched = "" if self._host_watch is None else forget_host(self.objects, self._host_watch)
         self.network.command(NmtCommand.ENTER_PRE_OPERATIONAL, self.node_id)
+        return unwatched
 
     def _stop_following(self) -> None:
         """No frame from now on carries torque, and ``check`` no longer asks for OPERATION ENABLED."""

@@ -222,7 +222,6 @@ def recording_plan(
     ``folder``: None if no files are to be kept. ``certified``: of the axes whose controllers have
     certificates.
     """
-    first = config.drive[config.axes[0]]
     return RecordingPlan(
         folder=folder,
         name=config.bench.name,
@@ -240,13 +239,19 @@ def recording_plan(
         period_us=config.loop.period_us,
         view=view,
         set_points=_set_points(config),
-        notes={
-            "motor": first.motor.motor.name,
-            "controller": first.controller.kind,
-            "compensator": first.compensator.kind,
-            "bus": bus,
-        },
+        notes=recording_notes(config, bus),
     )
+
+
+def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:
+    """What is shown beside the verdict; ``bus``: of the run."""
+    first = config.drive[config.axes[0]]
+    return {
+        "motor": first.motor.motor.name,
+        "controller": first.controller.kind,
+        "compensator": first.compensator.kind,
+        "bus": bus,
+    }
 
 
 def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> VerdictLimits:

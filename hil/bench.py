@@ -370,6 +370,8 @@ class _Run:
             release = drive.release()
             self._note_state(drive)
             self._conclusion.released(drive, release)
+            if release.unwatched:
+                self._say(f"{drive.name}: {release.unwatched}", "ERROR")
             if not release.at_rest:
                 self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
             elif release.rested_at is not None:

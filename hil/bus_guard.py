@@ -75,8 +75,9 @@ class _TpdoAccount:
 class BusGuard:
     """Of one run, on all its segments.
 
-    :meth:`arm` when the drives are configured, :meth:`calm` before they are let go, :meth:`end` at last.
-    Where a rule says ``stop``, whatever lets time pass raises ForeignTraffic, once.
+    :meth:`arm` when the drives are configured, and again whenever they or the SYNCs are others; :meth:`calm`
+    before they are let go, :meth:`end` at last. Where a rule says ``stop``, whatever lets time pass raises
+    ForeignTraffic, once.
     """
 
     def __init__(
@@ -102,25 +103,34 @@ class BusGuard:
         self._accounts: list[_TpdoAccount] = []
         self._errors: deque[int] = deque([error_frames()], maxlen=NS_PER_S // LOOK_EVERY + 1)
         self._look_at = Instant(0)
-        for segment in self._segments.values():
-            segment.network.on_emergency(self._emergency_listener(segment))
+        self._listening: dict[tuple[str | None, int], Handler] = {}
+        """By segment and identifier: what listens there, with whoever was there before."""
+        self._on_emergency = {
+            name: self._emergency_listener(segment) for name, segment in self._segments.items()
+        }
+        for name, segment in self._segments.items():
+            segment.network.on_emergency(self._on_emergency[name])
 
     def arm(self, syncs: Mapping[str | None, SyncLog], own_sync: bool) -> None:
         """From now on nobody else has anything to say to the drives, which are configured.
 
-        ``syncs``: of each segment, by name. ``own_sync``: the bench alone makes them.
+        ``syncs``: by the name of their segment, where readings are held against them. ``own_sync``: the
+        bench alone makes them.
         """
         self._ends_run = True
+        self._accounts = []
         for name, segment in self._segments.items():
-            self._watch_own_identifiers(segment, own_sync)
-            self._watch_nodes(segment)
+            self._watch_own_identifiers(name, segment, own_sync)
+            self._watch_nodes(name, segment)
             segment.network.on_surplus_answer = self._on_surplus_answer
-            self._accounts += _accounts(segment, syncs[name])
+            self._accounts += _accounts(segment, syncs[name]) if name in syncs else []
 
     def attend(self, now: Instant) -> None:
         """To be called in each cycle; costs something ten times a second."""
         if now < self._look_at:
             return
+        if now - self._look_at > NS_PER_S:
+            self._forget_errors()
         self._look_at = Instant(now + LOOK_EVERY)
         for account in self._accounts:
             surplus = account.surplus()
@@ -131,8 +141,7 @@ class BusGuard:
         rise = errors - self._errors[0]
         self._errors.append(errors)
         if rise >= ERRORS_A_SECOND_MAX:
-            self._errors.clear()
-            self._errors.append(errors)
+            self._forget_errors()
             what = f"{ERRORS_A_SECOND_MAX} and more error frames within a second"
             self._note(self._rules.on_bus_errors, what, now, f"{rise} now, {errors} in all")
 
@@ -161,6 +170,10 @@ class BusGuard:
 
     # ---- inside ---------------------------------------------------------------------------------------
 
+    def _forget_errors(self) -> None:
+        self._errors.clear()
+        self._errors.append(self._error_frames())
+
     def _note(self, rule: Rule, what: str, at: Instant, detail: str, count: int = 1) -> None:
         self._count(what, at, f"{what}: {detail}", count)
         if rule == "stop" and self._ends_run:
@@ -173,23 +186,37 @@ class BusGuard:
         if not before:
             self._tell(at, "WARN", text)
 
-    def _watch_own_identifiers(self, segment: GuardedSegment, own_sync: bool) -> None:
+    def _watch_own_identifiers(self, name: str | None, segment: GuardedSegment, own_sync: bool) -> None:
         network = segment.network
         own = [_NMT, ERROR_CONTROL + network.node_id, *([SYNC] if own_sync else [])]
         for drive in segment.drives:
             own += [pdo.cob_id for pdo in drive.plan.rpdos] if drive.plan is not None else []
-            _listen_too(network, SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
+            self._listen_too(name, SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
         for can_id in own:
-            _listen_too(network, can_id, self._foreign_watcher(can_id))
+            self._listen_too(name, can_id, self._foreign_watcher(can_id))
 
-    def _watch_nodes(self, segment: GuardedSegment) -> None:
+    def _watch_nodes(self, name: str | None, segment: GuardedSegment) -> None:
         own = {drive.node_id for drive in segment.drives}
-        listener = self._emergency_listener(segment)
+        listener = self._on_emergency[name]
         for node_id in range(1, NODE_ID_MAX + 1):
             if node_id != segment.network.node_id:
-                _listen_too(segment.network, ERROR_CONTROL + node_id, self._boot_watcher(node_id))
+                self._listen_too(name, ERROR_CONTROL + node_id, self._boot_watcher(node_id))
             if node_id not in own:
-                _listen_too(segment.network, EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+                self._listen_too(name, EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+
+    def _listen_too(self, name: str | None, can_id: int, handler: Handler) -> None:
+        """Beside whoever listens there already, and after him."""
+        handlers = self._segments[name].network.frame_pump.handlers
+        first = handlers.get(can_id)
+        if first is not None and first is self._listening.get((name, can_id)):
+            return
+
+        def both(data: bytes, at: Instant) -> None:
+            if first is not None:
+                first(data, at)
+            handler(data, at)
+
+        handlers[can_id] = self._listening[name, can_id] = both
 
     def _foreign_watcher(self, can_id: int) -> Handler:
         what = f"{frame_name(can_id)} ({can_id:03X}h) that the bench did not send"
@@ -251,18 +278,3 @@ def _emergency_watcher(node_id: int, listener: Callable[[Emergency], None]) -> H
             listener(emergency)
 
     return watch
-
-
-def _listen_too(network: CanopenNetwork, can_id: int, handler: Handler) -> None:
-    """Beside whoever listens there already, and after him."""
-    before = network.frame_pump.handlers.get(can_id)
-    if before is None:
-        network.listen(can_id, handler)
-        return
-    first = before
-
-    def both(data: bytes, at: Instant) -> None:
-        first(data, at)
-        handler(data, at)
-
-    network.listen(can_id, both)

@@ -7,6 +7,11 @@ from hil.hidden_rooms import refuse_hidden_rooms
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
+import os
+
+# before numpy is imported: the matrices are small here, and more threads take longer for them than one
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import json
 import sys
 from enum import StrEnum

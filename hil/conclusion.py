@@ -94,7 +94,13 @@ class Conclusion:
             return
         # A drive that was not configured was not moved by this bench, and nobody knows its unit of speed.
         at_rest = None if release.at_rest and drive.plan is None else release.at_rest
-        self._note(drive.name, at_the_end=_label(release.state), at_rest=at_rest, evidence=release.evidence)
+        self._note(
+            drive.name,
+            at_the_end=_label(release.state),
+            at_rest=at_rest,
+            evidence=release.evidence,
+            unwatched=release.unwatched,
+        )
 
     def told(self, drive: ServoDrive, since: Instant, zero: Instant | None) -> None:
         """Take in the EMCYs of a drive ``since`` an instant; ``zero``: when the run began, if it did."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
-from drivers.timebase import Duration, duration_s
+from drivers.timebase import Duration, Instant, duration_s
 from hil import assembly
 from hil.configuration.config import BenchConfig
 from hil.figures.summary import Summary
@@ -16,7 +16,7 @@ from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records_file import RECORDS_FILE, read_metadata
 from hil.recording.recovery import recover
 from hil.recording.run_folder import BENCH_FILE, SUMMARY_FILE
-from hil.recording.run_metadata import FIRST_CYCLE, FIRST_CYCLE_EPOCH
+from hil.recording.run_metadata import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.verdict import RunOutcome
 
 _UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended before it"
@@ -39,6 +39,12 @@ def _stamp_offset(records: Path) -> Duration | None:
     return Duration(int(found[FIRST_CYCLE_EPOCH]) - int(found[FIRST_CYCLE])) if found else None
 
 
+def _started_at(records: Path) -> Instant:
+    """Start of the recording on the bench clock, by the head of the records; 0 if it says nothing."""
+    found = read_metadata(records) if records.exists() else {}
+    return Instant(int(found[BENCH_START]) + int(found[FIRST_CYCLE])) if found else Instant(0)
+
+
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
     """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
     spec = parse_bus_spec(config.bus.spec, config.source)
@@ -55,6 +61,8 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         segments=tuple(segment.name for segment in config.bus.segment),
         wall_offset=_stamp_offset(folder / RECORDS_FILE),
         period_us=config.loop.period_us,
+        started_at=_started_at(folder / RECORDS_FILE),
+        notes=assembly.recording_notes(config, config.bus.spec),
     )
     planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
     outcome = RunOutcome(completed=False, reason=_UNKNOWN_END, cycles_planned=planned)

@@ -105,6 +105,8 @@ class DriveEnd:
     """Whether its shaft was read to be at rest then (606Ch); None: not asked."""
     evidence: str = ""
     """What went wrong while it was stopped."""
+    unwatched: str = ""
+    """If its 1016h held something else at the end than was written into it, what."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +279,8 @@ def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
         if drive.at_rest is False or (drive.at_rest is None and outcome.completed):
             text = f"{drive.name} is not confirmed at rest: {drive.evidence}".removesuffix(": ")
             yield Finding(Outcome.PEER_FAULT, text)
+        if drive.unwatched:
+            yield Finding(Outcome.PEER_FAULT, f"{drive.name}: {drive.unwatched}")
     for emergency in outcome.emergencies:
         yield Finding(Outcome.PEER_FAULT, emergency)
     for doubt in outcome.distrust:

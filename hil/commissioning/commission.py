@@ -95,6 +95,7 @@ def _finish(session: Session, result: Commissioned) -> None:
             if result.restoration.complete:
                 journal.note_restored()
     finally:
+        session.guard.end(session.clock_now)
         network.produce_heartbeat(Duration(0))
         network.watch(session.request.node, Duration(0))
         journal.close()
@@ -105,6 +106,8 @@ def _finish(session: Session, result: Commissioned) -> None:
 
 def _rest(session: Session) -> None:
     release = session.drive.release()
+    if release.unwatched:
+        session.dialog.tell(f"{session.drive.name}: {release.unwatched}")
     if not release.at_rest:
         session.dialog.tell(f"the drive is not confirmed at rest: {release.evidence}")
 

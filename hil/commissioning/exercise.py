@@ -13,6 +13,7 @@ from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.axis import Axis, AxisParts
+from hil.bus_guard import BusGuard
 from hil.clock_map import ClockMap
 from hil.command_meter import CommandMeter
 from hil.commissioning.drive_port import DrivePort, Quantity
@@ -166,6 +167,7 @@ class Exerciser:
         should_stop: Callable[[], bool],
         check_stop: Callable[[], None],
         energy: EnergyMeter,
+        guard: BusGuard,
     ) -> None:
         """``should_stop``: asked each cycle. ``check_stop`` then raises what tells the caller to stop it."""
         self.port = port
@@ -176,6 +178,7 @@ class Exerciser:
         self._should_stop = should_stop
         self._check_stop = check_stop
         self._energy = energy
+        self._guard = guard
 
     def run(
         self,
@@ -193,15 +196,18 @@ class Exerciser:
         syncs = sync_log(self._network, self.timing.sync_latency, self.timing.period)
         axis = self._axis(controller, reference or [], syncs, records, guard_speed)
         pump, clock = self._network.frame_pump, self._network.clock
-        loop = Loop(pump, clock, [axis], OwnSync(pump, clock, self.timing.period, [syncs]), self.timing)
+        pace = OwnSync(pump, clock, self.timing.period, [syncs])
+        loop = Loop(pump, clock, [axis], pace, self.timing, self._guard.attend)
         # A reading that is still on its way from before would be taken for the answer to the first SYNC.
         self._network.pump(Instant(self._network.clock.now() + self.timing.settle))
         self.port.take_readings()
         self.port.begin()
+        self._guard.arm({None: syncs}, own_sync=True)
         loop.calibrate()
         loop.run(
             duration_s(duration), lambda: self._should_stop() or done(), lambda _at: None, lambda _done: None
         )
+        self._guard.calm()  # the SYNCs of other steps are not counted
         self._check_stop()
         return recording_of(records)
 

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.drive_setup import PRODUCER_HEARTBEAT_TIME, Identity
+from drivers.drive_setup import Identity
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
+from drivers.heartbeats import PRODUCER_HEARTBEAT_TIME
 from drivers.network import CanopenNetwork
 from drivers.nmt import NmtCommand, NmtState
 from drivers.objects import RemoteObjects

@@ -19,6 +19,7 @@ from drivers.scaling import ScaleOverride, Scaling
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.assembly import COMMAND_FRAME, SYNC_FRAME
+from hil.bus_guard import BusGuard
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
 from hil.commissioning.exercise import EnergyMeter, Exerciser
@@ -27,6 +28,7 @@ from hil.commissioning.journal import ObjectKey
 from hil.commissioning.journaled import JournaledNetwork
 from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import CommissionRequest, MotionLimits
+from hil.configuration.config import Guard
 from hil.loop import Actuation, LoopTiming
 from hil.machine.stopping import Interrupted
 from hil.world import World
@@ -105,10 +107,15 @@ class Session:
         self.capability = None if sheet is None else capability_of(sheet)
         self.drive = ServoDrive(network, request.node, "drive")
         self.objects = self.drive.objects
+        self.guard = BusGuard({None: network}, [self.drive], Guard(), self._tell, world.error_frames)
         self.found = Findings()
         self.configured = False
         self.energy = EnergyMeter()
         self.port: DrivePort | None = None
+
+    def _tell(self, _at: Instant, _level: str, text: str) -> None:
+        """What the guard saw."""
+        self.dialog.tell(f"    {text}")
 
     def begin_step(self) -> None:
         """Each step has its own bound on the work it may do."""
@@ -194,6 +201,7 @@ class Session:
         if self.port is not None:
             port.torque_sign, port.velocity_sign = self.port.torque_sign, self.port.velocity_sign
         self.port = port
+        self.guard.arm({}, own_sync=True)
         return notes
 
     def choose_period(self, mode: Mode) -> tuple[Duration, float]:
@@ -234,6 +242,7 @@ class Session:
             self.stop,
             self.check_stop,
             self.energy,
+            self.guard,
         )
 
     @contextmanager

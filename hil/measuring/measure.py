@@ -11,9 +11,11 @@ from drivers.objects402 import Object
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.axis import Axis
+from hil.bus_guard import BusGuard
 from hil.commissioning.journal import Journal
 from hil.commissioning.journaled import JournaledNetwork
 from hil.commissioning.restore import head_of, restore
+from hil.configuration.config import Guard
 from hil.connecting import connect
 from hil.loop import Loop, LoopOutcome
 from hil.machine.stopping import StopRequest
@@ -72,6 +74,8 @@ class _Measurement:
         self._subjects = [
             Subject(ServoDrive(self._network, node), world.clock, request) for node in request.nodes
         ]
+        drives = [subject.drive for subject in self._subjects]
+        self._guard = BusGuard({None: self._network}, drives, Guard(), self._tell, world.error_frames)
         self._axes: list[Axis] = []
         self._timing = timing_of(request)
 
@@ -108,7 +112,8 @@ class _Measurement:
         stall = None if world.faults is None else world.faults.host_stall
         pump = self._network.frame_pump
         pace = OwnSync(pump, world.clock, timing.period, [syncs], stall)
-        loop = Loop(pump, world.clock, self._axes, pace, timing)
+        self._guard.arm({None: syncs}, own_sync=True)
+        loop = Loop(pump, world.clock, self._axes, pace, timing, self._guard.attend)
         self._progress("calibrating", 0.0)
         loop.calibrate()
         self._stop.check()
@@ -121,6 +126,10 @@ class _Measurement:
             duration, self._stop, self._start, lambda done: self._progress("measuring", self._seconds(done))
         )
         return outcome, syncs
+
+    def _tell(self, _at: Instant, _level: str, text: str) -> None:
+        """What the guard saw."""
+        self._say(text)
 
     def _start(self, at: Instant) -> None:
         if self._world.faults is not None:
@@ -143,11 +152,14 @@ class _Measurement:
         """Every way out leads through here: rest, everything put back. What failed, in words."""
         self._progress("putting back", 0.0)
         network, failures = self._network, []
+        self._guard.calm()
         if self._world.faults is not None:
             self._world.faults.stop()
         for subject in self._subjects:
             if subject.configured:
                 release = subject.drive.release()
+                if release.unwatched:
+                    self._say(f"{subject.drive.name}: {release.unwatched}")
                 if not release.at_rest:
                     failures.append(f"{subject.drive.name} is not confirmed at rest: {release.evidence}")
         network.putting_back = True
@@ -165,6 +177,7 @@ class _Measurement:
             network.watch(node, Duration(0))
             journal.close()
         network.produce_heartbeat(Duration(0))
+        self._guard.end(network.clock.now())
         for text in failures:
             self._say(text)
         if not failures:
@@ -200,7 +213,7 @@ class _Measurement:
             host=stages.host_stages(all_rows[0], echoes),
             drives=drives,
             network=network_of(self._request.period_us, all_rows, all_ways),
-            timing=timing_report(self._axes, {self._request.bus: syncs}),
+            timing=timing_report(self._axes, {self._request.bus: syncs}, self._guard.counts),
             surplus=syncs.surplus,
             distrust=distrust(self._axes, self._timing.period),
         )

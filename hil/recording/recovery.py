@@ -15,6 +15,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from pyarrow import ArrowInvalid
 
 from drivers.timebase import Instant
 from hil.figures.review import Review
@@ -33,6 +34,7 @@ from hil.recording.records_file import (
     read_metadata,
     read_records,
 )
+from hil.recording.rerun_anew import write_rerun_anew
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import (
     DIRECTIONS_FILE,
@@ -56,8 +58,6 @@ from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
 from hil.verdict import RunOutcome
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
-
-_UNFINISHED_RERUN = f"{RERUN_FILE} has no verdict and may lack the last seconds: rerun rrd optimize mends it"
 
 
 class Rings:
@@ -97,11 +97,12 @@ def recover(
         if (folder / name).exists():
             AppendFile(folder / name, fresh=False).close()
     _as_many_directions(folder)
-    told = [*faults, _UNFINISHED_RERUN]
+    told = [*faults]
     if plan.frames:
         told += _keep_frames(plan, folder, rings)
+    told += _keep_events(plan, folder, rings)
     if rings is not None:
-        told += _keep_the_rest(plan, folder, rings)
+        told += _keep_faults(plan, folder, rings)
     told += whole_records(plan, folder, rings)
     review = Review(plan.review)
     network = NetworkKeeper(folder, plan.period_us, len(plan.review.axes)) if plan.period_us else None
@@ -113,33 +114,51 @@ def recover(
     figures = review.figures()
     if planned is not None and figures.cycles < planned:
         told.append(f"{figures.cycles} of {planned} planned cycles are recorded")
-    summary = summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
+
+    def summed_up() -> Summary:
+        return summarise(figures, outcome, plan.review.limits, str(folder), plan.seed, tuple(told))
+
     reserve.release()
     if network is not None:
-        network.finish(summary)
+        network.finish(summed_up())
+    try:
+        write_rerun_anew(plan, summed_up(), review.delay)
+    except OSError as error:
+        told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()
-    write_summary(folder, summary)
-    return summary
+    write_summary(folder, summed_up())
+    return summed_up()
 
 
-def _keep_the_rest(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
-    """Frames, events and faults that the logger had not taken; why some are missing."""
-    told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
+def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list[str]:
+    """Events that the logger had not taken, all in run time; why some are missing.
+
+    The logger may have come to know the first cycle later of the events than of the records.
+    """
     zero = _first_cycle(plan, folder / RECORDS_FILE, rings)
-    # of the events the logger may have come to know the first cycle later than of the records
     counted = zero if _counts_from_the_first_cycle(folder / EVENTS_FILE) else None
-    events: list[RunEvent] = list(rings.events)
+    events: list[RunEvent] = [] if rings is None else list(rings.events)
     if zero.told and counted is None and not any(isinstance(event, BeginEvent) for event in events):
         events.insert(0, BeginEvent(zero.at))
-    entries = FaultEntries(rings.fault_blocks, plan.started_at)
-    entries.take(zero, at_end=True)
-    no_rows = np.empty(0, ROW_DTYPE)
     try:
-        EventsKeeper(plan, folder, counted, fresh=False).take(no_rows, rings.frames, events)
+        keeper = EventsKeeper(plan, folder, counted, fresh=False)
+        keeper.take(np.empty(0, ROW_DTYPE), np.empty(0, FRAME_DTYPE), events)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:  # a line may be anything
+        return [f"{EVENTS_FILE} is not in run time: {error}"]
+    return []
+
+
+def _keep_faults(plan: RecordingPlan, folder: Path, rings: Rings) -> list[str]:
+    """What was injected and the logger had not taken; why some of it is missing."""
+    told = [f"{rings.refused} rows lost after the logger had ended"] if rings.refused else []
+    entries = FaultEntries(rings.fault_blocks, plan.started_at)
+    entries.take(_first_cycle(plan, folder / RECORDS_FILE, rings), at_end=True)
+    try:
         if plan.faults:
-            FaultsKeeper(folder, entries, fresh=False).take(no_rows, rings.frames, events)
+            keeper = FaultsKeeper(folder, entries, fresh=False)
+            keeper.take(np.empty(0, ROW_DTYPE), rings.frames, rings.events)
     except OSError as error:
-        told.append(f"events end before the run: {error.strerror}")
+        told.append(f"{FAULTS_FILE} ends before the run: {error.strerror}")
     return told
 
 
@@ -206,11 +225,11 @@ def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None)
             _rewrite(path, more, zero.at)
         else:
             finish_records(path)
-    except OSError as error:
+    except (OSError, ArrowInvalid) as error:
         with suppress(OSError):
             finish_records(path)
         lacking = sum(rows.size for rows in more)
-        return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error.strerror}"]
+        return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error}"]
     (folder / TAIL_FILE).unlink(missing_ok=True)
     return told
 
@@ -218,7 +237,7 @@ def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None)
 def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
     """``path`` with more rows, on the bench clock, behind those that it has.
 
-    Error: OSError; it is as it was then.
+    Error: OSError, or ArrowInvalid for rows that cannot be; it is as it was then.
     """
     part = path.with_name(f"{path.name}.part")
     writer = RecordsWriter(part)
@@ -228,7 +247,7 @@ def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
             writer.write(rows)
         writer.close()
         part.replace(path)
-    except OSError:
+    except (OSError, ArrowInvalid):
         writer.drop()  # a file that is open keeps its room on the disk
         part.unlink(missing_ok=True)
         raise

@@ -15,6 +15,8 @@ from hil.recording.recording_plan import RecordingPlan
 
 FIRST_CYCLE = "first_cycle_bench_ns"
 """Key of the first cycle's instant on the bench clock, from which all times count."""
+BENCH_START = "bench_start_ns"
+"""Start of the recording in run time."""
 FIRST_CYCLE_EPOCH = "first_cycle_epoch_ns"
 """The same as ns since 1970: what frames.log counts from."""
 _ROOT = Path(__file__).parents[2]
@@ -36,7 +38,7 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
         "time": "simulated" if plan.wall_offset is None else "real",
         FIRST_CYCLE_EPOCH: str(zero + plan.stamp_offset(zero)),
         FIRST_CYCLE: str(zero),
-        "bench_start_ns": str(plan.started_at - zero),
+        BENCH_START: str(plan.started_at - zero),
         "host": json.dumps(_host()),
         "servobench": _version(),
         "commit": _commit(),

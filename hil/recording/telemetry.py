@@ -6,7 +6,7 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,8 @@ class Telemetry:
             raise OSError(f"{RERUN_FILE}: {error}") from error
         self._stream.send_recording_name(f"{plan.name} seed {plan.seed}")
         self._stream.send_blueprint(layout(plan))
+        self.metadata: Mapping[str, str] = {}
+        """What is said of the run in place of what the plan and this machine say of it, if anything is."""
         self._origin: int | None = None
         self._held: list[RunEvent] = []
         self._first_at, self._last_at = _LATEST, -_LATEST
@@ -172,7 +174,7 @@ class Telemetry:
         self._origin = origin
         held, self._held = self._held, []
         drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
-        told: dict[str, Any] = {**run_metadata(self._plan, Instant(origin), drives)}
+        told: dict[str, Any] = {**(self.metadata or run_metadata(self._plan, Instant(origin), drives))}
         self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
         self.take_events(held)
         if held:

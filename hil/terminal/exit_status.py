@@ -12,15 +12,16 @@ from drivers.printable import printable
 from hil.verdict import ExitStatus
 
 
-def _no_more(_status: int, _text: str) -> None:
+def _no_more(status: int, _text: str) -> int:
     """Of a command that says nothing but the error."""
+    return status
 
 
 @contextmanager
-def reported_errors(conclude: Callable[[int, str], None] = _no_more) -> Iterator[None]:
+def reported_errors(conclude: Callable[[int, str], int] = _no_more) -> Iterator[None]:
     """Print what goes wrong inside on stderr and leave with its exit status.
 
-    ``conclude``: told the status and the error in words, right before.
+    ``conclude``: told that status and the error in words, right before; the status to leave with.
     """
     try:
         yield
@@ -36,9 +37,8 @@ def reported_errors(conclude: Callable[[int, str], None] = _no_more) -> Iterator
         raise _leave(ExitStatus.DEFECT, f"{type(error).__name__}: {error}", conclude) from None
 
 
-def _leave(status: int, text: str, conclude: Callable[[int, str], None]) -> typer.Exit:
-    conclude(status, text)
-    return typer.Exit(status)
+def _leave(status: int, text: str, conclude: Callable[[int, str], int]) -> typer.Exit:
+    return typer.Exit(conclude(status, text))
 
 
 def complain(error: BenchError) -> int:

@@ -31,13 +31,18 @@ def drive_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     return found
 
 
+def _number(digits: str) -> int:
+    """One of many digits is too large, whatever it is."""
+    return int(digits) if len(digits) < 10 else NODE_MAX + 1
+
+
 def _range(text: str, option: str) -> range:
     if text in ("unconfigured", str(UNCONFIGURED)):
         return range(UNCONFIGURED, UNCONFIGURED + 1)
     first, dash, last = text.partition("-")
     if not first.isdecimal() or (dash and not last.isdecimal()):
         raise BadInput(option, "", text, f"a node id 1..{NODE_MAX}, a list 1,2 or a range 1-3")
-    low, high = int(first), int(last) if dash else int(first)
+    low, high = _number(first), _number(last if dash else first)
     if not 1 <= low <= high <= NODE_MAX:
         raise BadInput(option, "", text, f"node ids within 1..{NODE_MAX}, the smaller first")
     return range(low, high + 1)

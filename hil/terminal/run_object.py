@@ -25,15 +25,19 @@ class RunObject:
         """The run has ended, and this came of it."""
         self._summary = summary
 
-    def failed(self, status: int, text: str) -> None:
-        """The command leaves with an error: print what came of the run, if there was one."""
+    def failed(self, status: int, text: str) -> int:
+        """The command leaves with an error: print what came of the run, if there was one.
+
+        The status to leave with: that of the gravest that was found.
+        """
         outcome = outcome_of_status(status)
         found = self._summary
         if found is None:
             found = summary_without_run(outcome, text)
-        elif found.verdict.exit_status != status:
+        elif not found.verdict.of(outcome):
             found = found.also(Finding(outcome, text))
         self.print(found)
+        return found.verdict.exit_status
 
     def print(self, summary: Summary) -> None:
         """Print it, if it was asked for."""

@@ -43,9 +43,9 @@ def main() -> None:
 
 def line(ended: Ended) -> str:
     """Of the table."""
-    outcome = ended.remains.told["verdict"]["outcome"]
+    verdict = ended.ran.told["verdict"]
     rest = "not seen" if ended.rest is None else f"{ended.rest / NS_PER_MS:.0f}"
-    return LINE.format(*ended.cell, outcome, ended.status, rest, ended.lost)
+    return LINE.format(*ended.cell, verdict["outcome"], verdict["exit_status"], rest, ended.lost)
 
 
 def print_table(lines: Iterable[str]) -> None:

@@ -32,7 +32,7 @@ class HeldProgress(progress.TerminalProgress):
 
     held: ClassVar[list[str]] = []
     told = answer = -1
-    drives: list[DriveWitness]
+    drives: ClassVar[list[DriveWitness]] = []
 
     def __call__(self, phase: str, elapsed_s: float) -> None:
         super().__call__(phase, elapsed_s)
@@ -72,7 +72,7 @@ def main() -> None:
         return python_command("tests.exits.slow_disk", module, slow, *arguments)
 
     with (
-        witnessed(lambda drive: WrittenWitness(drive, Path(witness))) as HeldProgress.drives,
+        witnessed(HeldProgress.drives, lambda drive: WrittenWitness(drive, Path(witness))),
         patch.object(logger_process, "python_command", slow_disk),
         patch.object(progress, "TerminalProgress", HeldProgress),
     ):

@@ -1,7 +1,6 @@
 """One cell of the table: the processes of a run, what befalls one of them, and what is left of it."""
 
 import itertools
-import json
 import os
 import select
 import signal
@@ -10,7 +9,6 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -19,9 +17,8 @@ import numpy as np
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.recording.records import FATE_MISSED, ROW_DTYPE, Rows
+from hil.recording.records import FATE_MISSED
 from hil.recording.records_file import RECORDS_FILE
-from hil.recording.tail import TAIL_FILE, read_tail
 from hil.testing.hosted import DriveProcess
 from hil.verdict import Outcome
 from tests.exits.cells import (
@@ -40,7 +37,7 @@ from tests.exits.cells import (
     Cell,
     statuses,
 )
-from tests.exits.written_witness import WrittenHistory
+from tests.exits.written_witness import WrittenTestimony
 from tests.scenario.processes import (
     BENCH,
     RUN_TIMEOUT_S,
@@ -50,7 +47,8 @@ from tests.scenario.processes import (
     on_disk_of,
     summary_of,
 )
-from tests.swarm.invariants import Ran
+from tests.swarm.invariants import Ran, Told
+from tests.swarm.mishaps import Circumstances, Mishap
 from virtual_bus.child_python import python_command, python_environment
 
 DURATION_S: Final = 1.0
@@ -61,19 +59,14 @@ TELLING_NS: Final = 200 * NS_PER_MS
 """In real time an error takes a while from a bus that is gone to the reader."""
 DISK_SIZE: Final = "16m"
 _SIGNALS: Final = {KILL: signal.SIGKILL, STOP: signal.SIGSTOP, TERMINATE: signal.SIGTERM}
+_MISHAPS: Final = {
+    (HOST, KILL): Mishap.HOST_KILLED,
+    (LOGGER, KILL): Mishap.LOGGER_KILLED,
+    (DISK, FULL): Mishap.DISK_FULL,
+    (DISK, SLOW): Mishap.DISK_SLOW,
+}
 _POLL_NS: Final = NS_PER_MS
 _NUMBERS: Final = itertools.count()
-
-
-class Remains(Ran):
-    """What is left of a run; of its rows also those that found no room in their file."""
-
-    @cached_property
-    def rows(self) -> Rows:
-        stored = super().rows
-        tail = read_tail(self.folder / TAIL_FILE, ROW_DTYPE, stored.size).copy()
-        tail["due_at"] -= self.first_cycle if tail.size else 0
-        return np.concatenate([stored, tail])
 
 
 @dataclass(frozen=True)
@@ -81,18 +74,16 @@ class Ended:
     """A cell that was run."""
 
     cell: Cell
-    status: int
-    """Of the host's process."""
     struck_at: Instant | None
     """On the clock of the bench; None: the run never came to the phase."""
     rest: Duration | None
     """From then until the drive was at rest for good; None: it was not seen to be."""
-    remains: Remains
+    ran: Ran
 
     @property
     def rows_told_lost(self) -> bool:
         """The summary says that rows are missing in their file."""
-        told = self.remains.told
+        told = self.ran.told
         lacks = any(fault.startswith(RECORDS_FILE) for fault in told.get("recording_faults", ()))
         return lacks and any(
             found["outcome"] == Outcome.NOT_RECORDED for found in told["verdict"]["findings"]
@@ -101,9 +92,9 @@ class Ended:
     @property
     def lost(self) -> int:
         """Cycles whose SYNC came to the enabled drive, and that have no row."""
-        (drive,) = self.remains.drives
-        assert isinstance(drive, WrittenHistory)
-        return max(0, drive.cycles - int(np.sum(self.remains.rows["fate"] != FATE_MISSED)))
+        (drive,) = self.ran.case.drives
+        assert isinstance(drive, WrittenTestimony)
+        return max(0, drive.cycles - int(np.sum(self.ran.rows["fate"] != FATE_MISSED)))
 
 
 def config() -> BenchConfig:
@@ -197,14 +188,17 @@ def _run(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> Ended:
     if struck_at is not None:
         _strike(cell, host, bus, drive)
     out, said = host.process.communicate(timeout=RUN_TIMEOUT_S)
-    status = told = host.process.returncode
+    status: int | None = host.process.returncode
     if status == -signal.SIGKILL:
-        summary = summary_of(host.folder)  # by whoever is left to write it
-        out, told = json.dumps(summary), summary["verdict"]["exit_status"]
+        status = None
+        summary_of(host.folder)  # by whoever is left to write it
     rest = None if struck_at is None else _await_rest(host.witness, drive, struck_at)
-    history = WrittenHistory(1, host.witness)
-    remains = Remains(config(), host.folder, told, out, said, (history,), statuses(cell), TELLING_NS)
-    return Ended(cell, status, struck_at, rest, remains)
+    mishap = _MISHAPS.get((cell.victim, cell.deed), Mishap.NONE)
+    killed_at = struck_at if mishap is Mishap.HOST_KILLED else None
+    told = Told(status, out, said, [WrittenTestimony(1, host.witness)], killed_at)
+    around = Circumstances(mishap, 0.0, 0, ())
+    ran = Ran(config(), around, host.folder, told, statuses(cell), TELLING_NS)
+    return Ended(cell, struck_at, rest, ran)
 
 
 def _strike(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> None:
@@ -249,7 +243,7 @@ def _await_rest(witness: Path, drive: DriveProcess | None, since: Instant) -> Du
     clock = MonotonicClock()
     limit = clock.now() + round(REST_LIMIT_S * NS_PER_S)
     while True:
-        rest = WrittenHistory(1, witness).time_to_rest(since)
+        rest = WrittenTestimony(1, witness).time_to_rest(since)
         if rest is not None or drive is None or not _lives(drive.pid) or clock.now() > limit:
             return rest
         clock.sleep_until(Instant(clock.now() + _POLL_NS))

@@ -21,4 +21,4 @@ CELLS = (
 @pytest.mark.parametrize("cell", CELLS, ids=str)
 def test_what_a_run_comes_to_is_told(cell: Cell, tmp_path: Path) -> None:
     ended = run_cell(cell, tmp_path)
-    assert findings(ended) == [], ended.remains.said
+    assert findings(ended) == [], ended.ran.case.said

@@ -8,7 +8,7 @@ from typing import Any, Final
 from drivers.profile402 import State
 from drivers.timebase import Duration, Instant
 from tests.swarm.invariants import REST_RAD_S
-from tests.swarm.witness import DriveHistory, DriveWitness
+from tests.swarm.witness import DriveWitness, Testimony
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo
 
@@ -24,40 +24,35 @@ class WrittenWitness(DriveWitness):
         self._moving = False
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        if frame.can_id == SYNC_ID and self.states[-1][1] is State.OPERATION_ENABLED:
+        if frame.can_id == SYNC_ID and self._drive.drive_state is State.OPERATION_ENABLED:
             self._write(now, cycle=True)
         return super().receive(frame, now)
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
-        known = len(self.states)
+        known = len(self._seen_so_far.states)
         super()._seen(frames, now)
-        if len(self.states) > known:
-            self._write(now, state=self.states[-1][1].value)
-        speed_rad_s = self.speed_rad_s
-        moving = abs(speed_rad_s) >= REST_RAD_S
+        seen = self.testimony()
+        if len(seen.states) > known:
+            self._write(now, state=seen.states[-1][1].value)
+        moving = abs(seen.speed_rad_s) >= REST_RAD_S
         if moving is not self._moving:
             self._moving = moving
-            self._write(now, speed_rad_s=speed_rad_s)
+            self._write(now, speed_rad_s=seen.speed_rad_s)
         return frames
 
     def _write(self, at: Instant, **found: Any) -> None:
         self._file.write(json.dumps({"at": at, **found}) + "\n")
 
 
-class WrittenHistory(DriveHistory):
-    """What such a witness has written."""
+class WrittenTestimony(Testimony):
+    """What such a witness has written; of the speed, when the shaft last began to move or came to rest."""
 
     def __init__(self, node_id: int, path: Path) -> None:
-        super().__init__(node_id)
         text = path.read_text() if path.exists() else ""
         self._entries = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
-        self.states = [(entry["at"], State(entry["state"])) for entry in self._entries if "state" in entry]
-
-    @property
-    def speed_rad_s(self) -> float:
-        """Of the shaft, when it last began to move or came to rest."""
-        told = [entry["speed_rad_s"] for entry in self._entries if "speed_rad_s" in entry]
-        return float(told[-1]) if told else 0.0
+        states = [(entry["at"], State(entry["state"])) for entry in self._entries if "state" in entry]
+        speeds = [entry["speed_rad_s"] for entry in self._entries if "speed_rad_s" in entry]
+        super().__init__(node_id, states, [], *speeds[-1:])
 
     @property
     def cycles(self) -> int:

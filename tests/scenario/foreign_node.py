@@ -1,6 +1,6 @@
 """Nodes that a bench knows nothing of, on its simulated segment: what they send, and when."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
@@ -41,20 +41,53 @@ class ForeignNode:
         return (self._frame,)
 
 
+class Act:
+    """A device that hears and sends nothing, and does something once, ``at_s`` after its power-on."""
+
+    def __init__(self, at_s: float, do: Callable[[Instant], None]) -> None:
+        self.wake_at: Instant | None = None
+        self._after = duration_s(at_s)
+        self._do = do
+
+    def start(self, now: Instant) -> Sequence[Frame]:
+        self.wake_at = Instant(now + self._after)
+        return ()
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        del frame, now
+        return ()
+
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        self.wake_at = None
+        self._do(now)
+        return ()
+
+
+def put_on_the_bus(world: World, *nodes: Any) -> None:
+    """Have ``nodes`` on the first segment of a simulated world."""
+    bus: Any = world.link.bus
+    segment = getattr(bus, "inner", bus).segment
+    for node in nodes:
+        attach_to_segment(node, segment, segment.timeline, "foreign")
+
+
 @contextmanager
-def beside_the_bench(*nodes: Any, copies: bool = False) -> Iterator[None]:
-    """Runs of benches inside have ``nodes`` on their segment; ``copies``: and each drive twice."""
+def beside_the_bench(
+    *nodes: Any, copies: bool = False, seen: Callable[[SimulatedServo], object] = bool
+) -> Iterator[None]:
+    """Runs of benches inside have ``nodes`` on their segment; ``copies``: and each drive twice; ``seen`` is
+    given each drive."""
 
     def drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
-        return [drive for _ in range(1 + copies) for drive in simulated_drives(config, seed)]
+        made = [drive for _ in range(1 + copies) for drive in simulated_drives(config, seed)]
+        for drive in made:
+            seen(drive)
+        return made
 
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
         with world.open_world(plan, devices) as made:
-            bus: Any = made.link.bus
-            segment = getattr(bus, "inner", bus).segment
-            for node in nodes:
-                attach_to_segment(node, segment, segment.timeline, "foreign")
+            put_on_the_bus(made, *nodes)
             yield made
 
     with patch.object(bench, "open_world", open_world), patch.object(bench, "simulated_drives", drives):

@@ -7,14 +7,15 @@ import pytest
 
 from drivers.errors import AnswersTwice, BenchError, DriveInFault
 from drivers.profile402 import State
-from drivers.timebase import NS_PER_S
+from drivers.timebase import NS_PER_S, Instant
 from hil.bus_guard import ForeignTraffic
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
-from tests.scenario.foreign_node import LATE, ForeignNode, beside_the_bench
+from tests.scenario.foreign_node import LATE, Act, ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.frame import Frame
 from virtual_bus.hub import HubBus
+from virtual_bus.servo import SimulatedServo
 
 ANY_BUS = EXAMPLES / "any_bus.toml"
 BENCH = EXAMPLES / "ling2012.toml"
@@ -84,6 +85,23 @@ def test_it_ends_the_run_where_the_bench_says_so(servo_bench: BenchRunner, what:
     assert what in str(seen.error)
     assert BenchError.exit_status == ForeignTraffic.exit_status == 3
     seen.assert_reached(State.SWITCH_ON_DISABLED, by_s=0.5)
+
+
+def test_a_drive_that_ceased_to_watch_the_host_has_not_passed(servo_bench: BenchRunner) -> None:
+    """By itself: no frame tells of it until its 1016h is read back, when it is at rest."""
+    drives: list[SimulatedServo] = []
+
+    def forget(_now: Instant) -> None:
+        drives[0].dictionary.variable(0x1016, 1).value = 0
+
+    quiet = servo_bench(BENCH, QUIET, faults={})
+    assert quiet.summary.verdict.exit_status == 0
+    with beside_the_bench(Act(AT_S, forget), seen=drives.append):
+        seen = servo_bench(BENCH, QUIET, faults={})
+    what = "axis1: 1016h:01 held 00000000h at the end, 007F0096h was written: it did not watch the host"
+    assert seen.summary.verdict.exit_status == 3
+    assert seen.summary.verdict.reason == what
+    assert [event["level"] for event in events(seen, what)] == ["ERROR"]
 
 
 def test_readings_beyond_the_syncs_are_told(servo_bench: BenchRunner) -> None:

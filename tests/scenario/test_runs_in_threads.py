@@ -34,7 +34,8 @@ def running(
     """A run in a thread of its own, and the witnesses of its drives."""
     config = load_bench(EXAMPLES / "ling2012.toml")
     short = config.model_copy(update={"bench": config.bench.model_copy(update={"duration_s": 0.6})})
-    with witnessed() as drives, ThreadPoolExecutor(1) as pool:
+    drives: list[DriveWitness] = []
+    with witnessed(drives), ThreadPoolExecutor(1) as pool:
         yield (
             pool.submit(
                 run_bench,
@@ -59,8 +60,9 @@ def verdict_in(folder: Path) -> dict[str, Any]:
 
 
 def assert_rests(drive: DriveWitness) -> None:
-    assert abs(drive.speed_rad_s) < REST_RAD_S
-    assert drive.states[-1][1] is State.SWITCH_ON_DISABLED
+    seen = drive.testimony()
+    assert abs(seen.speed_rad_s) < REST_RAD_S
+    assert seen.states[-1][1] is State.SWITCH_ON_DISABLED
 
 
 class Rendezvous:
@@ -81,7 +83,7 @@ def test_its_caller_stops_it(tmp_path: Path, phase: str, elapsed_s: float) -> No
     stop, place = StopRequest(), Rendezvous(phase, elapsed_s)
     with running(tmp_path / "run", place, stop) as (run, drives):
         assert place.reached.wait(LIMIT_S)
-        turning = abs(drives[0].speed_rad_s) > TURNING_RAD_S
+        turning = abs(drives[0].testimony().speed_rad_s) > TURNING_RAD_S
         stop.ask()
         place.left.set()
         run.exception()

@@ -17,6 +17,7 @@ DURATION_S: Final = (0.15, 0.6)
 FAULTS_MAX: Final = 3
 FAILURES: Final = ("over_current", "over_temperature", "following_error", "encoder_loss", "under_voltage")
 CLASSES: Final = ("pdo", "sync", "nmt", "heartbeat", "sdo", "emcy")
+RULES: Final = ("on_foreign", "on_boot", "on_bus_errors")
 WAYS: Final = ("both", "host_to_drive", "drive_to_host")
 
 Table = dict[str, Any]
@@ -40,10 +41,16 @@ def tables(number: int) -> Table:
             "period_us": period_us,
             "deadline_us": 2 * period_us,
             "actuation": draw.choice(("on_arrival", "on_sync")),
+            "position_every_cycles": draw.choice((1, 1, 4)),
+            "command_readback": draw.choice(("sync", "sync", "event")),
         },
         "drive": {name: _drive(draw, place) for place, name in enumerate(names)},
         "reference": {name: [_reference(draw)] for name in names},
+        "recording": {"on_failure": draw.choice(("stop", "continue"))},
     }
+    _sync(draw, bench, period_us)
+    if draw.random() < 0.3:
+        bench["guard"] = {rule: draw.choice(("tell", "stop")) for rule in RULES}
     if draw.random() < 0.5:
         bench["load"] = {name: [_load(draw, duration_s)] for name in names}
     if draw.random() < 0.7:
@@ -51,6 +58,20 @@ def tables(number: int) -> Table:
     if faults := _faults(draw, duration_s):
         bench["faults"] = faults
     return bench
+
+
+def _sync(draw: Random, bench: Table, period_us: int) -> None:
+    """Who makes the SYNC; only the bench itself can on two segments."""
+    kind = draw.choice(("own",) * 7 + ("kernel", "foreign", "two segments"))
+    if kind in ("kernel", "foreign"):
+        bench["loop"]["sync"] = kind
+    if kind == "foreign":
+        jitter_us = draw.choice((0, 0, 100))
+        sync = {"can_id": 0x080, "bytes_max": 0, "period_us": period_us, "jitter_us": jitter_us}
+        bench["bus"] = {"background": [sync]}
+    elif kind == "two segments" and len(bench["drive"]) > 1:
+        bench["bus"] = {"segment": [{"name": "second"}]}
+        bench["drive"]["axis2"]["segment"] = "second"
 
 
 def _drive(draw: Random, place: int) -> Table:

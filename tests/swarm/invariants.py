@@ -5,26 +5,51 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from can.io.canutils import CanutilsLogReader
 
 from drivers.profile402 import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.attribution import HELD_MAX
 from hil.configuration.config import BenchConfig
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.recording.run_folder import DIRECTIONS_FILE, SUMMARY_FILE
 from hil.recording.run_metadata import FIRST_CYCLE
-from hil.testing.wire import read_wire
-from tests.swarm.witness import EMCY_ID, DriveHistory
+from hil.testing.wire import Wire, read_wire
+from tests.swarm.mishaps import STRIKE, Circumstances, Mishap
+from tests.swarm.witness import EMCY_ID, Testimony
 
 STATUSES: Final = (0, 1, 3, 4, 5, 6)
 """docs/verdict.md; a drawn bench is never bad input, and nobody interrupts it."""
-REST_RAD_S: Final = 1.0
+REST_RAD_S: Final = 2.0
+"""Twice what counts as at rest: nothing holds the shaft when that was read, and the speed is a noisy one."""
 EMCY_WITHIN_NS: Final = NS_PER_MS
 TELLING_NS: Final = NS_PER_MS
 """What is told at the very end has no frame of its own."""
+LOST_MAX_NS: Final = Duration(200 * NS_PER_MS)
+"""Of the rows before the host was killed; a row that waits for its reading has not been handed over."""
+LOST_MAX: Final = HELD_MAX + 1
+"""Cycles whose rows wait so at most."""
+LEFTOVERS: Final = ("records.tail", "frames.tail", ".reserve", "summary.json.part", "records.arrow.part")
+RECORDER_STRUCK: Final = (Mishap.LOGGER_KILLED, Mishap.LOGGER_DIES, Mishap.DISK_FULL)
+
+
+class Told(NamedTuple):
+    """What a case has to say of itself."""
+
+    status: int | None
+    """None: it was killed."""
+    out: str
+    said: str
+    drives: list[Testimony]
+    killed_at: Instant | None = None
+    """On the bench's clock."""
+    logger_status: int | None = None
+    recovered: int | None = None
+    """Status of ``hil recover``."""
 
 
 @dataclass(frozen=True)
@@ -32,20 +57,34 @@ class Ran:
     """A case that was run, with its recording and its witnesses."""
 
     config: BenchConfig
+    circumstances: Circumstances
     folder: Path
-    status: int
-    out: str
-    said: str
-    drives: Sequence[DriveHistory]
+    case: Told
     statuses: Sequence[int] = STATUSES
     """With which it may have ended."""
     telling_ns: int = TELLING_NS
 
+    @property
+    def survived(self) -> bool:
+        """The host has come to its end."""
+        return self.case.status is not None
+
     @cached_property
     def told(self) -> dict[str, Any]:
-        """The object of --json."""
-        found: dict[str, Any] = json.loads(self.out)
+        """The object of --json; of a host that was killed, that of summary.json."""
+        out = self.case.out if self.survived else (self.folder / SUMMARY_FILE).read_text(encoding="utf-8")
+        found: dict[str, Any] = json.loads(out)
         return found
+
+    @property
+    def whole(self) -> bool:
+        """Nothing is known to be missing in the recording."""
+        return not self.told.get("recording_faults") and (self.folder / SUMMARY_FILE).exists()
+
+    @property
+    def has_all_rows(self) -> bool:
+        """None was lost with a disk; those that a logger has not taken lie in memory."""
+        return self.circumstances.mishap is not Mishap.DISK_FULL
 
     @cached_property
     def rows(self) -> Rows:
@@ -61,6 +100,11 @@ class Ran:
         return [json.loads(line) for line in lines]
 
     @cached_property
+    def wire(self) -> Wire:
+        """Of frames.log; none where it was cut off before its first cycle was known."""
+        return read_wire(self.folder) if read_metadata(self.folder / RECORDS_FILE) else Wire()
+
+    @cached_property
     def first_cycle(self) -> int:
         """On the clock of the bench, and so of the drives' witnesses, ns."""
         return int(read_metadata(self.folder / RECORDS_FILE)[FIRST_CYCLE])
@@ -73,13 +117,44 @@ class Ran:
 
 def one_object_that_tells_the_status(ran: Ran) -> Iterator[str]:
     """A documented status, one object on stdout with the same in it, the same again in summary.json."""
-    if ran.status not in ran.statuses:
-        yield f"status {ran.status}: {ran.said[-400:]}"
-    if ran.told["verdict"]["exit_status"] != ran.status:
-        yield f"status {ran.status}, the object says {ran.told['verdict']['exit_status']}"
-    summary = ran.folder / "summary.json"
-    if not summary.exists() or json.loads(summary.read_text(encoding="utf-8")) != ran.told:
+    status, summary = ran.case.status, ran.folder / SUMMARY_FILE
+    if not ran.survived:
+        if ran.case.recovered:
+            yield f"hil recover: status {ran.case.recovered}: {ran.case.said[-400:]}"
+        if not summary.exists():
+            yield "the host was killed, and there is no summary.json"
+        return
+    if status not in ran.statuses:
+        yield f"status {status}: {ran.case.said[-400:]}"
+    if ran.told["verdict"]["exit_status"] != status:
+        yield f"status {status}, the object says {ran.told['verdict']['exit_status']}"
+    if summary.exists() and json.loads(summary.read_text(encoding="utf-8")) != ran.told:
         yield "summary.json is not the object that was printed"
+    if not summary.exists() and ran.circumstances.mishap not in RECORDER_STRUCK:
+        yield "there is no summary.json"
+
+
+def what_struck_the_recording_is_told(ran: Ran) -> Iterator[str]:
+    """A logger that did not end by itself, a disk without room, a host that is gone: none of them passed."""
+    verdict = ran.told["verdict"]
+    struck = ran.case.logger_status == -STRIKE
+    if struck and not any(each["outcome"] == "not recorded" for each in verdict["findings"]):
+        yield f"the logger was killed, and the verdict is {verdict['findings']}"
+    if verdict["passed"] and not ran.whole:
+        yield f"passed, and the recording lacks {ran.told.get('recording_faults')}"
+    if not ran.survived and (verdict["completed"] or verdict["exit_status"] in (0, 1)):
+        yield f"the host was killed, and the verdict is {verdict}"
+
+
+def a_host_that_is_killed_leaves_its_rows(ran: Ran) -> Iterator[str]:
+    """All but the last 200 ms, or what is held, if somebody was there to take them out of the ring."""
+    killed_at = ran.case.killed_at
+    if killed_at is None or ran.circumstances.mishap is not Mishap.HOST_KILLED or not ran.rows.size:
+        return
+    last = Instant(int(ran.rows["due_at"].max()) + ran.first_cycle)
+    done = any(event.get("state") == "stopping" for event in ran.events)
+    if killed_at - last > max(LOST_MAX_NS, LOST_MAX * ran.config.loop.period) and not done:
+        yield f"killed at {killed_at}, and the last row is of {last}"
 
 
 def every_planned_cycle_has_one_row(ran: Ran) -> Iterator[str]:
@@ -91,7 +166,7 @@ def every_planned_cycle_has_one_row(ran: Ran) -> Iterator[str]:
             yield f"{name}: rows are missing or double"
         if numbers.size > ran.planned:
             yield f"{name}: {numbers.size} rows of {ran.planned} planned cycles"
-        if numbers.size < ran.planned and (verdict["completed"] or verdict["passed"]):
+        if numbers.size < ran.planned and ((ran.has_all_rows and verdict["completed"]) or verdict["passed"]):
             yield f"{name}: completed with {numbers.size} rows of {ran.planned}"
 
 
@@ -100,16 +175,16 @@ def counts_are_those_of_the_rows(ran: Ran) -> Iterator[str]:
     fates = np.bincount(ran.rows["fate"], minlength=5)
     told = ran.told["dropouts"]
     counted = [told[cause] for cause in ("lost", "late", "stale", "missed")]
-    if fates[1:].tolist() != counted:
+    if ran.has_all_rows and fates[1:].tolist() != counted:
         yield f"dropouts told {counted}, in the rows {fates[1:].tolist()}"
 
 
 def completed_means_enabled_throughout(ran: Ran) -> Iterator[str]:
     """By the drives themselves, from the first cycle to the last."""
-    if not ran.told["verdict"]["completed"]:
+    if not ran.told["verdict"]["completed"] or not ran.rows.size:
         return
     due_at = ran.rows["due_at"] + ran.first_cycle
-    for drive in ran.drives:
+    for drive in ran.case.drives:
         if not drive.enabled_throughout(Instant(int(due_at.min())), Instant(int(due_at.max()))):
             yield f"completed, and node {drive.node_id} was in {drive.states[-6:]}"
 
@@ -117,60 +192,89 @@ def completed_means_enabled_throughout(ran: Ran) -> Iterator[str]:
 def passed_means_at_rest_and_without_emergency(ran: Ran) -> Iterator[str]:
     """By the drives themselves, when all is over."""
     told = {end["name"]: end["at_rest"] for end in ran.told.get("drives", ())}
-    for name, drive in zip(ran.config.axes, ran.drives, strict=True):
-        resting = abs(drive.speed_rad_s) < REST_RAD_S and drive.states[-1][1] is not State.OPERATION_ENABLED
+    for name, drive in zip(ran.config.axes, ran.case.drives, strict=True):
+        state = drive.states[-1][1]
+        resting = abs(drive.speed_rad_s) < REST_RAD_S and state is not State.OPERATION_ENABLED
         if told.get(name) and not resting:
-            yield f"{name}: told at rest, and at {drive.speed_rad_s:.1f} rad/s in {drive.states[-1][1]}"
+            yield f"{name}: told at rest, and at {drive.speed_rad_s:.1f} rad/s in {state}"
         if ran.told["verdict"]["passed"] and not told.get(name):
             yield f"{name}: passed, and its rest was not read"
 
 
 def nothing_is_told_that_has_not_happened(ran: Ran) -> Iterator[str]:
-    """No event lies behind the last frame, or behind the beginning of a stopping that no frame answers."""
-    ends = [frame.at for frame in read_wire(ran.folder).frames[-1:]]
+    """No event lies behind the last frame, a stopping that no frame answers, or the host's death."""
+    if not ran.whole and ran.survived:
+        return
+    ends = [frame.at for frame in ran.wire.frames[-1:]]
     ends += [event["at_ns"] for event in ran.events if event.get("state") == "stopping"]
-    late = [event for event in ran.events if ends and event["at_ns"] > max(ends) + ran.telling_ns]
-    if late:
-        yield f"events after the end, {max(ends)}: {late[:3]}"
+    until = max(ends, default=0) + ran.telling_ns
+    if ran.case.killed_at is not None:
+        until = ran.case.killed_at - ran.first_cycle + TELLING_NS
+    told = [event for event in ran.events if "begin" not in event]
+    late = [event for event in told if event["at_ns"] > until]
+    if late and (ends or not ran.survived):
+        yield f"events after the end, {until}: {late[:3]}"
 
 
 def frames_are_in_order_of_time(ran: Ran) -> Iterator[str]:
-    """As python-can reads them."""
+    """As python-can reads them, each with its direction."""
     with CanutilsLogReader(ran.folder / "frames.log") as log:
         stamps = [message.timestamp for message in log]
     if stamps != sorted(stamps):
         yield "frames.log goes back in time"
+    directions = len((ran.folder / DIRECTIONS_FILE).read_text(encoding="utf-8").splitlines())
+    if directions != len(stamps) and ran.whole:
+        yield f"{len(stamps)} frames, {directions} directions"
 
 
 def emergencies_are_told_when_they_were_sent(ran: Ran) -> Iterator[str]:
-    """Each that came to the host is an event, or the end of the run, with the instant of its frame."""
-    frames = read_wire(ran.folder).frames
-    came = [
-        frame
-        for frame in frames
-        if not frame.sent and EMCY_ID < frame.can_id < EMCY_ID + 0x80 and any(frame.data[:2])
-    ]
+    """The first of each that came to the host is an event with the instant of its frame."""
     told = [event["at_ns"] for event in ran.events if "EMCY" in event.get("text", "")]
-    for frame in came:
-        if not any(abs(frame.at - at) <= EMCY_WITHIN_NS for at in told):
+    seen: set[tuple[int, bytes]] = set()
+    for frame in ran.wire.frames:
+        what = (frame.can_id, frame.data[:2])
+        mine = not frame.sent and len(frame.data) == 8 and 0 < frame.can_id - EMCY_ID < 0x80
+        if not mine or frame.extended or not any(what[1]) or what in seen:
+            continue
+        seen.add(what)
+        if ran.whole and not any(abs(frame.at - at) <= EMCY_WITHIN_NS for at in told):
             yield f"EMCY of node {frame.can_id - EMCY_ID} at {frame.at} is no event; told: {told}"
 
 
+def nothing_is_left_over(ran: Ran) -> Iterator[str]:
+    """A recording that has ended has its own files, and no others."""
+    left = [name for name in LEFTOVERS if (ran.folder / name).exists()]
+    if left and (ran.whole or not ran.survived):
+        yield f"left over: {left}"
+    log = ran.folder / "logger.log"
+    if log.exists() and log.stat().st_size and ran.has_all_rows:
+        yield f"the logger said: {log.read_text(errors='replace')[-400:]}"
+
+
 Invariant = Callable[[Ran], Iterator[str]]
-OF_ROWS: Final[tuple[Invariant, ...]] = (
+INVARIANTS: Final[tuple[Invariant, ...]] = (
+    one_object_that_tells_the_status,
+    what_struck_the_recording_is_told,
+    a_host_that_is_killed_leaves_its_rows,
     every_planned_cycle_has_one_row,
     counts_are_those_of_the_rows,
     completed_means_enabled_throughout,
-)
-INVARIANTS: Final[tuple[Invariant, ...]] = (
-    one_object_that_tells_the_status,
     passed_means_at_rest_and_without_emergency,
     nothing_is_told_that_has_not_happened,
     frames_are_in_order_of_time,
     emergencies_are_told_when_they_were_sent,
+    nothing_is_left_over,
 )
 
 
-def broken(ran: Ran, of_rows: Sequence[Invariant] = OF_ROWS) -> list[str]:
-    """What a run does not hold, by name; ``of_rows``: none where the rows are told to be missing."""
-    return [f"{held.__name__}: {text}" for held in (*INVARIANTS, *of_rows) for text in held(ran)]
+def broken(ran: Ran) -> list[str]:
+    """What a run does not hold, by name."""
+    if not (ran.folder / "frames.log").exists():
+        return [] if _ended_without_a_disk(ran) else ["there is no recording"]
+    return [f"{invariant.__name__}: {text}" for invariant in INVARIANTS for text in invariant(ran)]
+
+
+def _ended_without_a_disk(ran: Ran) -> bool:
+    """There was no room to begin with, and nothing has moved."""
+    enabled = any(state is State.OPERATION_ENABLED for drive in ran.case.drives for _, state in drive.states)
+    return ran.circumstances.mishap is Mishap.DISK_FULL and ran.case.status in (3, 5) and not enabled

@@ -6,12 +6,13 @@ of it.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Final
 from unittest.mock import patch
 
 from drivers.profile402 import State
 from drivers.timebase import Instant
-from hil import bench, world
+from hil import bench
 from hil.world import World, WorldPlan
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo
@@ -22,20 +23,17 @@ VELOCITY_UNIT_RAD_S: Final = 2.0 * 3.141592653589793 / 60.0 * 1e-3
 """606Ch of the simulated drive counts 0.001 r/min."""
 
 
-class DriveHistory:
-    """What one drive did."""
+@dataclass
+class Testimony:
+    """Of one drive."""
 
-    def __init__(self, node_id: int) -> None:
-        self.node_id = node_id
-        self.states: list[tuple[Instant, State]] = []
-        """Each with the first instant at which it was seen."""
-        self.emergencies: list[tuple[Instant, int]] = []
-        """Error codes other than 0000h, each with when the drive sent it."""
-
-    @property
-    def speed_rad_s(self) -> float:
-        """Of the shaft, when last seen."""
-        raise NotImplementedError
+    node_id: int
+    states: list[tuple[Instant, State]]
+    """Each with the first instant at which it was seen."""
+    emergencies: list[tuple[Instant, int]]
+    """Error codes other than 0000h, each with when the drive sent it."""
+    speed_rad_s: float = 0.0
+    """Of the shaft when all is over, as the drive has it."""
 
     def enabled_throughout(self, first: Instant, last: Instant) -> bool:
         """Whether it was in OPERATION ENABLED from one instant to another."""
@@ -44,23 +42,24 @@ class DriveHistory:
         return bool(before) and all(state is State.OPERATION_ENABLED for state in (*before, *inside))
 
 
-class DriveWitness(DriveHistory):
+class DriveWitness:
     """Stands in front of one simulated drive."""
 
     def __init__(self, drive: SimulatedServo) -> None:
-        super().__init__(drive.node_id)
         self.seen_at = Instant(0)
         """When it last heard or did something."""
         self._drive = drive
+        self._seen_so_far = Testimony(drive.node_id, [], [])
 
     def __getattr__(self, name: str) -> Any:
         """What faults ask of the drive itself."""
         return getattr(self._drive, name)
 
-    @property
-    def speed_rad_s(self) -> float:
-        """As the drive has it."""
-        return int(self._drive.dictionary.variable(VELOCITY, 0).read()) * VELOCITY_UNIT_RAD_S
+    def testimony(self) -> Testimony:
+        """All until now."""
+        raw = int(self._drive.dictionary.variable(VELOCITY, 0).read())
+        self._seen_so_far.speed_rad_s = raw * VELOCITY_UNIT_RAD_S
+        return self._seen_so_far
 
     def start(self, now: Instant) -> Sequence[Frame]:
         """See :class:`virtual_bus.frame.Device`."""
@@ -76,23 +75,23 @@ class DriveWitness(DriveHistory):
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
         self.seen_at = now
-        state = self._drive.drive_state
-        if not self.states or self.states[-1][1] is not state:
-            self.states.append((now, state))
+        state, seen = self._drive.drive_state, self._seen_so_far
+        if not seen.states or seen.states[-1][1] is not state:
+            seen.states.append((now, state))
         for frame in frames:
-            if frame.can_id == EMCY_ID + self.node_id:
+            if frame.can_id == EMCY_ID + seen.node_id:
                 code = int.from_bytes(frame.data[:2], "little")
                 if code:
-                    self.emergencies.append((now, code))
+                    seen.emergencies.append((now, code))
         return frames
 
 
 @contextmanager
 def witnessed(
-    witness: Callable[[SimulatedServo], DriveWitness] = DriveWitness,
-) -> Iterator[list[DriveWitness]]:
-    """Every drive that a bench simulates in this process has a witness as long as the context lasts."""
-    witnesses: list[DriveWitness] = []
+    witnesses: list[DriveWitness], witness: Callable[[SimulatedServo], DriveWitness] = DriveWitness
+) -> Iterator[None]:
+    """Every drive that a bench simulates in this process has one of ``witnesses`` while the context lasts."""
+    inner = vars(bench)["open_world"]
 
     @contextmanager
     def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
@@ -103,8 +102,8 @@ def witnessed(
                 watched.append(witnesses[-1])
             else:
                 watched.append(device)
-        with world.open_world(plan, watched) as made:
+        with inner(plan, watched) as made:
             yield made
 
     with patch.object(bench, "open_world", open_world):
-        yield witnesses
+        yield

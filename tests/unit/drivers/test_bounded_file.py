@@ -22,9 +22,8 @@ from drivers.bounded_file import (
 from drivers.dictionary import load_dictionary, parse_dictionary
 from drivers.errors import BadInput
 from drivers.printable import printable
+from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 
-PROCESSOR_S_MAX = 2.0
-"""What any input may cost; the patterns that were cubic took hours for these."""
 SHEET = b"[1000]\nParameterName=Device type\nObjectType=7\nDataType=7\nAccessType=ro\nDefaultValue=%s\n"
 READERS: list[Callable[[Path], object]] = [
     lambda path: read_bytes(path, "thing"),
@@ -32,12 +31,6 @@ READERS: list[Callable[[Path], object]] = [
     lambda path: list(read_lines(path, "thing")),
     load_dictionary,
 ]
-
-
-def processor_s() -> float:
-    """Of this process, user and system."""
-    times = os.times()
-    return times.user + times.system
 
 
 @pytest.mark.parametrize("read", READERS)

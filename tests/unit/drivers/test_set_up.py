@@ -56,6 +56,25 @@ def test_a_drive_without_heartbeats_is_served_only_on_the_users_word(
     assert drive.release().at_rest
 
 
+@pytest.mark.parametrize("held", [0, 126 << 16 | 150, 127 << 16 | 60_000])
+def test_a_drive_that_ceased_to_watch_the_host_is_told_of_when_it_is_let_go(bench: Bench, held: int) -> None:
+    _, servo, network, drive = bench
+    drive.connect(soon(network))
+    drive.configure(SETTINGS)
+    servo.values[0x1016, 1] = held
+    release = drive.release()
+    assert release.at_rest
+    assert f"1016h:01 held {held:08X}h at the end, 007F0096h was written" in release.unwatched
+    assert servo.values[0x1016, 1] == 0
+
+
+def test_a_drive_that_watched_the_host_to_the_end_is_let_go_without_a_word(bench: Bench) -> None:
+    _, _, network, drive = bench
+    drive.connect(soon(network))
+    drive.configure(SETTINGS)
+    assert drive.release().unwatched == ""
+
+
 def test_a_drive_that_keeps_its_mappings_is_served_by_them(bench: Bench) -> None:
     _, servo, network, drive = bench
     words = {

@@ -17,6 +17,7 @@ from hil.configuration.motor_file import LING2012
 from hil.figures.summary import Summary
 from hil.machine.capability import Capability, Status
 from hil.machine.stopping import Interrupted
+from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
 from hil.verdict import ExitStatus, Finding, Outcome
 from tests.unit.hil.test_report import summary
@@ -185,6 +186,17 @@ def test_json_is_one_object_at_every_exit(
     assert (told.cycles, told.recording) == ((2000, "runs/x") if begins else (0, ""))
 
 
+@pytest.mark.parametrize("as_json", [False, True])
+def test_of_an_error_and_what_the_run_came_to_the_gravest_is_the_status(bench: Bench, as_json: bool) -> None:
+    found = (Finding(Outcome.PEER_FAULT, "lost"), Finding(Outcome.NOT_RECORDED, "the disk is full"))
+    bench.summary = bench.summary.also(found[0]).also(found[1])
+    bench.error, bench.begins = RecordingFailed("the disk is full"), True
+    result = hil("run", BENCH, *(["--json"] if as_json else []))
+    assert result.exit_code == ExitStatus.PEER_FAULT
+    if as_json:
+        assert Summary.from_json(json.loads(result.stdout)) == bench.summary, "as in summary.json"
+
+
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize(
     "arguments",
@@ -226,6 +238,7 @@ def test_bad_input_lists_all_errors_without_a_traceback(tmp_path: Path) -> None:
         ["nonsense"],
         ["simulate", "--bus", "hub:a"],
         ["simulate", "--bus", "hub:a", "--node", "128"],
+        ["simulate", "--bus", "hub:a", "--node", "9" * 5000],
         ["simulate", "--bus", "hub:a", "--node", "1", "--motor", "missing.toml"],
         ["simulate", "--bus", "hub:a", "--node", "1", "--faults", "missing.toml"],
     ],

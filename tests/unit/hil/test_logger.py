@@ -15,9 +15,9 @@ from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.line_reader import LineReader
 from hil.recording.logger import Logger
-from hil.recording.records import ROW, row_fields
+from hil.recording.records import ROW, row_of
 from hil.recording.ring import RingWriter
-from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_fields
+from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
 from hil.verdict import Outcome
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -36,9 +36,9 @@ class Rings:
         """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
         for record in synthetic_records(CYCLES):
             again = doubled and record.sequence == doubled + 1
-            self.rows.push(*row_fields(replaced(record, sequence=doubled) if again else record))
-            self.frames.push(record.due_at, 0x80, 0, 1, b"")
-        self.events.push(*event_fields(TextEvent(Instant(0), "WARN", "load")))
+            self.rows.push(row_of(replaced(record, sequence=doubled) if again else record))
+            self.frames.push(frame_row(record.due_at, 0x80, 1, b""))
+        self.events.push(event_row(TextEvent(Instant(0), "WARN", "load")))
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_a_file_that_cannot_be_opened_ends_the_logger(rings: Rings, tmp_path: Pa
 
 def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> None:
     for record in synthetic_records(512 - CYCLES + 3):
-        rings.rows.push(*row_fields(record))
+        rings.rows.push(row_of(record))
     summary = run_logger(tmp_path, rings, OUTCOME)
     assert summary.cycles == 512
     assert summary.recording_faults == ("3 cycle records lost, the logger was too slow",)

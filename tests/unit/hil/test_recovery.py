@@ -5,18 +5,27 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.timebase import Instant
 from hil.cli import app
 from hil.configuration.bench_file import load_bench
 from hil.figures.summary import Summary
+from hil.recording import rerun_anew
+from hil.recording.log_files import EventsKeeper, RecordsKeeper
+from hil.recording.records import ROW_DTYPE
 from hil.recording.records_file import read_records
 from hil.recording.run_folder import Reserve
+from hil.recording.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
+from tests.unit.hil.recording_tools import plan_for
+from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
+from tests.unit.hil.test_telemetry import RPM, columns, numbers
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 PERIOD_S = 0.001
@@ -81,6 +90,45 @@ def test_all_but_the_last_200_ms_are_there(run: Path) -> None:
     assert frames.endswith("\n")
     assert not (run / "records.tail").exists()
     assert not (run / ".reserve").exists()
+
+
+def test_events_of_a_logger_that_had_only_begun_the_records_are_put_into_run_time(tmp_path: Path) -> None:
+    """Killed between the two: the events count from the start of the bench, and lack the first cycle."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "bench.toml").write_text(load_bench(BENCH).resolved_text())
+    plan = replace(plan_for(folder), started_at=Instant(1_000))
+    records, events = RecordsKeeper(plan, folder), EventsKeeper(plan, folder)
+    no_rows, no_frames = np.empty(0, ROW_DTYPE), np.empty(0, FRAME_DTYPE)
+    events.take(no_rows, no_frames, [StateEvent(Instant(201_000), "phase", "enabling")])
+    records.take(no_rows, no_frames, [BeginEvent(Instant(301_000))])
+    records.take(rows_of(synthetic_records(10, origin=301_000)), no_frames, [])
+    assert recover(folder)[0] == 0
+    told = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert told == [{"at_ns": -100_000, "track": "phase", "state": "enabling"}, {"at_ns": 0, "begin": True}]
+
+
+def test_run_rrd_is_made_anew_from_the_other_files(run: Path) -> None:
+    before = json.loads(recover(run, "--json")[1])
+    rows = np.concatenate(list(read_records(run / "records.arrow")))
+    times, reference = numbers(run / "run.rrd", "/axis1/speed/reference")
+    np.testing.assert_array_equal(times, rows["due_at"])
+    np.testing.assert_allclose(reference, rows["reference_rad_s"] * RPM)
+    (((shown,),),) = [columns(run / "run.rrd", "/summary", "TextDocument:text")[1]]
+    assert json.loads(str(shown)) == before
+    assert not any("run.rrd" in fault for fault in before["recording_faults"])
+    assert not (run / "run.rrd.part").exists()
+
+
+def test_run_rrd_is_left_alone_where_there_is_no_room_for_it(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = (run / "run.rrd").read_bytes()
+    monkeypatch.setattr(rerun_anew, "ROOM_BYTES", 1 << 60)
+    assert recover(run)[0] == 0
+    faults = json.loads((run / "summary.json").read_text())["recording_faults"]
+    assert any(fault.startswith("run.rrd has no verdict") for fault in faults)
+    assert (run / "run.rrd").read_bytes() == there
 
 
 def test_the_verdict_says_what_is_missing(run: Path) -> None:

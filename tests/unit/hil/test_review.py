@@ -11,7 +11,7 @@ from drivers.timebase import Instant
 from hil.figures.review import Review
 from hil.figures.summary import DropoutCounts, Figures
 from hil.recording.recording_plan import AxisPlan, ReviewPlan
-from hil.recording.records import LAYOUT, ROW, Rows, row_fields
+from hil.recording.records import LAYOUT, Rows, row_of
 from hil.samples import CycleRecord, Dropout
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -76,7 +76,7 @@ def test_lateness_is_of_every_cycle() -> None:
 
 
 def test_the_digest_is_that_of_the_packed_rows(records: list[CycleRecord]) -> None:
-    packed = b"".join(ROW.pack(*row_fields(record)) for record in records)
+    packed = b"".join(row_of(record) for record in records)
     assert figures_of(rows_of(records)).digest == blake2b(packed, digest_size=16).hexdigest()
 
 
