@@ -8,6 +8,7 @@
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, and mutated files
 #                    against their loaders, for at most SECONDS each
+#   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
 #   make compile     compile the hot modules; demo, test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command: the same)
@@ -28,7 +29,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure demo check format test test-vcan truth swarm bench lock clean
+.PHONY: help setup compile pure demo check format test test-vcan truth swarm exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -95,6 +96,9 @@ truth: $(TOOLS) compile
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
 	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
+
+exits: $(TOOLS) compile
+	@$(BIN)/python -m tests.exits --seconds $(SECONDS)
 
 # What the benchmarks compare with has an environment of its own, and nothing else needs it.
 $(PEERS)/.installed: requirements-bench.lock | $(BIN)/python

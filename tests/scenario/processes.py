@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sysconfig
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,15 @@ VELOCITY_UNIT_RAD_S = 1e-3 / RPM_PER_RAD_S
 START_LIMIT_S = 60.0
 RUN_TIMEOUT_S = 90
 REST_RAD_S = 0.5
+NO_DISK = 99
+"""Status of :func:`on_disk_of` where it cannot be."""
+_ON_DISK = f"""
+mount -t tmpfs -o size="$1" tmpfs "$2" || exit {NO_DISK}
+disk=$2; kept=$3; shift 3
+"$@"; status=$?
+cp -a "$disk" "$kept"
+exit $status
+"""
 
 
 def quiet_environment() -> dict[str, str]:
@@ -69,6 +78,47 @@ def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=quiet_environment()
     )
+
+
+def on_disk_of(size: str, disk: Path, kept: Path, command: Sequence[str]) -> list[str]:
+    """``command`` with a disk of ``size`` at ``disk``, whose content lies in ``kept`` afterwards.
+
+    It is a tmpfs in a mount namespace of its own, for which nobody need be root.
+    """
+    return ["unshare", "-rm", "sh", "-c", _ON_DISK, "sh", size, str(disk), str(kept), *command]
+
+
+def logger_of(process_id: int) -> int:
+    """The process that records a run."""
+    for task in Path(f"/proc/{process_id}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if b"hil.recording.logger" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return int(child)
+    raise AssertionError("no logger runs")
+
+
+def broker_of(bus: str) -> int:
+    """The process behind a hub."""
+    name = bus.removeprefix("hub:").encode()
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdecimal():
+            continue
+        with suppress(OSError):  # it has ended since
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+            if b"virtual_bus.can_bus.hub_process" in words and name in words:
+                return int(entry.name)
+    raise AssertionError(f"{bus} has no broker")
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """Once it is there: whoever writes it may be a process that outlives the run."""
+    clock = MonotonicClock()
+    limit = clock.now() + 30 * NS_PER_S
+    while not (folder / "summary.json").exists():
+        assert clock.now() < limit, "no summary came"
+        clock.sleep_until(Instant(clock.now() + 50 * NS_PER_MS))
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
 
 
 def run(bench: Path, bus: str, folder: Path, lasts_s: float = 0.0) -> tuple[int, dict[str, Any], str]:

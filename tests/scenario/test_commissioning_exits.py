@@ -24,12 +24,12 @@ from tests.scenario.processes import (
     REST_RAD_S,
     START_LIMIT_S,
     VELOCITY_UNIT_RAD_S,
+    broker_of,
     hub_name,
     quiet_environment,
     run_command,
     simulated_drive,
 )
-from tests.scenario.test_exit_paths import kill_broker
 from virtual_bus.servo import SimulatedServo
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -230,7 +230,7 @@ def test_a_lost_bus_ends_it_and_names_what_puts_things_back(tmp_path: Path) -> N
         with witness(bus) as watching:
             process = start(bus, tmp_path)
             watching.until_turning()
-        kill_broker(bus.removeprefix("hub:"))
+        os.kill(broker_of(bus), signal.SIGKILL)
         _, said = process.communicate(timeout=30)
         assert process.returncode == 3, said
         assert "Traceback" not in said

@@ -10,7 +10,7 @@ import pytest
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S
 from hil.pytest_plugin import StartDrive
-from tests.scenario.processes import changed_bench, long_bench, observer, start_run
+from tests.scenario.processes import broker_of, changed_bench, long_bench, observer, start_run
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -120,20 +120,8 @@ def test_a_lost_bus_ends_the_run_and_the_drive_process(
     with observer(servo_bus) as watching:
         process = start_run(long_bench(tmp_path), servo_bus, tmp_path / "run")
         watching.until_turning(TURNING_RAD_S)
-    kill_broker(servo_bus.removeprefix("hub:"))
+    os.kill(broker_of(servo_bus), signal.SIGKILL)  # as a pulled cable ends the bus for all
     _, said = process.communicate(timeout=20)
     assert process.returncode == 3, said
     assert "Traceback" not in said
     assert drive.wait(20.0) == 3
-
-
-def kill_broker(name: str) -> None:
-    """Kill the broker process of a hub, as a pulled cable would end the bus for all."""
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdecimal():
-            continue
-        words = (entry / "cmdline").read_bytes().split(b"\0")
-        if b"virtual_bus.can_bus.hub_process" in b" ".join(words) and name.encode() in words:
-            os.kill(int(entry.name), signal.SIGKILL)
-            return
-    raise AssertionError(f"hub {name} has no broker")

@@ -19,18 +19,11 @@ from hil.recording.recorder import FolderRecorder, start_recording
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
 from hil.recording.tail import TAIL_FILE, read_tail
-from tests.scenario.processes import EXAMPLES, HIL, RUN_TIMEOUT_S, quiet_environment
+from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
 LONG_S = 40
 """Some ten times as long as it takes to fill the disk of the test."""
 LING2012 = EXAMPLES / "ling2012.toml"
-_ON_TINY_DISK = """
-mount -t tmpfs -o size="$1" tmpfs "$2" || exit 99
-disk=$2; kept=$3; shift 3
-"$@"; status=$?
-cp -a "$disk" "$kept"
-exit $status
-"""
 
 
 def run_on_tiny_disk(size: str, tmp_path: Path, *options: str) -> tuple[int, str, Path]:
@@ -42,14 +35,14 @@ def run_on_tiny_disk(size: str, tmp_path: Path, *options: str) -> tuple[int, str
     disk.mkdir()
     command = [*HIL, "run", str(options[0]), "--record", str(disk / "run"), *options[1:]]
     done = subprocess.run(
-        ["unshare", "-rm", "sh", "-c", _ON_TINY_DISK, "sh", size, str(disk), str(kept), *command],
+        on_disk_of(size, disk, kept, command),
         capture_output=True,
         text=True,
         env=quiet_environment(),
         timeout=RUN_TIMEOUT_S,
         check=False,
     )
-    if done.returncode == 99:
+    if done.returncode == NO_DISK:
         pytest.skip(f"no tmpfs in a namespace of its own here: {done.stderr}")
     return done.returncode, done.stdout + done.stderr, kept / "run"
 

@@ -4,18 +4,25 @@ import json
 import os
 import signal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.profile402 import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock, wall_clock_offset
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock_offset
 from hil.pytest_plugin import StartDrive
 from hil.recording.records_file import read_metadata, read_records
 from hil.recording.run_metadata import FIRST_CYCLE
-from tests.scenario.processes import changed_bench, long_bench, observer, start_run
-from tests.scenario.test_exit_paths import MARGIN_S, QUICK_STOP_S, TURNING_RAD_S, kill_broker
+from tests.scenario.processes import (
+    broker_of,
+    changed_bench,
+    logger_of,
+    long_bench,
+    observer,
+    start_run,
+    summary_of,
+)
+from tests.scenario.test_exit_paths import MARGIN_S, QUICK_STOP_S, TURNING_RAD_S
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 
@@ -23,26 +30,6 @@ LOST_MAX_NS = 200 * NS_PER_MS
 LOOK_MAX_S = 0.1
 """The loop looks at its logger every 50 ms, and notices in the cycle after."""
 RESIDENT_MAX_KB = 300_000
-
-
-def logger_of(process_id: int) -> int:
-    """The process that records a run."""
-    for task in Path(f"/proc/{process_id}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            if b"hil.recording.logger" in Path(f"/proc/{child}/cmdline").read_bytes():
-                return int(child)
-    raise AssertionError("no logger runs")
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """Once it is there: whoever writes it may be a process that outlives the run."""
-    clock = MonotonicClock()
-    limit = clock.now() + 30 * NS_PER_S
-    while not (folder / "summary.json").exists():
-        assert clock.now() < limit, "no summary came"
-        clock.sleep_until(Instant(clock.now() + 50 * NS_PER_MS))
-    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return found
 
 
 def lost_before(folder: Path, at: Instant) -> int:
@@ -76,7 +63,7 @@ def test_what_a_killed_process_costs(
             assert watching.time_to_rest(at, LOOK_MAX_S + QUICK_STOP_S + MARGIN_S)
             watching.until(State.SWITCH_ON_DISABLED, MARGIN_S)
         elif victim == "broker":
-            kill_broker(servo_bus.removeprefix("hub:"))
+            os.kill(broker_of(servo_bus), signal.SIGKILL)
             assert drive.wait(20.0) == 3
         else:
             drive.kill()

@@ -1,7 +1,7 @@
 """What must be true of every run, whatever befell it, each with how a run is held against it."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ from can.io.canutils import CanutilsLogReader
 
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.attribution import HELD_MAX
 from hil.configuration.config import BenchConfig
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
@@ -30,6 +31,8 @@ TELLING_NS: Final = NS_PER_MS
 """What is told at the very end has no frame of its own."""
 LOST_MAX_NS: Final = Duration(200 * NS_PER_MS)
 """Of the rows before the host was killed; a row that waits for its reading has not been handed over."""
+LOST_MAX: Final = HELD_MAX + 1
+"""Cycles whose rows wait so at most."""
 LEFTOVERS: Final = ("records.tail", "frames.tail", ".reserve", "summary.json.part", "records.arrow.part")
 RECORDER_STRUCK: Final = (Mishap.LOGGER_KILLED, Mishap.LOGGER_DIES, Mishap.DISK_FULL)
 
@@ -57,6 +60,9 @@ class Ran:
     circumstances: Circumstances
     folder: Path
     case: Told
+    statuses: Sequence[int] = STATUSES
+    """With which it may have ended."""
+    telling_ns: int = TELLING_NS
 
     @property
     def survived(self) -> bool:
@@ -118,7 +124,7 @@ def one_object_that_tells_the_status(ran: Ran) -> Iterator[str]:
         if not summary.exists():
             yield "the host was killed, and there is no summary.json"
         return
-    if status not in STATUSES:
+    if status not in ran.statuses:
         yield f"status {status}: {ran.case.said[-400:]}"
     if ran.told["verdict"]["exit_status"] != status:
         yield f"status {status}, the object says {ran.told['verdict']['exit_status']}"
@@ -141,13 +147,13 @@ def what_struck_the_recording_is_told(ran: Ran) -> Iterator[str]:
 
 
 def a_host_that_is_killed_leaves_its_rows(ran: Ran) -> Iterator[str]:
-    """All but the last 200 ms, if somebody was there to take them out of the ring."""
+    """All but the last 200 ms, or what is held, if somebody was there to take them out of the ring."""
     killed_at = ran.case.killed_at
     if killed_at is None or ran.circumstances.mishap is not Mishap.HOST_KILLED or not ran.rows.size:
         return
     last = Instant(int(ran.rows["due_at"].max()) + ran.first_cycle)
     done = any(event.get("state") == "stopping" for event in ran.events)
-    if killed_at - last > LOST_MAX_NS and not done:
+    if killed_at - last > max(LOST_MAX_NS, LOST_MAX * ran.config.loop.period) and not done:
         yield f"killed at {killed_at}, and the last row is of {last}"
 
 
@@ -196,16 +202,18 @@ def passed_means_at_rest_and_without_emergency(ran: Ran) -> Iterator[str]:
 
 
 def nothing_is_told_that_has_not_happened(ran: Ran) -> Iterator[str]:
-    """No event lies behind the last frame of the stopping, or behind the host's death."""
+    """No event lies behind the last frame, a stopping that no frame answers, or the host's death."""
     if not ran.whole and ran.survived:
         return
-    until = [frame.at for frame in ran.wire.frames[-1:]]
+    ends = [frame.at for frame in ran.wire.frames[-1:]]
+    ends += [event["at_ns"] for event in ran.events if event.get("state") == "stopping"]
+    until = max(ends, default=0) + ran.telling_ns
     if ran.case.killed_at is not None:
-        until = [Instant(ran.case.killed_at - ran.first_cycle)]
+        until = ran.case.killed_at - ran.first_cycle + TELLING_NS
     told = [event for event in ran.events if "begin" not in event]
-    late = [event for event in told for at in until if event["at_ns"] > at + TELLING_NS]
-    if late:
-        yield f"events after the last frame, {until}: {late[:3]}"
+    late = [event for event in told if event["at_ns"] > until]
+    if late and (ends or not ran.survived):
+        yield f"events after the end, {until}: {late[:3]}"
 
 
 def frames_are_in_order_of_time(ran: Ran) -> Iterator[str]:

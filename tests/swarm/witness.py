@@ -4,7 +4,7 @@ A witness stands innermost, behind every fault, so no fault hides anything from 
 of it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -46,6 +46,8 @@ class DriveWitness:
     """Stands in front of one simulated drive."""
 
     def __init__(self, drive: SimulatedServo) -> None:
+        self.seen_at = Instant(0)
+        """When it last heard or did something."""
         self._drive = drive
         self._seen_so_far = Testimony(drive.node_id, [], [])
 
@@ -72,6 +74,7 @@ class DriveWitness:
         return self._seen(self._drive.wake(now), now)
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
+        self.seen_at = now
         state, seen = self._drive.drive_state, self._seen_so_far
         if not seen.states or seen.states[-1][1] is not state:
             seen.states.append((now, state))
@@ -84,7 +87,9 @@ class DriveWitness:
 
 
 @contextmanager
-def witnessed(witnesses: list[DriveWitness]) -> Iterator[None]:
+def witnessed(
+    witnesses: list[DriveWitness], witness: Callable[[SimulatedServo], DriveWitness] = DriveWitness
+) -> Iterator[None]:
     """Every drive that a bench simulates in this process has one of ``witnesses`` while the context lasts."""
     inner = vars(bench)["open_world"]
 
@@ -93,7 +98,7 @@ def witnessed(witnesses: list[DriveWitness]) -> Iterator[None]:
         watched: list[Any] = []
         for device in devices:
             if isinstance(device, SimulatedServo):
-                witnesses.append(DriveWitness(device))
+                witnesses.append(witness(device))
                 watched.append(witnesses[-1])
             else:
                 watched.append(device)

@@ -1,0 +1,24 @@
+"""Cells of the table that no other test has: ``make exits`` runs all of them."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.exits.cells import Cell
+from tests.exits.findings import findings
+from tests.exits.one_run import run_cell
+
+pytestmark = pytest.mark.xdist_group("real time")
+
+CELLS = (
+    Cell("hub", "host", "kill", "enabling"),
+    Cell("hub", "drive", "stop", "running"),
+    Cell("simulated", "disk", "slow", "running"),
+    Cell("simulated", "disk", "full", "stopped"),
+)
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=str)
+def test_what_a_run_comes_to_is_told(cell: Cell, tmp_path: Path) -> None:
+    ended = run_cell(cell, tmp_path)
+    assert findings(ended) == [], ended.ran.case.said
