@@ -24,6 +24,8 @@ RUNTIME := $(VENV)/.runtime
 TOOLS   := $(VENV)/.tools
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# The matrices are small: a second thread costs more than it saves, and takes a core from the tests beside it.
+export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup compile pure demo check format test test-vcan truth swarm bench lock clean

@@ -1,14 +1,17 @@
-"""For which bandwidths of the drive's current loop the certificates of a sampled loop hold.
+"""For which bandwidths of the drive's current loop the certificates of a speed loop hold.
 
 From the bandwidth of the design the range grows slice by slice, downwards and upwards. Each slice has
-certificates of its own, for every bandwidth in it (:mod:`design.step_maps`); a slice that would raise the
-certified gain too far, or cannot be certified, ends the range on its side.
+certificates of its own, for every bandwidth in it (of the sampled loop :mod:`design.step_maps`, of the one
+with a constant delay :mod:`design.delay_norm`); a slice that would raise the certified gain too far, or
+cannot be certified, ends the range on its side.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from design.delay_loop import Array
+from design.delay_norm import norm_between
 from design.errors import NoSolution
 from design.held_loop import HeldLoop, SampledNetwork
 from design.loss_patterns import Pattern, pattern_gains, pattern_of
@@ -22,47 +25,71 @@ _WIDEST = 1.6
 _ALLOWED = 1.1
 """Certified gain of a slice over that of the design: a range in which the figure means nothing is no use."""
 
+ModelAt = Callable[[float], SpeedModel]
+"""The model with a current loop of so many Hz."""
+Figures = tuple[float, float | None]
+"""Certified gain and decay; None: the decay is not looked at."""
+
 
 @dataclass(frozen=True, slots=True)
 class BandwidthRange:
-    """From ``min_hz`` to ``max_hz`` decay, 1/s, and gain, rad/s per N m, are certified."""
+    """From ``min_hz`` to ``max_hz`` gain, rad/s per N m, and decay, 1/s, are certified."""
 
     min_hz: float
     max_hz: float
     gain: float
-    decay_per_s: float
+    decay_per_s: float | None = None
+    """None: with a constant delay, where only the gain is certified."""
 
 
 def bandwidth_range(
-    model_at: Callable[[float], SpeedModel],
-    K: Array,
-    network: SampledNetwork,
-    patterns: list[Pattern],
-    nominal: BandwidthRange,
+    model_at: ModelAt, K: Array, network: SampledNetwork, patterns: list[Pattern], nominal: BandwidthRange
 ) -> BandwidthRange:
-    """The range around ``nominal``, whose ends are the bandwidth of the design.
+    """The range of the sampled loop around ``nominal``, whose ends are the bandwidth of the design.
 
     ``patterns``: the worst that are known there.
     """
+
+    def figures(one_hz: float, other_hz: float) -> Figures | None:
+        one, other = (HeldLoop(model_at(each), K, network) for each in (one_hz, other_hz))
+        return _sampled(one, other, patterns)
+
+    return _grown(nominal, figures)
+
+
+def constant_bandwidth_range(
+    model_at: ModelAt, K: Array, delay_s: float, nominal: BandwidthRange
+) -> BandwidthRange:
+    """The same of the loop with the constant delay."""
+
+    def figures(one_hz: float, other_hz: float) -> Figures | None:
+        gain = norm_between(*(model_at(each).loop(K, delay_s) for each in (one_hz, other_hz)))
+        return None if math.isinf(gain) else (gain, None)
+
+    return _grown(nominal, figures)
+
+
+def _grown(nominal: BandwidthRange, figures: Callable[[float, float], Figures | None]) -> BandwidthRange:
+    """``figures``: for every bandwidth between two."""
     found = nominal
     for factor in (1.0 / _SLICE, _SLICE):
         end_hz = nominal.min_hz
         while nominal.min_hz / _WIDEST < end_hz * factor < nominal.min_hz * _WIDEST:
-            loops = [HeldLoop(model_at(each), K, network) for each in (end_hz, end_hz * factor)]
-            figures = _slice(loops[0], loops[1], patterns)
-            if figures is None or figures[0] > _ALLOWED * nominal.gain:
+            certified = figures(end_hz, end_hz * factor)
+            if certified is None or certified[0] > _ALLOWED * nominal.gain:
                 break
             end_hz *= factor
+            decays = [each for each in (found.decay_per_s, certified[1]) if each is not None]
             found = BandwidthRange(
                 min(found.min_hz, end_hz),
                 max(found.max_hz, end_hz),
-                max(found.gain, figures[0]),
-                min(found.decay_per_s, figures[1]),
+                max(found.gain, certified[0]),
+                min(decays, default=None),
             )
     return found
 
 
-def _slice(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> tuple[float, float] | None:
+def _sampled(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> Figures | None:
     """Certified gain and decay for every bandwidth between the two loops'."""
     patterns = [pattern_of(one, each.steps) for each in known]
     gain = float(max(pattern_gains(one, patterns, 1e-3)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from design.delay_lmi import gain_problem, ordinary_gain_problem, scaled, stability_problem
 from design.delay_loop import Array, DelayLoop
-from design.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
+from design.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, sampled_norm
 from design.errors import NoSolution
 from design.lmi import SOLVER, LmiProblem, rounding_of, smallest_eigenvalues, solve
 from design.speed_loop import SpeedModel
@@ -35,7 +35,7 @@ class Proof:
 
 
 _SHARES = (1.2, 1.0, 2.0)
-"""Of the exact gain: units of the disturbance that are tried."""
+"""Of the gain: units of the disturbance that are tried."""
 _CURRENT_FACTORS = (1.0, 0.2, 5.0)
 """Of what the feedback makes of 1 rad/s: units of the current, tried where the usual ones fail."""
 
@@ -56,7 +56,7 @@ def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedG
     """
     if not is_stable(loop):
         raise NoSolution(f"certificate of the gain at order {order}", "the loop is unstable")
-    norm = hinf_norm(loop)
+    norm = sampled_norm(loop)
     failure: NoSolution | None = None
     # the solver's luck turns with the units; whatever it says, the proof decides
     for state_scale in _state_scales(model, loop):

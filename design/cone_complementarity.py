@@ -123,7 +123,7 @@ def _complement(
         objective = _linearised_trace(unknowns, point)
         problem = LmiProblem("Step 3 of Algorithm 4.2", unknowns, inequalities, objective, STRICT)
         try:
-            y = solve(problem, (1e-8, 1e-6)).y
+            y = solve(problem, 1e-8, 1e-6).y
         except NoSolution:
             return None, point, k + 1
         values = unknowns.values(y)
@@ -171,7 +171,7 @@ def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Ar
     objective = np.zeros(unknowns.count)
     objective[unknowns.slice_of("X")] = np.trace(unknowns.basis("X"), axis1=1, axis2=2)
     try:
-        y = solve(LmiProblem("S = X", unknowns, [*positive, bounded], objective, STRICT), (1e-8, 1e-6)).y
+        y = solve(LmiProblem("S = X", unknowns, [*positive, bounded], objective, STRICT), 1e-8, 1e-6).y
     except NoSolution:
         return None
     X, Q = unknowns.value("X", y), unknowns.value("Q", y)

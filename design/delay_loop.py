@@ -74,61 +74,56 @@ class LoopFunction:
     def magnitude(self, w: Array) -> Array:
         """|G(j w)| at the frequencies ``w`` in rad per time unit."""
         s = np.asarray(1j * w, dtype=np.complex128)
-        turn = np.exp(-s * self.delay)
-        values = [
-            _value(part.plain, s) - turn * _value(part.delayed, s)
-            for part in (self.numerator, self.denominator)
-        ]
-        return np.asarray(np.abs(values[0] / values[1]))
+        parts = [each for part in (self.numerator, self.denominator) for each in (part.plain, part.delayed)]
+        coefficients = np.array(parts).reshape(2, 2, -1, *[1] * s.ndim)
+        values = np.zeros((2, 2, *s.shape), dtype=np.complex128)
+        for place in range(coefficients.shape[2] - 1, -1, -1):
+            values = values * s + coefficients[:, :, place]
+        n, q = values[:, 0] - np.exp(-s * self.delay) * values[:, 1]
+        return np.asarray(np.abs(n / q))
 
 
-def _value(coefficients: Array, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    total = np.full_like(s, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        total = total * s + coefficient
-    return total
+def _resolvent(M: Array) -> tuple[Array, Array]:
+    """det(s I - M), (m, n + 1), and adj(s I - M), (n, m, n, n), ascending, of each of M (m, n, n).
 
-
-def characteristic_polynomial(M: Array) -> Array:
-    """det(s I - M), ascending, by the Faddeev-LeVerrier recursion (exact up to rounding for small n)."""
-    n = len(M)
-    coefficients = np.zeros(n + 1)
-    coefficients[n] = 1.0
-    N = np.eye(n)
-    for k in range(1, n + 1):
-        MN = M @ N
-        coefficients[n - k] = -np.trace(MN) / k
-        N = MN + coefficients[n - k] * np.eye(n)
-    return coefficients
-
-
-def loop_function(loop: DelayLoop) -> LoopFunction:
-    """The transfer function from d to z as quasi-polynomials.
-
-    q is affine in e^{-s eta} because the feedback has rank one; so is
-    n(s) = det(s I - A + E C - B K e^{-s eta}) - q(s), the rank of E C being one too.
+    By the recursion of Faddeev and LeVerrier, exact up to rounding for small n.
     """
-    unit = time_unit_s(loop)
-    A, BK = loop.A * unit, loop.BK * unit
-    # E C is made as large as the rest, so that the difference below keeps its digits.
-    EC = np.outer(loop.E, loop.C) * unit
-    size = float(np.linalg.norm(EC))
-    EC = EC / size if size > 0.0 else EC
-    denominator = _delay_split(A, BK)
-    shifted = _delay_split(A - EC, BK)
-    numerator = QuasiPolynomial(
-        (shifted.plain - denominator.plain) * size, (shifted.delayed - denominator.delayed) * size
+    n = M.shape[-1]
+    determinant, adjugate = np.ones((len(M), n + 1)), np.zeros((n, *M.shape))
+    N = np.broadcast_to(np.eye(n), M.shape)
+    for k in range(1, n + 1):
+        adjugate[n - k] = N
+        MN = M @ N
+        determinant[:, n - k] = -np.trace(MN, axis1=1, axis2=2) / k
+        N = MN + determinant[:, n - k, None, None] * np.eye(n)
+    return determinant, adjugate
+
+
+def loop_function(loop: DelayLoop, unit_s: float | None = None) -> LoopFunction:
+    """The transfer function from d to z as quasi-polynomials; ``unit_s``: of time, if not the loop's own.
+
+    q = det(s I - A) - K adj(s I - A) B e^{-s eta} is affine in e^{-s eta} because the feedback has rank one,
+    and so is n = C adj(s I - A - B K e^{-s eta}) E: what it is without delay tells the delayed part.
+    """
+    n = len(loop.A)
+    determinant, adjugate = _resolvent(np.stack([loop.A, loop.A + loop.BK]))
+    unit = unit_s or _time_unit_s(determinant, loop.delay_s)
+    scale = unit ** np.arange(n, -1.0, -1.0)
+    numerator = np.vstack([adjugate @ loop.E @ loop.C, np.zeros(2)]) * scale[:, None]
+    returned = np.append(adjugate[:, 0] @ loop.B @ loop.K, 0.0) * scale
+    return LoopFunction(
+        QuasiPolynomial(numerator[:, 0], numerator[:, 0] - numerator[:, 1]),
+        QuasiPolynomial(determinant[0] * scale, returned),
+        loop.delay_s / unit,
+        unit,
     )
-    return LoopFunction(numerator, denominator, loop.delay_s / unit, unit)
 
 
-def time_unit_s(loop: DelayLoop) -> float:
-    """The delay; the inverse of the plant's fastest rate where that is slower or there is no delay."""
-    rate = max(float(np.linalg.norm(loop.A, 2)), float(np.max(np.abs(np.linalg.eigvals(loop.A + loop.BK)))))
-    unit = 1.0 / rate if rate > 0.0 else 1.0
-    return max(unit, loop.delay_s)
+def _time_unit_s(determinant: Array, delay_s: float) -> float:
+    """The delay; the inverse of the fastest rate, within a small factor, where that is slower.
 
-
-def _delay_split(A: Array, BK: Array) -> QuasiPolynomial:
-    plain = characteristic_polynomial(A)
-    return QuasiPolynomial(plain, plain - characteristic_polynomial(A + BK))
+    ``determinant``: (m, n + 1) characteristic polynomials.
+    """
+    n = determinant.shape[1] - 1
+    rate = float(np.max(np.abs(determinant[:, :n]) ** (1.0 / np.arange(n, 0.0, -1.0)), initial=0.0))
+    return max(1.0 / rate if rate > 0.0 else 1.0, delay_s)

@@ -9,6 +9,9 @@ Norm: |G(jw)| <= gamma is the sign of one real function of w, polynomials times 
 w eta, whose second derivative is bounded on any interval. Intervals are halved until that bound
 shows the sign on each; a point with the wrong sign is climbed to its summit and the search begins
 anew from there. What is returned is thus a supremum up to a stated tolerance, whatever its peaks.
+
+Between two current loops: the rate stands in one row of A and B K, so that n and q are affine in it, and
+|n|^2 - gamma^2 |q|^2 departs from its chord between the two by gamma^2 |q_2 - q_1|^2/4 at most.
 """
 
 import cmath
@@ -18,10 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.delay_loop import Array, DelayLoop, LoopFunction, loop_function
+from design.delay_loop import Array, DelayLoop, LoopFunction, QuasiPolynomial, loop_function
 
 NORM_TOLERANCE = 1e-8
 """Relative: no frequency has a gain beyond the norm that is returned times one plus this."""
+_RAISED = (1e-4, 1e-3, 1e-2, 0.03)
+"""Relative: so much above the larger norm of two loops a bound for all between them is tried."""
 _AT_AXIS = 1e-12
 """Relative distance from the imaginary axis below which a root counts as on it."""
 _CELL_MIN = 1e-11
@@ -113,6 +118,30 @@ def hinf_peak(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> Peak:
         gain, w = higher, at
 
 
+def norm_between(one: DelayLoop, other: DelayLoop) -> float:
+    """A bound of the norm of every loop whose current loop has a rate between those of the two.
+
+    inf if none was shown, or one of the two is unstable. No loop between them can be unstable where it is
+    finite: no root can come to the imaginary axis.
+    """
+    largest = max(hinf_norm(one), hinf_norm(other))
+    if math.isinf(largest):
+        return math.inf
+    unit_s = max(loop_function(loop).time_unit_s for loop in (one, other))
+    functions = [loop_function(loop, unit_s) for loop in (one, other)]
+    first, second = (function.denominator for function in functions)
+    apart = QuasiPolynomial(0.5 * (second.plain - first.plain), 0.5 * (second.delayed - first.delayed))
+    for raised in _RAISED:
+        gain = largest * (1.0 + raised)
+        ends = [_tail_start(function, gain, apart) for function in functions]
+        if all(
+            _point_above(function, gain, end, apart) is None
+            for function, end in zip(functions, ends, strict=True)
+        ):
+            return gain
+    return math.inf
+
+
 def peaks(loop: DelayLoop, share: float = 0.5) -> list[Peak]:
     """Local maxima of |G| found by sampling, those above ``share`` of the largest; w = 0 always first.
 
@@ -178,9 +207,11 @@ def _zoom(function: LoopFunction, low: Array, high: Array) -> tuple[Array, Array
     return gains[rows, top], w[rows, top]
 
 
-def _tail_start(function: LoopFunction, gain: float) -> float:
-    """A frequency beyond which |G| stays below ``gain``: there s^n outweighs all the rest."""
+def _tail_start(function: LoopFunction, gain: float, apart: QuasiPolynomial | None = None) -> float:
+    """A frequency beyond which |G| stays below ``gain``: there s^n outweighs all the rest, ``apart`` too."""
     top = np.abs(function.numerator.plain) + np.abs(function.numerator.delayed)
+    if apart is not None:
+        top = top + gain * (np.abs(apart.plain) + np.abs(apart.delayed))
     rest = np.abs(function.denominator.plain) + np.abs(function.denominator.delayed)
     rest[-1] = np.abs(function.denominator.delayed[-1])
     w = 1.0
@@ -193,20 +224,23 @@ def _tail_start(function: LoopFunction, gain: float) -> float:
     return w
 
 
-def _point_above(function: LoopFunction, gain: float, end: float) -> Array | None:
-    """Samples around a frequency in [0, end] where |G| > ``gain``; None if it is shown that there is none."""
-    sign = _SignFunction(function, gain)
+def _point_above(
+    function: LoopFunction, gain: float, end: float, apart: QuasiPolynomial | None = None
+) -> Array | None:
+    """Samples around a frequency in [0, end] where |G| > ``gain``; None if it is shown that there is none.
+
+    ``apart``: |n|^2 + gain^2 |apart|^2 > gain^2 |q|^2 instead.
+    """
+    sign = _SignFunction(function, gain, apart)
     edges = np.linspace(0.0, end, max(16, int(end * 2.0) + 1) if end < 1e5 else 4096)
     centre, radius = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     while len(centre):
-        value, slope, bend = sign.on_cells(centre, radius)
+        value, largest = sign.on_cells(centre, radius)
         above = np.flatnonzero(value > 0.0)
         if len(above):
             c, r = centre[above[0]], radius[above[0]]
             return np.array([max(c - r, 0.0), c, c + r])
-        undecided = (value + np.abs(slope) * radius + 0.5 * bend * radius**2 > 0.0) & (
-            radius > _CELL_MIN * (1.0 + centre)
-        )
+        undecided = (largest > 0.0) & (radius > _CELL_MIN * (1.0 + centre))
         half = 0.5 * radius[undecided]
         centre = np.concatenate([centre[undecided] - half, centre[undecided] + half])
         radius = np.concatenate([half, half])
@@ -214,30 +248,45 @@ def _point_above(function: LoopFunction, gain: float, end: float) -> Array | Non
 
 
 class _SignFunction:
-    """f(w) = |n(jw)|^2 - gain^2 |q(jw)|^2 = U(w) - 2 Re(e^{j w delay} V(w)), and bounds on a cell."""
+    """f(w) = |n(jw)|^2 - gain^2 |q(jw)|^2 = U(w) - 2 Re(e^{j w delay} V(w)), and bounds on a cell.
 
-    def __init__(self, function: LoopFunction, gain: float) -> None:
-        n0, n1 = _along_axis(function.numerator.plain), _along_axis(function.numerator.delayed)
-        a, b = _along_axis(function.denominator.plain), _along_axis(function.denominator.delayed)
+    ``apart``: gain^2 |apart(jw)|^2 more.
+    """
+
+    def __init__(self, function: LoopFunction, gain: float, apart: QuasiPolynomial | None) -> None:
         square = gain * gain
-        U = (_product(n0, n0) + _product(n1, n1)).real - square * (_product(a, a) + _product(b, b)).real
-        V = _product(n0, n1) - square * _product(a, b)
-        derivative = np.polynomial.polynomial.polyder
+        parts = [(function.numerator, 1.0), (function.denominator, -square)]
+        if apart is not None:
+            parts.append((apart, square))
+        U, V = np.zeros(1), np.zeros(1, dtype=complex)
+        for part, weight in parts:
+            plain, delayed = _along_axis(part.plain), _along_axis(part.delayed)
+            U = U + weight * (_product(plain, plain) + _product(delayed, delayed)).real
+            V = V + weight * _product(plain, delayed)
         self._delay = function.delay
-        self._U = [U, derivative(U), derivative(U, 2)]
-        self._V = [V, derivative(V), derivative(V, 2)]
+        both = [U.astype(complex), V]
+        rates = [_derivative(p) for p in both]
+        bends = [_derivative(p) for p in rates]
+        self._at_centre = np.stack([*both, *rates], axis=1)
+        self._within = np.abs(np.stack([bends[0], V, rates[1], bends[1]], axis=1))
 
-    def on_cells(self, centre: Array, radius: Array) -> tuple[Array, Array, Array]:
-        """(f, f') at the centres and a bound of abs(f'') on each cell."""
-        value = np.polynomial.polynomial.polyval
+    def on_cells(self, centre: Array, radius: Array) -> tuple[Array, Array]:
+        """f at the centres and a bound of f on each cell, from its derivatives there or for any phase."""
+        powers = np.arange(float(len(self._at_centre)))
         turn, h = np.exp(1j * centre * self._delay), self._delay
-        V, dV = value(centre, self._V[0]), value(centre, self._V[1])
-        f = value(centre, self._U[0]) - 2.0 * np.real(turn * V)
-        slope = value(centre, self._U[1]) - 2.0 * np.real(turn * (dV + 1j * h * V))
-        edge = centre + radius
-        V0, V1, V2 = (value(edge, np.abs(part)) for part in self._V)
-        bend = value(edge, np.abs(self._U[2])) + 2.0 * (V2 + 2.0 * h * V1 + h * h * V0)
-        return f, slope, bend
+        U, V, dU, dV = (centre[:, None] ** powers @ self._at_centre).T
+        f = U.real - 2.0 * np.real(turn * V)
+        slope = dU.real - 2.0 * np.real(turn * (dV + 1j * h * V))
+        U2, V0, V1, V2 = ((centre + radius)[:, None] ** powers @ self._within).T
+        bend = U2 + 2.0 * (V2 + 2.0 * h * V1 + h * h * V0)
+        at_any_phase = U.real + 2.0 * np.abs(V) + (np.abs(dU) + 2.0 * np.abs(dV)) * radius
+        at_any_phase += 0.5 * (U2 + 2.0 * V2) * radius**2
+        return f, np.minimum(f + np.abs(slope) * radius + 0.5 * bend * radius**2, at_any_phase)
+
+
+def _derivative(p: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Of as many coefficients, the last one 0."""
+    return np.append(p[1:] * np.arange(1.0, len(p)), 0.0)
 
 
 def _along_axis(p: Array) -> NDArray[np.complex128]:

@@ -4,7 +4,7 @@ A problem is: minimise c'y over y, subject to F_j(y) = F_j0 + sum_k y_k F_jk >= 
 where y holds the free entries of the unknown matrices. Building knows nothing of the solver.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import clarabel
@@ -17,6 +17,8 @@ from design.errors import NoSolution
 Array = NDArray[np.float64]
 
 SOLVER = "Clarabel"
+_ENDS = ("Solved", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
+"""Statuses that do not say that there is no solution."""
 
 
 class Unknowns:
@@ -107,23 +109,18 @@ class LmiSolution:
     y: Array
     objective: float
     duals: list[Array] = field(repr=False)
-    status: str = "Solved"
 
 
-def solve(problem: LmiProblem, tolerances: Sequence[float] = (1e-9, 1e-8)) -> LmiSolution:
-    """The optimum, to the first of the relative ``tolerances`` that the solver reaches.
+def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) -> LmiSolution:
+    """The optimum to the relative ``tolerance``, or where the solver stops short of that, to ``enough``.
 
     Raises NoSolution with the solver's status for anything but an optimum.
     """
-    for tolerance in tolerances:
-        answer = _ask(problem, tolerance)
-        status = str(answer.status)
-        if status != "AlmostSolved":
-            break
-    if status != "Solved":
+    answer = _ask(problem, tolerance, enough)
+    if str(answer.status) not in ("Solved", "AlmostSolved"):
         raise NoSolution(
             problem.what,
-            f"{SOLVER} says {status}",
+            f"{SOLVER} says {answer.status}",
             f"{answer.iterations} iterations, residuals {answer.r_prim:.1e} and {answer.r_dual:.1e}",
         )
     y = np.asarray(answer.x)
@@ -133,7 +130,15 @@ def solve(problem: LmiProblem, tolerances: Sequence[float] = (1e-9, 1e-8)) -> Lm
         length = m * (m + 1) // 2
         duals.append(_matrix(z[start : start + length], m))
         start += length
-    return LmiSolution(y, float(problem.objective @ y), duals, status)
+    return LmiSolution(y, float(problem.objective @ y), duals)
+
+
+def last_answer(problem: LmiProblem, tolerance: float) -> Array | None:
+    """y where the solver ends, at an optimum or short of it, for those who prove it; None: it says there is
+    none."""
+    answer = _ask(problem, tolerance, tolerance)
+    y = np.asarray(answer.x)
+    return y if str(answer.status) in _ENDS and np.all(np.isfinite(y)) else None
 
 
 def smallest_eigenvalues(problem: LmiProblem, y: Array) -> list[float]:
@@ -150,7 +155,7 @@ def rounding_of(problem: LmiProblem, y: Array) -> float:
     return worst
 
 
-def _ask(problem: LmiProblem, tolerance: float) -> clarabel.DefaultSolution:
+def _ask(problem: LmiProblem, tolerance: float, enough: float) -> clarabel.DefaultSolution:
     columns, bounds, cones = [], [], []
     for inequality in problem.inequalities:
         m = len(inequality.constant)
@@ -162,6 +167,7 @@ def _ask(problem: LmiProblem, tolerance: float) -> clarabel.DefaultSolution:
     settings.verbose = False
     settings.max_threads = 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = settings.reduced_tol_feas = enough
     solver = clarabel.DefaultSolver(
         sparse.csc_matrix((n, n)),
         problem.objective,

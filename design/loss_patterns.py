@@ -48,6 +48,8 @@ _DOUBLINGS = 16
 """A pattern is repeated two to this power times to tell whether its gain exceeds a level."""
 _SCORING = 10
 """The same, to rank many."""
+_FORGOTTEN = 1e-40
+"""Entries of Phi below which nothing of the beginning is left: its square changes no digit."""
 _BEYOND = 2.0
 _LEVELS = 20
 """Parts into which the span of a gain is cut at once."""
@@ -251,9 +253,20 @@ class _Contest:
 
 
 def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
+    """Each repeated two to the power ``doublings`` times, or until its beginning is forgotten."""
+    names = ("Phi", "W", "Q", "bounded")
+    flat = total.reshaped((-1,))
+    found = {name: getattr(flat, name).copy() for name in names}
+    left = np.arange(total.bounded.size)
     for _ in range(doublings):
-        total = total.then(total)
-    return total
+        part = flat.then(flat)
+        for name in names:
+            found[name][left] = getattr(part, name)
+        moving = np.abs(part.Phi).max(axis=(-2, -1), initial=0.0) > _FORGOTTEN
+        flat, left = part[moving], left[moving]
+        if not len(left):
+            break
+    return ValueMap(**found).reshaped(total.bounded.shape)
 
 
 def _nearness(total: ValueMap) -> Array:

@@ -130,16 +130,9 @@ def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | Non
         roots = [cholesky(P) for P in answer[0]]
     except np.linalg.LinAlgError:
         return None
-    rho = math.sqrt(max(_growth(system, answer[0], place) for place in range(len(edges))))
+    rho = math.sqrt(max(system.share_left(answer[0], place) for place in range(len(edges))))
     spread = max(float(np.linalg.norm(np.linalg.solve(root.T, row))) for root in roots)
     return _Norm([root @ L for root in roots], rho, spread) if rho < 1.0 else None
-
-
-def _growth(system: Inequalities, P: Sequence[Array], place: int) -> float:
-    """Largest share of xi' P_i xi that a step of this edge leaves, between its corners too."""
-    inverse = np.linalg.inv(cholesky(P[system.edges[place].source]))
-    values, _ = system.values(P, place)
-    return float(np.max(np.linalg.eigvalsh(inverse.T @ values @ inverse)))
 
 
 def _problem(
@@ -165,8 +158,7 @@ def _problem(
             inequalities.append(below)
     for place in range(len(system.edges)):
         for corner in chosen[place]:
-            maps = system.maps[place]
-            inequalities.append(corner_inequality(system, unknowns, place, corner, maps, growth))
+            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
     objective = np.zeros(unknowns.count)
     objective[-1] = 1.0
     return LmiProblem("certificate of the peak", unknowns, inequalities, objective)

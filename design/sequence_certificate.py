@@ -4,11 +4,13 @@ The sequences are the walks of a graph (:mod:`design.admissible_steps`), each ed
 that it may mean and the bounds of what lies between (:mod:`design.step_maps`). Quadratic functions
 xi' P_i xi, one for each node, with
 
-    value of any step from i to j of P_j  <=  P_i            the gain is proved
-    e^{2 alpha h} M' P_j M <= P_i, P_i > 0                   the decay alpha is proved
+    value of any stretch from i to j of P_j  <=  P_i         the gain is proved
+    e^{2 alpha t} M' P_j M <= P_i, P_i > 0                   the decay alpha is proved, t the stretch's length
 
 along every edge hold for every walk (multiple Lyapunov functions; Lee and Dullerud, Automatica 42(2), 2006).
-Nodes that remember how the last delivery was reached prove more.
+A stretch lasts from one delivery to the next; for a range of current loops it is a period, for what lies
+between two rates is known of one period at a time. Nodes that remember how the last delivery was reached
+prove more.
 
 What is given out has been put into all inequalities, at its own gain, in numpy.
 """
@@ -26,7 +28,7 @@ from design.errors import NoSolution
 from design.held_loop import HeldLoop
 from design.lmi import SOLVER, LmiProblem, MatrixInequality, Unknowns
 from design.loss_patterns import Pattern
-from design.sequence_graph import Edge, edges_of
+from design.sequence_graph import Edge, between_deliveries, edges_of
 from design.sequence_inequalities import (
     MARGIN,
     Inequalities,
@@ -40,9 +42,13 @@ _STRICT = 1e-6
 """Margin demanded of the solver, in the same coordinates."""
 _BISECTIONS = 14
 _DECAY_TOLERANCE = 2e-4
-_LEVELS = 4
-_RAISED = (1e-4, 1e-3)
+_LEVELS = 5
+_RAISED = (1e-4, 1e-3, 1e-2)
 """Relative: so much above the solver's gain the proof is tried."""
+_LOWERED = (1e-6, 1e-4, 1e-2)
+"""Relative: so much below the decay of the functions the proof is tried."""
+_NEAR = 2e-3
+"""Of the gain's square: so near to its level the solver's gain is no other than one at a level of its own."""
 _CLOSE = 1.01
 """Certified over found at which nodes need not remember."""
 _UNITS_AT = (1.2, 2.0, 1.05, 5.0)
@@ -81,9 +87,8 @@ def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: floa
         positive.add(unknowns, f"P{node}", identity)
         inequalities.append(positive)
     for place in range(len(system.edges)):
-        maps = system.maps[place]
         for corner in chosen[place]:
-            inequalities.append(corner_inequality(system, unknowns, place, corner, maps, growth))
+            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
     if system.level is None:
         for inequality in inequalities:
             inequality.coefficients[-1] += identity
@@ -116,7 +121,7 @@ def certify_gain(
         best: SequenceCertificate | None = None
         L = coordinates(loop, patterns, units_at * found)
         for way in ways_of(loop, remembering):
-            nodes, edges = edges_of(loop, L, way, other)
+            nodes, edges = _graph(loop, L, way, other)
             certificate = _least_gain(loop, nodes, edges, L, found)
             if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
                 best = certificate
@@ -142,13 +147,19 @@ def certify_decay(
     best: SequenceCertificate | None = None
     L = coordinates(loop, patterns, _UNITS_AT[0] * gain)
     for way in ways_of(loop, remembering):
-        nodes, edges = edges_of(loop, L, way, other)
+        nodes, edges = _graph(loop, L, way, other)
         certificate = _fastest(Inequalities(loop, nodes, edges, L, None), worst)
         if certificate is not None and (best is None or _decay(certificate) > _decay(best)):
             best = certificate
         if best is not None and _decay(best) > worst / _CLOSE:
             break
     return best
+
+
+def _graph(loop: HeldLoop, L: Array, remembering: bool, other: HeldLoop | None) -> tuple[int, list[Edge]]:
+    """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
+    nodes, edges = edges_of(loop, L, remembering, other)
+    return between_deliveries(edges) if other is None else (nodes, edges)
 
 
 def _gain(certificate: SequenceCertificate) -> float:
@@ -181,20 +192,31 @@ def ways_of(loop: HeldLoop, remembering: Sequence[bool]) -> Sequence[bool]:
 def _least_gain(
     loop: HeldLoop, nodes: int, edges: list[Edge], L: Array, found: float
 ) -> SequenceCertificate | None:
-    level = found
+    level, slope = math.log(found), -2.0
+    last: tuple[float, float, list[Array]] | None = None
     for _ in range(_LEVELS):
-        system = Inequalities(loop, nodes, edges, L, level)
+        system = Inequalities(loop, nodes, edges, L, math.exp(level))
         answer = exchanged(system, partial(_problem, system, growth=1.0), 1.0)
-        if answer is None:
-            return None
-        P, squared = answer
-        level *= math.sqrt(max(squared, 1.0))
-        for raised in _RAISED:
-            margin = proved(Inequalities(loop, nodes, edges, L, level * (1.0 + raised)), P, 1.0)
-            if margin > MARGIN:
-                proof = [L.T @ matrix @ L for matrix in P]
-                return SequenceCertificate(proof, margin, gain=level * (1.0 + raised))
-        level *= 1.0 + _RAISED[0]
+        if answer is None or answer[1] <= 0.0:
+            break
+        excess = math.log(answer[1])
+        # the solver's gain is that of its level, and is wanted where it is the level
+        if last is not None and (excess - last[1]) * (level - last[0]) < 0.0:
+            slope = (excess - last[1]) / (level - last[0])
+        last = level, excess, answer[0]
+        if abs(excess) < _NEAR:
+            break
+        level -= excess / slope
+    if last is None:
+        return None
+    level, excess, P = last
+    gains = [math.exp(level + 0.5 * excess) * (1.0 + raised) for raised in _RAISED]
+    if excess < 0.0:
+        gains.append(math.exp(level) * (1.0 + _RAISED[0]))
+    for gain in sorted(gains):
+        margin = proved(Inequalities(loop, nodes, edges, L, gain), P, 1.0)
+        if margin > MARGIN:
+            return SequenceCertificate([L.T @ matrix @ L for matrix in P], margin, gain=gain)
     return None
 
 
@@ -206,14 +228,31 @@ def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
         rate = rates[number] if number < len(rates) else 0.5 * (low + high)
         growth = math.exp(2.0 * rate * system.period_s)
         answer = exchanged(system, partial(_problem, system, growth=growth), growth, objective_max=0.0)
-        margin = -math.inf if answer is None else proved(system, answer[0], growth)
-        if answer is None or margin < MARGIN:
-            if best is None:
-                return None
-            high = rate
+        proof = None if answer is None else _decay_of(system, answer[0], rate)
+        if proof is not None:
+            low, best = _decay(proof), proof
+        elif best is None:
+            return None
         else:
-            L = system.L
-            low, best = rate, SequenceCertificate([L.T @ matrix @ L for matrix in answer[0]], margin, rate)
+            high = rate
         if high - low <= _DECAY_TOLERANCE * high:
             break
     return best
+
+
+def _decay_of(system: Inequalities, P: list[Array], asked: float) -> SequenceCertificate | None:
+    """The fastest decay that the functions prove, whatever they were made for; ``asked`` if that is all."""
+    try:
+        fastest = min(
+            -math.log(system.share_left(P, place)) / (2.0 * edge.periods * system.period_s)
+            for place, edge in enumerate(system.edges)
+        )
+    except np.linalg.LinAlgError:
+        return None
+    for rate in (*(fastest * (1.0 - lowered) for lowered in _LOWERED), asked):
+        if rate < asked:
+            continue
+        margin = proved(system, P, math.exp(2.0 * rate * system.period_s))
+        if margin > MARGIN:
+            return SequenceCertificate([system.L.T @ matrix @ system.L for matrix in P], margin, rate)
+    return None

@@ -1,13 +1,16 @@
 """The graph of a certificate: nodes, and edges with the corners of all that a step may mean.
 
-A node may remember from which node the last delivery came: then more is proved, with more unknowns.
+A node may remember from which node the last delivery came: then more is proved, with more unknowns. Nodes
+at which nothing was delivered may be left out: the periods up to the next delivery are then one edge, which
+proves no less, with fewer unknowns.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from design.admissible_steps import families, node_count
 from design.delay_loop import Array
-from design.held_loop import HeldLoop
+from design.held_loop import HeldLoop, PeriodStep
 from design.step_maps import Corners, corners_of
 
 _EPSILON = 2e-5
@@ -28,6 +31,13 @@ class Edge:
     loop: HeldLoop
     epsilon: float
     """Of :mod:`design.step_maps`; nothing lies between the corners where no window is open."""
+    before: tuple[PeriodStep, ...] = ()
+    """Periods without a delivery, which come before that of the corners."""
+
+    @property
+    def periods(self) -> int:
+        """That it lasts."""
+        return len(self.before) + 1
 
 
 def edges_of(
@@ -59,6 +69,30 @@ def edges_of(
             source, target = edge.source + count * memory, edge.target + count * kept
             found.append(replace(edge, source=source, target=target))
     return _reachable(count * count, found)
+
+
+def between_deliveries(edges: list[Edge]) -> tuple[int, list[Edge]]:
+    """The same graph with the nodes alone at which a sample has just come: their number, and the edges."""
+    nodes = sorted({edge.target for edge in edges if edge.corners.family.windows})
+    number = {node: place for place, node in enumerate(nodes)}
+    by_source: dict[int, list[Edge]] = {}
+    for edge in edges:
+        by_source.setdefault(edge.source, []).append(edge)
+    return len(nodes), [
+        replace(edge, source=number[node], target=number[edge.target])
+        for node in nodes
+        for edge in _until_delivery(by_source, node, ())
+    ]
+
+
+def _until_delivery(
+    by_source: dict[int, list[Edge]], node: int, before: tuple[PeriodStep, ...]
+) -> Iterator[Edge]:
+    for edge in by_source[node]:
+        if edge.corners.family.windows:
+            yield replace(edge, before=before)
+        else:
+            yield from _until_delivery(by_source, edge.target, (*before, edge.corners.family.at(())))
 
 
 def _reachable(count: int, edges: list[Edge]) -> tuple[int, list[Edge]]:

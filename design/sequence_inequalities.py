@@ -12,13 +12,12 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from design.delay_loop import Array
-from design.errors import NoSolution
 from design.held_loop import HeldLoop
-from design.lmi import LmiProblem, MatrixInequality, Unknowns, solve
+from design.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
 from design.loss_patterns import Pattern
 from design.sequence_graph import Edge
 from design.step_maps import step_maps, value_maps
-from design.value_map import ValueMap
+from design.value_map import ValueMap, nothing
 
 MARGIN = 1e-9
 """Smallest eigenvalue that counts as proof."""
@@ -26,7 +25,8 @@ _EXCHANGES = 12
 _ADDED = 3
 """Corners of an edge that are added in one exchange."""
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
-_TOLERANCES = (1e-8, 1e-7, 1e-6, 1e-5)
+_TOLERANCE = 1e-8
+"""Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
 _DOUBLINGS = 14
 _ROUND = 1e-6
 
@@ -46,19 +46,36 @@ class Inequalities:
         self._inverse = np.linalg.inv(L)
         self.level = level
         self._by_family: dict[int, ValueMap] = {}
+        self._by_periods: dict[int, ValueMap] = {}
         self.maps = [self._maps(edge, level) for edge in edges]
+        self.before = [self._before(edge) for edge in edges]
         self.excess = [self._excess(edge) for edge in edges]
 
     def _maps(self, edge: Edge, level: float | None) -> ValueMap:
-        """In good coordinates; the bends cost a factor of the gain. No level: no disturbance, no output."""
+        """Of the period of the corners; the bends cost a factor of the gain. No level: no disturbance."""
         key = id(edge.corners)
         if key not in self._by_family:
             gain = math.inf if level is None else level / math.sqrt(1.0 + edge.epsilon)
             plain = value_maps(edge.loop, edge.corners.family, edge.corners.times_s, gain)
-            L, inverse = self.L, self._inverse
-            Q = inverse.T @ plain.Q @ inverse if level is not None else np.zeros_like(plain.Q)
-            self._by_family[key] = ValueMap(L @ plain.Phi @ inverse, L @ plain.W @ L.T, Q, plain.bounded)
+            self._by_family[key] = self._turned(plain)
         return self._by_family[key]
+
+    def _before(self, edge: Edge) -> ValueMap:
+        """Of the periods before that of the corners: all are the same step."""
+        periods = len(edge.before)
+        if periods not in self._by_periods:
+            gain = math.inf if self.level is None else self.level
+            total = nothing((), self._loop.kept)
+            for step in step_maps(edge.loop, edge.before, gain):
+                total = total.then(step)
+            self._by_periods[periods] = self._turned(total)
+        return self._by_periods[periods]
+
+    def _turned(self, plain: ValueMap) -> ValueMap:
+        """In good coordinates."""
+        L, inverse = self.L, self._inverse
+        Q = inverse.T @ plain.Q @ inverse if self.level is not None else np.zeros_like(plain.Q)
+        return ValueMap(L @ plain.Phi @ inverse, L @ plain.W @ L.T, Q, plain.bounded)
 
     def _excess(self, edge: Edge) -> list[tuple[Array, Array, Array]]:
         """For each window: difference (kept,), bends (N, n), output bends (N,), with their factors."""
@@ -81,16 +98,27 @@ class Inequalities:
         ``squared``: of the gain over the level's, for W alone.
         """
         values, finite = self.values(P, place, squared)
-        smallest = np.linalg.eigvalsh(P[self.edges[place].source] - growth * values)[:, 0]
+        edge = self.edges[place]
+        smallest = np.linalg.eigvalsh(P[edge.source] - growth**edge.periods * values)[:, 0]
         return np.where(finite, smallest, -np.inf)
+
+    def share_left(self, P: Sequence[Array], place: int) -> float:
+        """Largest share of xi' P_i xi that one edge leaves of it, between its corners too."""
+        inverse = np.linalg.inv(cholesky(P[self.edges[place].source]))
+        values, _ = self.values(P, place)
+        return float(np.max(np.linalg.eigvalsh(inverse.T @ values @ inverse)))
 
     def values(self, P: Sequence[Array], place: int, squared: float = 1.0) -> tuple[Array, np.ndarray]:
         """(N, k, k): what the steps of an edge make of P_j, all between corners counted; where finite."""
-        edge, maps = self.edges[place], self.maps[place]
+        edge, maps, before = self.edges[place], self.maps[place], self.before[place]
         if self.level is not None:
-            maps = replace(maps, W=maps.W / squared)
+            maps, before = (replace(each, W=each.W / squared) for each in (maps, before))
         value, finite = maps.of(P[edge.target])
-        return (1.0 + edge.epsilon) * value + self._between(P[edge.target], place), finite
+        value = (1.0 + edge.epsilon) * value + self._between(P[edge.target], place)
+        if not edge.before:
+            return value, finite
+        whole, also_finite = before.of(value)
+        return whole, finite & also_finite
 
     def _between(self, P: Array, place: int) -> Array:
         total = np.zeros((len(self.edges[place].corners.times_s), *P.shape))
@@ -118,27 +146,32 @@ class Inequalities:
 
 
 def corner_inequality(
-    system: Inequalities, unknowns: Unknowns, place: int, corner: int, maps: ValueMap, growth: float
+    system: Inequalities, unknowns: Unknowns, place: int, corner: int, growth: float
 ) -> MatrixInequality:
-    """Schur's complement of P_i - growth ((1 + epsilon) value of P_j + what lies between) >= 0."""
-    edge, k = system.edges[place], len(system.L)
+    """Schur's complement of P_i - growth * before((1 + epsilon) value of P_j + what lies between) >= 0.
+
+    In [xi, d, d']: d disturbs the periods before that of the corner, d' the corner's own.
+    """
+    edge, k, maps, before = system.edges[place], len(system.L), system.maps[place], system.before[place]
     source, target = f"P{edge.source}", f"P{edge.target}"
-    Phi, Q = maps.Phi[corner], maps.Q[corner]
-    reach = _root(maps.W[corner]) if system.level is not None else np.zeros((k, 0))
-    m = k + reach.shape[1]
+    spread = 1.0 + edge.epsilon
+    disturbed = system.level is not None
+    first = math.sqrt(spread) * _root(before.W) if disturbed and edge.before else np.zeros((k, 0))
+    second = _root(maps.W[corner]) if disturbed else np.zeros((k, 0))
+    m = k + first.shape[1] + second.shape[1]
     found = MatrixInequality.zero(unknowns, m)
-    factor = 1.0 / (growth * (1.0 + edge.epsilon))
-    rows = np.eye(m)[:, :k]
-    found.add(unknowns, source, math.sqrt(factor) * rows)
-    part = unknowns.slice_of(target)
-    between = system.between_linear(unknowns, target, place, corner) / (1.0 + edge.epsilon)
-    found.coefficients[part, :k, :k] -= between[:-1]
-    found.constant[:k, :k] -= Q + between[-1]
-    both = np.hstack([Phi, reach])
-    cross = both.T @ unknowns.basis(target) @ both
-    # Phi' P W^(1/2) may have either sign, for the disturbance may
-    found.coefficients[part] -= cross
+    found.add(unknowns, source, math.sqrt(1.0 / (growth**edge.periods * spread)) * np.eye(m)[:, :k])
+    found.constant[:k, :k] -= before.Q / spread
     found.coefficients[-1, k:, k:] += np.eye(m - k)
+    # xi when the corner's period begins, of [xi, d]; d may have either sign
+    begun = np.hstack([before.Phi, first])
+    own = len(begun.T)
+    between = begun.T @ (system.between_linear(unknowns, target, place, corner) / spread) @ begun
+    part = unknowns.slice_of(target)
+    found.coefficients[part, :own, :own] -= between[:-1]
+    found.constant[:own, :own] -= begun.T @ maps.Q[corner] @ begun + between[-1]
+    ended = np.hstack([maps.Phi[corner] @ begun, second])
+    found.coefficients[part] -= ended.T @ unknowns.basis(target) @ ended
     return found
 
 
@@ -152,7 +185,8 @@ def _root(W: Array) -> Array:
 def exchanged(
     system: Inequalities, build: Build, growth: float, objective_max: float = math.inf
 ) -> tuple[list[Array], float] | None:
-    """P_i that meet every corner, and the objective; None if there are none below ``objective_max``."""
+    """P_i that meet every corner, and the objective; or one that is above ``objective_max`` and too much to
+    ask for. None if the solver has none."""
     chosen = [
         sorted({round(part * (len(edge.corners.times_s) - 1)) for part in _FIRST_PARTS})
         for edge in system.edges
@@ -160,14 +194,13 @@ def exchanged(
     answer = None
     for _ in range(_EXCHANGES):
         problem = build(chosen)
-        try:
-            y = solve(problem, _TOLERANCES).y
-        except NoSolution:
-            return None
-        if y[-1] >= objective_max:
+        y = last_answer(problem, _TOLERANCE)
+        if y is None:
             return None
         P = [problem.unknowns.value(f"P{node}", y) for node in range(system.nodes)]
         answer = P, float(y[-1])
+        if answer[1] >= objective_max:
+            return answer
         missing = 0
         for place in range(len(system.edges)):
             slack = system.slack(P, place, growth, float(y[-1]))

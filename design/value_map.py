@@ -43,7 +43,7 @@ class ValueMap:
     def then(self, following: "ValueMap") -> "ValueMap":
         """This stretch and after it ``following``."""
         n = self.Phi.shape[-1]
-        bounded = self.bounded & following.bounded & (largest_product(self.W, following.Q) < 1.0)
+        bounded = self.bounded & following.bounded & _below_one(self.W, following.Q)
         inner = np.where(bounded[..., None, None], np.eye(n) - self.W @ following.Q, np.eye(n))
         both = [np.broadcast_to(part, inner.shape) for part in (self.Phi, self.W)]
         turned = np.linalg.solve(inner, np.concatenate(both, axis=-1))
@@ -76,7 +76,7 @@ class ValueMap:
     def of(self, P: Array) -> tuple[Array, np.ndarray]:
         """S for P, and where it is finite."""
         n = self.Phi.shape[-1]
-        finite = self.bounded & (largest_product(self.W, P) < 1.0)
+        finite = self.bounded & _below_one(self.W, P)
         inner = np.where(finite[..., None, None], np.eye(n) - self.W @ P, np.eye(n))
         S = self.Q + _t(self.Phi) @ P @ np.linalg.solve(inner, self.Phi)
         return 0.5 * (S + _t(S)), finite
@@ -85,6 +85,17 @@ class ValueMap:
 def largest_product(W: Array, Q: Array) -> Array:
     """Largest eigenvalue of W Q, both (..., n, n) and positive semidefinite."""
     return np.asarray(np.max(np.linalg.eigvals(W @ Q).real, axis=-1))
+
+
+def _below_one(W: Array, Q: Array) -> np.ndarray:
+    """Whether the largest eigenvalue of W Q is below 1: told by the trace, the sum of all, where that can."""
+    trace = np.einsum("...ij,...ji->...", W, Q)
+    below = np.asarray(trace < 1.0)
+    open_ = (trace >= 1.0) & (trace < W.shape[-1])
+    if np.any(open_):
+        W, Q = (np.broadcast_to(part, (*open_.shape, *part.shape[-2:])) for part in (W, Q))
+        below[open_] = largest_product(W[open_], Q[open_]) < 1.0
+    return below
 
 
 def nothing(shape: tuple[int, ...], n: int) -> ValueMap:

@@ -167,8 +167,11 @@ class Axis:
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
+        syncs = self.parts.syncs
+        if syncs.behind:
+            syncs.passed(self._commands.echoed_last())
         decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
-        decision.mark = self.parts.syncs.last_of(tick.sequence)
+        decision.mark = syncs.last_of(tick.sequence)
         self._decisions.append(decision)
         self.meter.sync_sent(tick.sequence, tick.due_at)
 

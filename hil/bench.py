@@ -66,6 +66,7 @@ def run_bench(
     network: Path | None = None,
     allow_uncertified: bool = False,
     privileged: bool = True,
+    stop: StopRequest | None = None,
     concluded: Callable[[Summary], None] = _not_told,
 ) -> Summary:
     """Run a bench and review it; from any thread.
@@ -74,7 +75,8 @@ def run_bench(
     the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
     caller puts in place of the file's. ``network``: file of one measured before. That network, the run's own
     and the drives must be what the controllers were made for, unless ``allow_uncertified``. ``privileged``:
-    ask the kernel for real-time priority and locked memory on a bus in real time.
+    ask the kernel for real-time priority and locked memory on a bus in real time. ``stop``: by which a caller
+    ends the run from outside, as a stop signal does that comes to the main thread.
     Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
     did; in every case the drives are brought to rest and the recording is closed first. ``concluded`` is
     given the summary then, also of a run that ends in an error.
@@ -100,14 +102,14 @@ def run_bench(
         segments=assembly.segment_plans(config),
     )
     devices = simulated_drives(config, seed) if spec.simulated else []
-    with stop_signals() as stop, open_world(world_plan, devices) as world:
+    with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         certified = certified_plans(config, replaced, spec.simulated)
         plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
-        run = _Run(config, world, recorder, stop, progress, controllers or {}, worse, devices, sheets)
+        run = _Run(config, world, recorder, asked, progress, controllers or {}, worse, devices, sheets)
         with timing_conditions(world.real_time and privileged) as refused:
             try:
                 return run.to_the_end(refused, concluded)
@@ -318,7 +320,7 @@ class _Run:
             own = self._sync_source is SyncSource.OWN
             why = "the host was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
-        reason = f"ended by {self._stop.signal_name}" if ended.interrupted else ""
+        reason = f"ended by {self._stop.asked_by}" if ended.interrupted else ""
         if reason:
             self._say(reason, "WARN")
         doubts = distrust(self._axes, self._config.loop.period)

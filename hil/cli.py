@@ -7,6 +7,11 @@ from hil.hidden_rooms import refuse_hidden_rooms
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
+import os
+
+# before numpy is imported: the matrices are small here, and more threads take longer for them than one
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import json
 import sys
 from enum import StrEnum
@@ -25,7 +30,7 @@ from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
 from hil.terminal.recover import recover
-from hil.terminal.run_object import RunCommand, RunObject
+from hil.terminal.run_object import RunCommand, RunObject, not_begun
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -209,8 +214,7 @@ def main() -> None:
     try:
         require_fresh()
     except BadInput as error:
-        told = RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv)
-        told.failed(error.exit_status, str(error))
+        not_begun(error.exit_status, str(error))
         sys.exit(complain(error))
     app()
 

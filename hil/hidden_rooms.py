@@ -1,17 +1,18 @@
 """Whether the packages of servobench are those that Python finds under their names.
 
 ``drivers`` and ``design`` are names that a user's folder may well bear; on the path in front of ours it is
-imported instead. Nothing but the standard library is imported here, before that is known.
+imported instead. Nothing of these packages is imported here, before that is known.
 """
 
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from hil.terminal.run_object import not_begun
+from hil.verdict import ExitStatus
+
 ROOMS = ("design", "drivers", "virtual_bus")
 ROOT = Path(__file__).resolve().parents[1]
-BAD_INPUT = 2
-"""``ExitStatus.BAD_INPUT``, which a room that is not ours cannot tell."""
 
 
 def hidden_room(root: Path = ROOT) -> str | None:
@@ -30,7 +31,8 @@ def hidden_room(root: Path = ROOT) -> str | None:
 
 
 def refuse_hidden_rooms() -> None:
-    """Leave with one line on stderr if a package is hidden."""
+    """Leave with one line on stderr, and the object of ``hil run --json``, if a package is hidden."""
     if (trouble := hidden_room()) is not None:
         print(f"hil: error: {trouble}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+        not_begun(ExitStatus.BAD_INPUT, trouble)
+        sys.exit(ExitStatus.BAD_INPUT)

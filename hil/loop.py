@@ -22,6 +22,7 @@ from drivers.exchange import Master
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.axis import Axis, Tick
 from hil.pace import Pace, Start
+from hil.ticker import ticks_passed
 
 PROGRESS_EVERY: Final = 50 * NS_PER_MS
 """What is asked so often may call the kernel, which no single cycle does."""
@@ -93,8 +94,7 @@ class Loop:
         self._timing = timing
         self._chore = chore
         self._started_at = self._due_at = Instant(0)
-        self._number = 0
-        self._missed = 0
+        self._planned = self._number = self._missed = 0
 
     def calibrate(self) -> None:
         """Learn the drives' clocks. Raises ``NoAnswer`` if an axis stays silent throughout."""
@@ -117,14 +117,14 @@ class Loop:
 
         Raises ``LimitExceeded`` when a safety limit is crossed; the caller brings the drives to rest.
         """
-        planned = planned_cycles(duration, self._timing.period)
+        self._planned = planned_cycles(duration, self._timing.period)
         progress_every = max(1, PROGRESS_EVERY // self._timing.period)
         self._started_at = self._due_at = self._pace.begin(self._axes)
         on_start(self._started_at)
         interrupted = False
         self._number = self._missed = 0
         try:
-            while self._number < planned:
+            while self._number < self._planned:
                 if should_stop():
                     interrupted = True
                     break
@@ -160,14 +160,20 @@ class Loop:
 
     def _cycle(self, due: Instant, woke_at: Instant) -> None:
         axes = self._axes
-        self._number += 1
         probe = False
-        for axis in axes:
-            probe = probe or axis.wants_probe
-        probed = self._pace.sync(self._number, due, probe)
+        if self._pace.can_probe:
+            for axis in axes:
+                probe = probe or axis.wants_probe
+        handed_at = self._pace.sync(self._number + 1, due, probe)
+        for _ in range(ticks_passed(due, self._timing.period, handed_at)):
+            self._miss(due, woke_at)
+            if self._number == self._planned:
+                return
+            due, woke_at = Instant(due + self._timing.period), handed_at
+        self._number, self._due_at = self._number + 1, due
         tick = Tick(self._number, due, woke_at, (due - self._started_at) / NS_PER_S)
         for axis in axes:
-            if probed:
+            if probe:
                 axis.probed()
             axis.begin(tick)
         self._await_readings(tick)

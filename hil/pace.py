@@ -18,7 +18,7 @@ from drivers.exchange import Master
 from drivers.timebase import NS_PER_S, NS_PER_US, Clock, Duration, Instant
 from hil.axis import Axis
 from hil.syncs import SURPLUS, SyncLog
-from hil.ticker import ticks_missed
+from hil.ticker import ticks_missed, ticks_passed
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
@@ -49,6 +49,9 @@ class Start:
 class Pace:
     """Starts cycles. Override all but ``_wake``."""
 
+    can_probe = False
+    """Whether a SYNC can be had late."""
+
     def __init__(self, network: Master, clock: Clock, period: Duration, stall: Stall | None) -> None:
         self._network = network
         self._clock = clock
@@ -70,8 +73,10 @@ class Pace:
         """Wait for the next tick; those for which it is too late come one by one, before it."""
         raise NotImplementedError
 
-    def sync(self, sequence: int, due: Instant, probe: bool) -> bool:
-        """Send the SYNC of a cycle, a quarter of a period late if ``probe`` wants it; whether it was late."""
+    def sync(self, sequence: int, due: Instant, probe: bool) -> Instant:
+        """Send the SYNC of a cycle, a quarter of a period late if ``probe`` wants it, which needs
+        :attr:`can_probe`; when it was handed over. By whole periods too late, it is that of a later cycle.
+        """
         raise NotImplementedError
 
     def _wake(self) -> Instant:
@@ -92,6 +97,8 @@ class OwnSync(Pace):
     the last one has not come to the bus, goes without SYNC.
     """
 
+    can_probe = True
+
     def __init__(
         self,
         network: Master,
@@ -109,7 +116,8 @@ class OwnSync(Pace):
         """With SYNCs so far apart that each reading answers the last one."""
         answered = [False] * len(axes)
         for _ in range(CALIBRATION_SYNCS):
-            sent_at = self._send(SURPLUS)
+            sent_at = self._network.send_sync()
+            self._note(SURPLUS, sent_at)
             self._network.pump(Instant(sent_at + settle))
             _learn(axes, answered)
         return answered
@@ -132,17 +140,19 @@ class OwnSync(Pace):
             return Start(due, None, False)
         return Start(due, self._woke_at, self._may_hand_over(due))
 
-    def sync(self, sequence: int, due: Instant, probe: bool) -> bool:
+    def sync(self, sequence: int, due: Instant, probe: bool) -> Instant:
         if probe:
             self._network.pump(Instant(due + self._period // 4))
-        self._send(sequence)
-        return probe
-
-    def _send(self, sequence: int) -> Instant:
         at = self._network.send_sync()
+        # the process may have been stopped just before
+        skipped = ticks_passed(due, self._period, at)
+        self._due = Instant(self._due + skipped * self._period)
+        self._note(sequence + skipped, at)
+        return at
+
+    def _note(self, sequence: int, at: Instant) -> None:
         for syncs in self._syncs:
             syncs.handed(sequence, at)
-        return at
 
     def _may_hand_over(self, due: Instant) -> bool:
         """Whether the last SYNC is out, and half a period ago; waits for that, up to half a period."""
@@ -238,9 +248,9 @@ class HeardSync(Pace):
             self._gather()
         return self._starts.pop(0)
 
-    def sync(self, sequence: int, due: Instant, probe: bool) -> bool:  # noqa: ARG002
-        """It has come, and nobody here can have the next one late."""
-        return False
+    def sync(self, sequence: int, due: Instant, probe: bool) -> Instant:  # noqa: ARG002
+        """It has come."""
+        return due
 
     def _gather(self) -> None:
         """Wait for the next SYNC, and take in all that have come by then."""

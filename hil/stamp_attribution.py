@@ -154,10 +154,11 @@ class StampAttribution:
             health.unmatched += 1
             return None
         health.placed += 1
-        self._judge(reading.received_at - sampled_at, error_ns)
+        if mark.sure:
+            self._judge(reading.received_at - sampled_at, error_ns)
         self._case.delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
+        return Sample(mark.sequence, reading, sampled_at, error_ns, mark.sure)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""

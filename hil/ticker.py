@@ -16,3 +16,8 @@ def ticks_missed(due_at: Instant, period: Duration, now: Instant) -> int:
     """How many ticks, from the one at ``due_at`` on, are more than half a period over at ``now``."""
     late = now - due_at - period // 2
     return -(-late // period) if late > 0 else 0
+
+
+def ticks_passed(due_at: Instant, period: Duration, handed_at: Instant) -> int:
+    """How many ticks, from the one at ``due_at`` on, have whole periods behind them at ``handed_at``."""
+    return max(0, handed_at - due_at) // period

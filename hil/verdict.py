@@ -29,7 +29,7 @@ class ExitStatus(IntEnum):
     DEFECT = 70
     """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
     INTERRUPTED = 130
-    """Ctrl-C, SIGTERM or SIGHUP: whatever was found until then is no verdict (128 + SIGINT)."""
+    """Ctrl-C, SIGTERM, SIGHUP or the caller: whatever was found until then is no verdict (128 + SIGINT)."""
 
 
 class Outcome(StrEnum):
@@ -149,8 +149,8 @@ class RunOutcome:
 class CycleCount:
     """What became of the planned cycles, by the rows that were recorded."""
 
-    cycles: int
-    """The rows of the axis that has most."""
+    dense: int
+    """So many cycles have their row in each axis, in order from 1 on, none missing and none double."""
     rows: int
     """Over all axes."""
     missed: int
@@ -264,9 +264,10 @@ def _gaps(outcome: RunOutcome, count: CycleCount) -> Iterator[str]:
     planned = outcome.cycles_planned
     if planned is None:
         yield "how many cycles were planned is not known"
-    elif (count.cycles, count.rows) != (planned, planned * len(outcome.drives)):
-        expected = planned * len(outcome.drives)
+    elif count.rows != (expected := planned * len(outcome.drives)):
         yield f"{count.rows} cycles are accounted for, of {expected} that were planned"
+    elif count.dense != planned:
+        yield f"rows are missing or double behind cycle {count.dense}"
     for drive in outcome.drives:
         if drive.after_last_cycle is None:
             yield f"{drive.name} was not looked at after the last cycle"

@@ -1,7 +1,7 @@
 """Commissioning of drives that were drawn from a seed, in simulated time, and how far off it is."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -32,6 +32,8 @@ LOSS = {
     ]
 }
 """One PDO in a hundred, each way."""
+LATE = {"delay": [{"direction": "drive_to_host", "delay_min_us": 0, "delay_max_us": 7000}]}
+"""A host that is busy."""
 
 
 SYNC = 0x080
@@ -178,7 +180,7 @@ def unknown_world(
     seed: int,
     folder: Path,
     *,
-    lossy: bool = False,
+    faults: Mapping[str, Any] | None = None,
     drift_ppm: float = 0.0,
     period_us: int | None = None,
     spied: bool = False,
@@ -199,13 +201,13 @@ def unknown_world(
         period_us=period_us,
         store=store,
     )
-    faults = faults_from(LOSS, "loss").plan if lossy else None
     spy = Spy(servo)
 
     def steps() -> list[Step]:
         return [Watching(step, spy) if spied and step.name == "delays" else step for step in all_steps()]
 
-    plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, faults, seed)
+    fault_plan = None if faults is None else faults_from(faults, "faults").plan
+    plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
     with open_world(plan, [cast(SimulatedNode, spy) if spied else servo]) as world:
         if world.faults is not None:
             world.faults.start(world.clock.now())

@@ -129,9 +129,9 @@ class EmergencyStop:
         return self.key or (self._signals is not None and self._signals())
 
     @property
-    def signal_name(self) -> str:
+    def asked_by(self) -> str:
         """The signal that asked for the end; empty if none did."""
-        return "" if self._signals is None else self._signals.signal_name
+        return "" if self._signals is None else self._signals.asked_by
 
     @contextmanager
     def armed(self) -> Iterator[None]:

@@ -146,7 +146,7 @@ class Session:
         if self.stop():
             if self.stop.key:
                 raise EmergencyStopped("emergency stop by a key")
-            raise Interrupted(f"ended by {self.stop.signal_name}")
+            raise Interrupted(f"ended by {self.stop.asked_by}")
 
     # ---- the drive ------------------------------------------------------------------------------------
 

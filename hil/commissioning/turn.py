@@ -150,15 +150,21 @@ def _jump(history: list[Reading], reading: Reading) -> float:
     if len(history) < _HISTORY:
         return 0.0
     first, last = history[0], history[-1]
-    passed_s = (last.received_at - first.received_at) / NS_PER_S
+    passed_s = (_sampled_ns(last) - _sampled_ns(first)) / NS_PER_S
     speed = (last.position_rad - first.position_rad) / passed_s if passed_s > 0.0 else 0.0
-    step_s = (reading.received_at - last.received_at) / NS_PER_S
+    step_s = (_sampled_ns(reading) - _sampled_ns(last)) / NS_PER_S
     expected = last.position_rad + speed * step_s
     difference = expected - reading.position_rad
     if abs(difference) < _JUMP_TURNS * math.tau:
         return 0.0
     history.clear()
     return difference
+
+
+def _sampled_ns(reading: Reading) -> int:
+    """When it was taken, ns from any origin: by the drive's stamp, as a busy host receives it late."""
+    stamp_ns = reading.device_time_ns
+    return reading.received_at if stamp_ns is None else stamp_ns
 
 
 def hand_turn(session: Session) -> tuple[float | None, str]:

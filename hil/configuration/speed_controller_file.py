@@ -79,7 +79,8 @@ class SequenceProof(Section):
     min_margin: float
     gain_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
     decay_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
-    """The matrix of each node's quadratic function, in the coordinates of ``design/held_loop.py``."""
+    """Of the quadratic function of each node at which a sample has just come (``design/sequence_graph.py``),
+    in the coordinates of ``design/held_loop.py``."""
 
 
 class Certificate(Section):
@@ -90,6 +91,8 @@ class Certificate(Section):
     """Which of the two was made best; of the other less may be known."""
     gamma: float | None = Field(default=None, gt=0)
     """Certified gain from load torque to speed error with the constant delay, rad/s per N m."""
+    gamma_all_bandwidths: float | None = Field(default=None, gt=0)
+    """The same for every bandwidth of ``current_loop``; absent: of that the sampled loop's figures tell."""
     gamma_exact: float | None = Field(default=None, gt=0)
     order: int | None = Field(default=None, ge=0)
     """Of the functional; 0 is [Ling2012] Theorem 3.3."""
@@ -101,7 +104,7 @@ class Certificate(Section):
     @property
     def gain(self) -> float | None:
         """Certified from load torque to speed error, rad/s per N m, of the loop that runs: over every
-        sequence and bandwidth where that is known, else with the constant delay."""
+        sequence where that is known, else with the constant delay; over every bandwidth where that is."""
         if self.sequences is None:
-            return self.gamma
+            return self.gamma_all_bandwidths or self.gamma
         return self.sequences.gain_certified_all_bandwidths or self.sequences.gain_certified

@@ -64,8 +64,10 @@ def _constant(result: DesignResult) -> dict[str, object]:
     if certified is None:
         return {"solver": SOLVER, "status": "see sequences"}
     proof = certified.proof
+    covered = result.bandwidths if result.sampled is None else None
     return {
         "gamma": certified.gain,
+        "gamma_all_bandwidths": None if covered is None else covered.gain,
         "order": certified.order,
         "solver": proof.solver,
         "status": proof.status,

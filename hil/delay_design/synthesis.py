@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from design.bandwidth_range import BandwidthRange, bandwidth_range
+from design.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
 from design.certificate import CertifiedGain, certified_gain, certified_gain_auto
 from design.cone_complementarity import largest_ccl_delay
 from design.delay_loop import Array
@@ -77,7 +77,8 @@ class DesignResult:
     """Of the loop with the constant delay; None if the sampled loop was made best."""
     sampled: SampledAnalysis | None
     bandwidths: BandwidthRange | None = None
-    """Of the current loop, for which the certificates of the sampled loop hold; None: not looked at."""
+    """Of the current loop, for which the certificates hold: those of the sampled loop, if there is one; None:
+    not looked at."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -157,19 +158,25 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
 def with_bandwidths(result: DesignResult) -> DesignResult:
     """The same with the range of current bandwidths that its certificates cover."""
     request, sampled = result.request, result.sampled
-    if sampled is None or request.network is None or request.current_bandwidth_hz is None:
-        return result
-    gain, decay = sampled.gain_certified, sampled.decay_certified_per_s
-    if gain is None or decay is None:
-        return result
     bandwidth_hz = request.current_bandwidth_hz
-    found = bandwidth_range(
-        lambda hz: speed_model(request.motor, request.integral, hz),
-        result.K,
-        request.network,
-        [sampled.worst.pattern, sampled.slowest, *sampled.regular],
-        BandwidthRange(bandwidth_hz, bandwidth_hz, gain, decay),
-    )
+    if bandwidth_hz is None:
+        return result
+
+    def model_at(hz: float) -> SpeedModel:
+        return speed_model(request.motor, request.integral, hz)
+
+    if sampled is None:
+        assert result.certified is not None
+        nominal = BandwidthRange(bandwidth_hz, bandwidth_hz, result.certified.gain)
+        found = constant_bandwidth_range(model_at, result.K, result.delay_s, nominal)
+    elif sampled.gain_certified is None or sampled.decay_certified_per_s is None:
+        return result
+    else:
+        nominal = BandwidthRange(
+            bandwidth_hz, bandwidth_hz, sampled.gain_certified, sampled.decay_certified_per_s
+        )
+        patterns = [sampled.worst.pattern, sampled.slowest, *sampled.regular]
+        found = bandwidth_range(model_at, result.K, sampled.network, patterns, nominal)
     return replace(result, bandwidths=found)
 
 

@@ -36,6 +36,8 @@ class Review:
             if axis.certified is not None
         }
         self._axis_rows = [0] * len(plan.axes)
+        self._dense = [0] * len(plan.axes)
+        """Of each axis, the cycles up to the first that is missing or double."""
         self._fates = np.zeros(len(CAUSES) + 1, np.int64)
         self._digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
 
@@ -56,11 +58,18 @@ class Review:
         self._lateness.add(woken["woke_at"] - woken["due_at"])
         for axis, meter in enumerate(self._errors):
             mine = rows if len(self._errors) == 1 else rows[rows["axis"] == axis]
-            self._axis_rows[axis] += mine.size
+            self._count(axis, mine)
             meter.add(mine)
             self._swings[axis].add(mine)
             if axis in self._certificates:
                 self._certificates[axis].add(mine)
+
+    def _count(self, axis: int, rows: Rows) -> None:
+        first = self._axis_rows[axis] + 1
+        if self._dense[axis] == first - 1:
+            wrong = np.flatnonzero(rows["sequence"] != np.arange(first, first + rows.size))
+            self._dense[axis] += int(wrong[0]) if wrong.size else rows.size
+        self._axis_rows[axis] += rows.size
 
     def take_events(self) -> list[TextEvent]:
         """What the rows since the last call tell that is worth reading."""
@@ -80,6 +89,7 @@ class Review:
         return Figures(
             cycles=max(self._axis_rows, default=0),
             rows=int(self._fates.sum()),
+            dense=min(self._dense, default=0),
             dropouts=DropoutCounts(**{cause.value: number for cause, number in count.items()}),
             delay_us=_percentiles_us(self.delay),
             speed_error=worst([meter.figures() for meter in self._errors]),

@@ -74,6 +74,8 @@ class Figures:
     """Control cycles: the rows of the axis that has most."""
     rows: int
     """Records over all axes; the base of ``dropouts_percent``."""
+    dense: int
+    """Cycles up to the first that is missing or double in an axis."""
     dropouts: DropoutCounts
     delay_us: Percentiles
     """Sampled to received, of every reading that came, late ones included."""
@@ -168,7 +170,7 @@ def summarise(
 ) -> Summary:
     """Figures, outcome and verdict in one."""
     shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
-    count = CycleCount(figures.cycles, figures.rows, figures.dropouts.missed)
+    count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
     values = _limited_values(figures, outcome)
     return Summary(
         **{name: getattr(figures, name) for name in shared},

@@ -12,42 +12,48 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupted(BenchError):
-    """The user asked for the end before the run had begun."""
+    """Somebody asked for the end before the run had begun."""
 
     exit_status = 130
 
 
 class StopRequest:
-    """Whether somebody has asked this process to end, and how."""
+    """Whether somebody has asked for the end, and who."""
 
     def __init__(self) -> None:
-        self.signal_name = ""
+        self.asked_by = ""
+        """A stop signal, or whoever called :meth:`ask`; empty: nobody has."""
 
     def __call__(self) -> bool:
-        """True once a stop signal has come."""
-        return bool(self.signal_name)
+        """True once somebody has asked."""
+        return bool(self.asked_by)
+
+    def ask(self, asked_by: str = "its caller") -> None:
+        """Ask for the end; from any thread."""
+        self.asked_by = asked_by
 
     def check(self) -> None:
-        """Raises Interrupted once a stop signal has come: for the steps before the loop."""
-        if self.signal_name:
-            raise Interrupted(f"ended by {self.signal_name}")
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        self.signal_name = signal.Signals(number).name
+        """Raises Interrupted once somebody has asked: for the steps before the loop."""
+        if self.asked_by:
+            raise Interrupted(f"ended by {self.asked_by}")
 
 
 @contextmanager
-def stop_signals() -> Iterator[StopRequest]:
+def stop_signals(stop: StopRequest | None = None) -> Iterator[StopRequest]:
     """Inside, stop signals are noted instead of acted on; the handlers of before return afterwards.
 
     Only the main thread of a process can be asked so (:func:`signal.signal`); in another one signals are
-    left to whoever owns the process.
+    left to whoever owns the process, who asks by ``stop``.
     """
-    request = StopRequest()
+    request = StopRequest() if stop is None else stop
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
-    before = {number: signal.signal(number, request._note) for number in STOP_SIGNALS}
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        request.ask(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, note) for number in STOP_SIGNALS}
     try:
         yield request
     finally:

@@ -30,7 +30,7 @@ from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
 from hil.measuring.request import MeasureRequest
 from hil.order_attribution import OrderAttribution
-from hil.recording.records import ROW, ROW_DTYPE, Rows, store_record
+from hil.recording.records import ROW, ROW_DTYPE, Rows, row_of
 from hil.safety import SafetyGuard, SafetyLimits
 from hil.samples import CycleRecord
 from hil.scenario import LoadProfile, SpeedProfile
@@ -169,8 +169,9 @@ class Subject:
 
     def _record(self, record: CycleRecord) -> None:
         """Keep a cycle; the memory was taken before, so that none waits for it."""
-        store_record(self._memory, self._filled, record)
-        self._filled += ROW.size
+        end = self._filled + ROW.size
+        self._memory[self._filled : end] = row_of(record)
+        self._filled = end
 
     def _limits(self, unit_nm: float) -> SafetyLimits:
         """A disabled drive is not stopped, whoever turns its shaft and however little comes of it."""

@@ -17,7 +17,7 @@ from hil.figures.review import Review
 from hil.figures.summary import Summary, summarise
 from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
 from hil.recording.recording_plan import RecordingPlan, ReviewPlan
-from hil.recording.records import ROW, ROW_DTYPE, store_record
+from hil.recording.records import ROW, ROW_DTYPE, row_of
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
 from hil.recording.run_folder import BENCH_FILE
@@ -29,7 +29,7 @@ from hil.recording.side_rows import (
     LoadEvent,
     StateEvent,
     TextEvent,
-    event_fields,
+    event_row,
 )
 from hil.samples import CycleRecord
 from hil.verdict import RunOutcome
@@ -41,7 +41,9 @@ EVENTS_CAPACITY = 1 << 11
 FAULTS_CAPACITY = 1 << 12
 """Rows: a minute of cycles of one axis at 1 kHz, and more of frames. The logger may be that far behind, and
 is while it starts: a loop in simulated time has done half a minute by then. A row of faults is a block
-of 90."""
+of 60."""
+_REVIEWED_BYTES = 1024 * ROW.size
+"""What is reviewed at a time without a logger."""
 
 _POLL_NS = NS_PER_MS // 4
 _STALL_MAX_NS = 60 * NS_PER_S
@@ -113,8 +115,7 @@ class MemoryRecorder:
         self.events: list[TextEvent | StateEvent | LoadEvent] = []
         self._plan, self._seed = plan, seed
         self._review = Review(plan)
-        self._rows = bytearray(1024 * ROW.size)
-        self._filled = 0
+        self._rows = bytearray()
 
     def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
         return FrameTap()
@@ -123,9 +124,8 @@ class MemoryRecorder:
         """Nothing depends on it here."""
 
     def record(self, record: CycleRecord) -> None:
-        store_record(self._rows, self._filled, record)
-        self._filled += ROW.size
-        if self._filled == len(self._rows):
+        self._rows += row_of(record)
+        if len(self._rows) == _REVIEWED_BYTES:
             self._review_filled()
 
     def frame(
@@ -156,9 +156,9 @@ class MemoryRecorder:
         return summarise(self._review.figures(), outcome, self._plan.limits, "", self._seed)
 
     def _review_filled(self) -> None:
-        self._review.add(np.frombuffer(bytes(self._rows[: self._filled]), ROW_DTYPE))
+        self._review.add(np.frombuffer(bytes(self._rows), ROW_DTYPE))
         self.events += self._review.take_events()
-        self._filled = 0
+        self._rows.clear()
 
 
 class FolderRecorder:
@@ -186,23 +186,23 @@ class FolderRecorder:
         return RowWriter(self._rows, self._frames, self._keep_frames, segment)
 
     def begin(self, at: Instant) -> None:
-        self._events.push(*event_fields(BeginEvent(at)))
+        self._events.push(event_row(BeginEvent(at)))
 
     def event(self, at: Instant, level: str, text: str) -> None:
-        self._events.push(*event_fields(TextEvent(at, level, text)))
+        self._events.push(event_row(TextEvent(at, level, text)))
 
     def state(self, at: Instant, track: str, label: str) -> None:
-        self._events.push(*event_fields(StateEvent(at, track, label)))
+        self._events.push(event_row(StateEvent(at, track, label)))
 
     def identity(self, at: Instant, axis: str, text: str) -> None:
-        self._events.push(*event_fields(IdentityEvent(at, axis, text)))
+        self._events.push(event_row(IdentityEvent(at, axis, text)))
 
     def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
-        self._events.push(*event_fields(LoadEvent(at, axis, torque_nm, speed_rad_s)))
+        self._events.push(event_row(LoadEvent(at, axis, torque_nm, speed_rad_s)))
 
     def fault_block(self, length: int, block: bytes) -> None:
         """A block of entries, of which ``length`` bytes are filled; fits ``FaultLog.send_to``."""
-        self._faults.push(length, block)
+        self._faults.push(BLOCK.pack(length, block))
 
     @property
     def logger_process_id(self) -> int:

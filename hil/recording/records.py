@@ -9,16 +9,17 @@ import struct
 from typing import Any, Final
 
 import numpy as np
+from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from numpy.typing import NDArray
 
 from drivers.exchange import Command, Reading
-from drivers.record import values_of
 from drivers.timebase import Duration, Instant
 from hil.samples import (
     CommandFate,
     CycleRecord,
     Dropout,
     DropoutCause,
+    Observation,
     Sample,
     Sending,
     StateEstimate,
@@ -76,7 +77,6 @@ LAYOUT: tuple[tuple[str, str], ...] = (
 """Name and struct code of each field, in the order in which the records nest."""
 
 ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
-_pack_into: Final = ROW.pack_into
 _NUMPY: Final = {"q": "<i8", "d": "<f8"}
 ROW_DTYPE: Final = np.dtype([(name, _NUMPY[code]) for name, code in LAYOUT])
 """The same row for numpy. A real number that there is none of is NaN, a whole number :data:`NOTHING`."""
@@ -96,7 +96,6 @@ CAUSES: tuple[DropoutCause, ...] = (
 )
 """``fate`` of a dropout is its cause's place here, counted from 1."""
 FATE_MISSED: Final = 1 + CAUSES.index(DropoutCause.MISSED)
-_FATE_OF: Final = {cause: place for place, cause in enumerate(CAUSES, start=1)}
 COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_MEASURED,
     CommandFate.ACTING,
@@ -104,41 +103,99 @@ COMMAND_FATES: tuple[CommandFate, ...] = (
     CommandFate.NOT_IDENTIFIABLE,
 )
 """``command_fate`` is the fate's place here; :data:`NOTHING` for a command that was not sent."""
-_NOT_PLACED: Final = (
-    *(NOTHING, NOTHING),
-    *(math.nan, NOTHING, NOTHING, math.nan, NOTHING, math.nan, NOTHING, NOTHING, NOTHING),
-)
-_NO_ESTIMATE: Final = (math.nan, math.nan, math.nan, NOTHING, NOTHING)
-_NO_COMMAND: Final = (math.nan, NOTHING, NOTHING)
-_NO_SENDING: Final = (NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
 
 
-def row_fields(record: CycleRecord) -> tuple[object, ...]:
-    """The values of ``record`` in the order of :data:`LAYOUT`."""
-    observed, command = record.observation, record.command
-    placed: tuple[object, ...] = _NOT_PLACED
-    if isinstance(observed, Sample):
-        fate = FATE_SAMPLE
-        placed = (observed.sampled_at, observed.sampled_at_error_ns, *values_of(observed.reading))
-    else:
-        fate = _FATE_OF[observed.cause]
-    fields = (
-        *(record.sequence, record.axis, record.due_at),
-        *(record.woke_at, record.sync_handed_at, record.sync_on_bus_at),
-        *(fate, int(observed.certain), *placed, record.delay),
-        *(_NO_ESTIMATE if record.estimate is None else values_of(record.estimate)),
-        *(record.reference_rad_s, record.load_torque_nm),
-        *(_NO_COMMAND if command is None else values_of(command)[1:]),
-        *(_NO_SENDING if record.sending is None else values_of(record.sending)),
-        *(record.clock_offset_ns, record.clock_error_ns),
-    )
-    return tuple([_stored(value) for value in fields])
+def row_of(record: CycleRecord) -> bytes:
+    """``record`` packed, ROW.size bytes."""
+    row = BytesWriter()
+    write_i64_le(row, record.sequence)
+    write_i64_le(row, record.axis)
+    write_i64_le(row, record.due_at)
+    _write(row, record.woke_at)
+    _write(row, record.sync_handed_at)
+    _write(row, record.sync_on_bus_at)
+    _write_observation(row, record.observation)
+    _write(row, record.delay)
+    _write_estimate(row, record.estimate)
+    write_f64_le(row, record.reference_rad_s)
+    write_f64_le(row, record.load_torque_nm)
+    _write_command(row, record.command)
+    _write_sending(row, record.sending)
+    _write(row, record.clock_offset_ns)
+    _write(row, record.clock_error_ns)
+    return row.getvalue()
 
 
-def _stored(value: object) -> object:
-    if isinstance(value, CommandFate):
-        return _place_of(value)
-    return NOTHING if value is None else value
+def _write(row: BytesWriter, value: int | None) -> None:
+    write_i64_le(row, NOTHING if value is None else value)
+
+
+def _write_observation(row: BytesWriter, observed: Observation) -> None:
+    if isinstance(observed, Dropout):
+        write_i64_le(row, _fate_of(observed.cause))
+        write_i64_le(row, int(observed.certain))
+        _write_none(row, "qqdqqdqdqqq")
+        return
+    reading = observed.reading
+    write_i64_le(row, FATE_SAMPLE)
+    write_i64_le(row, int(observed.certain))
+    write_i64_le(row, observed.sampled_at)
+    write_i64_le(row, observed.sampled_at_error_ns)
+    write_f64_le(row, reading.velocity_rad_s)
+    _write(row, reading.device_time_ns)
+    write_i64_le(row, reading.received_at)
+    write_f64_le(row, reading.position_rad)
+    write_i64_le(row, reading.position_told_at)
+    write_f64_le(row, reading.torque_nm)
+    write_i64_le(row, reading.torque_told_at)
+    write_i64_le(row, reading.statusword)
+    write_i64_le(row, reading.status_told_at)
+
+
+def _write_estimate(row: BytesWriter, estimate: StateEstimate | None) -> None:
+    if estimate is None:
+        _write_none(row, "dddqq")
+        return
+    write_f64_le(row, estimate.position_rad)
+    write_f64_le(row, estimate.velocity_rad_s)
+    write_f64_le(row, estimate.torque_nm)
+    write_i64_le(row, estimate.valid_at)
+    write_i64_le(row, estimate.sequence)
+
+
+def _write_command(row: BytesWriter, command: Command | None) -> None:
+    if command is None:
+        _write_none(row, "dqq")
+        return
+    write_f64_le(row, command.torque_nm)
+    write_i64_le(row, command.effective_at)
+    write_i64_le(row, command.expires_at)
+
+
+def _write_sending(row: BytesWriter, sending: Sending | None) -> None:
+    if sending is None:
+        _write_none(row, "qqqqqq")
+        return
+    write_i64_le(row, sending.raw)
+    write_i64_le(row, sending.handed_at)
+    _write(row, sending.on_bus_at)
+    write_i64_le(row, _place_of(sending.fate))
+    _write(row, sending.acts_after)
+    _write(row, sending.acts_by)
+
+
+def _write_none(row: BytesWriter, codes: str) -> None:
+    """Fields that there is nothing for."""
+    for code in codes:
+        if code == "d":
+            write_f64_le(row, math.nan)
+        else:
+            write_i64_le(row, NOTHING)
+
+
+def _fate_of(cause: DropoutCause) -> int:
+    """In :data:`CAUSES`, counted from 1."""
+    return 1 + CAUSES.index(cause)
 
 
 def _place_of(fate: CommandFate) -> int:
@@ -150,38 +207,8 @@ def _place_of(fate: CommandFate) -> int:
     return 2 if fate is CommandFate.LOST else 0
 
 
-def store_record(memory: Any, place: int, record: CycleRecord) -> None:
-    """Pack ``record`` into ``memory`` from byte ``place`` on: the usual ones without :func:`row_fields`."""
-    observed, estimate = record.observation, record.estimate
-    command, sending = record.command, record.sending
-    if not isinstance(observed, Sample) or estimate is None or command is None or sending is None:
-        _pack_into(memory, place, *row_fields(record))
-        return
-    reading = observed.reading
-    stamp, on_bus_at, sent_on_bus_at = reading.device_time_ns, record.sync_on_bus_at, sending.on_bus_at
-    after, by = sending.acts_after, sending.acts_by
-    offset, error = record.clock_offset_ns, record.clock_error_ns
-    # fmt: off
-    _pack_into(
-        memory, place,
-        record.sequence, record.axis, record.due_at, record.woke_at, record.sync_handed_at,
-        NOTHING if on_bus_at is None else on_bus_at,
-        FATE_SAMPLE, observed.certain, observed.sampled_at, observed.sampled_at_error_ns,
-        reading.velocity_rad_s, NOTHING if stamp is None else stamp, reading.received_at,
-        reading.position_rad, reading.position_told_at, reading.torque_nm, reading.torque_told_at,
-        reading.statusword, reading.status_told_at, record.delay,
-        estimate.position_rad, estimate.velocity_rad_s, estimate.torque_nm, estimate.valid_at,
-        estimate.sequence, record.reference_rad_s, record.load_torque_nm,
-        command.torque_nm, command.effective_at, command.expires_at,
-        sending.raw, sending.handed_at, NOTHING if sent_on_bus_at is None else sent_on_bus_at,
-        _place_of(sending.fate), NOTHING if after is None else after, NOTHING if by is None else by,
-        NOTHING if offset is None else offset, NOTHING if error is None else error,
-    )
-    # fmt: on
-
-
 def record_of(row: np.void) -> CycleRecord:
-    """The record that was packed into ``row``; inverse of :func:`row_fields`."""
+    """The record that was packed into ``row``; inverse of :func:`row_of`."""
     field = {name: row[name].item() for name, _ in LAYOUT}
     return CycleRecord(
         sequence=field["sequence"],

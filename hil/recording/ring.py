@@ -68,37 +68,27 @@ class RingWriter:
         self.descriptor = os.memfd_create("servobench-ring", os.MFD_CLOEXEC)
         os.ftruncate(self.descriptor, size)
         # MAP_POPULATE: no page fault on the control thread later
-        self.memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
-        self._words = memoryview(self.memory)[:_HEADER_BYTES].cast("Q")
+        self._memory = mmap.mmap(self.descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._words = memoryview(self._memory)[:_HEADER_BYTES].cast("Q")
         self._words[_ROW_SIZE], self._words[_CAPACITY] = row.size, capacity
-        self._pack, self._row_size, self._mask = row.pack_into, row.size, capacity - 1
+        self._row_size, self._mask = row.size, capacity - 1
         self._capacity, self._on_full = capacity, on_full
         self._written = 0
         self._limit = capacity
         self._fence = None if _STORES_STAY_IN_ORDER else _Fence()
 
-    def push(self, *values: object) -> bool:
-        """Store one row of ``values``, in the order of the struct. False: the ring is full, it is refused."""
-        place = self.reserve()
-        if place < 0:
-            return False
-        self._pack(self.memory, place, *values)
-        self.commit()
-        return True
-
-    def reserve(self) -> int:
-        """Where in ``memory`` the next row is to be packed; -1: the ring is full, the row is refused."""
+    def push(self, row: bytes) -> bool:
+        """Store one row; IndexError for one of another size. False: the ring is full, it is refused."""
         written = self._written
         if written >= self._limit and not self._make_room():
-            return -1
-        return _HEADER_BYTES + (written & self._mask) * self._row_size
-
-    def commit(self) -> None:
-        """The row that was reserved is complete: the reader's from now on."""
+            return False
+        place = _HEADER_BYTES + (written & self._mask) * self._row_size
+        self._memory[place : place + self._row_size] = row
         if self._fence is not None:
             self._fence.pass_through()  # the row before its count
-        self._written += 1
+        self._written = written + 1
         self._words[_WRITTEN] = self._written
+        return True
 
     @property
     def refused(self) -> int:
@@ -113,7 +103,7 @@ class RingWriter:
     def close(self) -> None:
         """Give up the writer's hold; the reader keeps what is there."""
         self._words.release()
-        self.memory.close()
+        self._memory.close()
         os.close(self.descriptor)
 
     def _make_room(self) -> bool:

@@ -1,15 +1,11 @@
 """What a loop writes in every cycle: rows of cycles and of raw frames, each into its ring."""
 
-from typing import Final
-
 from drivers.frame_port import FrameTap
 from drivers.timebase import Instant
-from hil.recording.records import store_record
+from hil.recording.records import row_of
 from hil.recording.ring import RingWriter
-from hil.recording.side_rows import EXTENDED_FLAG, FRAME, REMOTE_FLAG
+from hil.recording.side_rows import EXTENDED_FLAG, REMOTE_FLAG, frame_row
 from hil.samples import CycleRecord
-
-_pack_frame: Final = FRAME.pack_into
 
 
 class RowWriter(FrameTap):
@@ -25,11 +21,7 @@ class RowWriter(FrameTap):
 
     def record(self, record: CycleRecord) -> None:
         """Store one cycle."""
-        rows = self._rows
-        place = rows.reserve()
-        if place >= 0:
-            store_record(rows.memory, place, record)
-            rows.commit()
+        self._rows.push(row_of(record))
 
     def frame(
         self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
@@ -41,9 +33,4 @@ class RowWriter(FrameTap):
             can_id |= EXTENDED_FLAG
         if remote:
             can_id |= REMOTE_FLAG
-        frames = self._frames
-        place = frames.reserve()
-        if place >= 0:
-            sent = self._sent if direction == "tx" else self._received
-            _pack_frame(frames.memory, place, at, can_id, len(data), sent, data)
-            frames.commit()
+        self._frames.push(frame_row(at, can_id, self._sent if direction == "tx" else self._received, data))

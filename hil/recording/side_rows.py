@@ -5,6 +5,7 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
+from librt.strings import BytesWriter, write_i64_le
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
@@ -24,6 +25,17 @@ FRAME_DTYPE: Final = np.dtype(
 )
 """``sent``: bit 0 is 1 for a frame that the bench sent, 0 for one that it received; the bits above it are the
 number of the segment, 0 for the first."""
+
+
+def frame_row(at: Instant, can_id: int, sent: int, data: bytes) -> bytes:
+    """A row of FRAME; ``can_id`` with its flags."""
+    row = BytesWriter()
+    write_i64_le(row, at)
+    write_i64_le(row, can_id | len(data) << 32 | sent << 40)
+    row.write(data)
+    for _ in range(8 - len(data)):
+        row.append(0)
+    return row.getvalue()
 
 
 class EventKind(IntEnum):
@@ -93,8 +105,8 @@ class IdentityEvent(NamedTuple):
 RunEvent = TextEvent | StateEvent | BeginEvent | LoadEvent | IdentityEvent
 
 
-def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
-    """The values of one row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
+def event_row(event: RunEvent) -> bytes:
+    """A row of EVENT. A text beyond TEXT_BYTES is cut at a whole character."""
     if isinstance(event, TextEvent):
         kind, level, text = EventKind.TEXT, LEVELS.index(event.level), event.text
     elif isinstance(event, StateEvent):
@@ -107,11 +119,11 @@ def event_fields(event: RunEvent) -> tuple[int, int, int, int, bytes]:
     else:
         kind, level, text = EventKind.BEGIN, 0, ""
     encoded = text.encode("utf-8", "replace")[:TEXT_BYTES].decode("utf-8", "ignore").encode()
-    return event.at, kind, level, len(encoded), encoded
+    return EVENT.pack(event.at, kind, level, len(encoded), encoded)
 
 
 def events_of(rows: NDArray[np.void]) -> list[RunEvent]:
-    """The events in rows of EVENT_DTYPE: inverse of :func:`event_fields`."""
+    """The events in rows of EVENT_DTYPE: inverse of :func:`event_row`."""
     return [_event_of(row) for row in rows]
 
 

@@ -1,6 +1,7 @@
 """The one object that ``hil run --json`` prints, whichever way it ends."""
 
 import json
+import sys
 from typing import Any
 
 import typer
@@ -42,6 +43,11 @@ class RunObject:
         """Print it, if it was asked for."""
         if self._wanted:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+
+
+def not_begun(status: int, text: str) -> None:
+    """The program cannot even look at its command line: print the object, if it asks for one."""
+    RunObject(sys.argv[1:2] == ["run"] and "--json" in sys.argv).failed(status, text)
 
 
 class RunCommand(TyperCommand):

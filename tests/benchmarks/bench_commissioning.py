@@ -13,7 +13,7 @@ from pathlib import Path
 
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.commissioning.outcome import Verdict
-from tests.commissioning import Errors, errors_of, unknown_world
+from tests.commissioning import LOSS, Errors, errors_of, unknown_world
 
 LIMITS = {"inertia": 0.03, "viscous": 0.08, "coulomb": 0.08}
 UNIT_LIMIT = 0.005
@@ -26,7 +26,9 @@ def measured(seed: int, lossy: bool, drift_ppm: float) -> tuple[int, Errors | No
     clock = MonotonicClock()
     began = clock.now()
     with tempfile.TemporaryDirectory() as folder:
-        truth, result, spy = unknown_world(seed, Path(folder), lossy=lossy, drift_ppm=drift_ppm, spied=True)
+        truth, result, spy = unknown_world(
+            seed, Path(folder), faults=LOSS if lossy else None, drift_ppm=drift_ppm, spied=True
+        )
     failed = [
         f"{record.name}: {record.reason}" for record in result.records if record.verdict is not Verdict.DONE
     ]

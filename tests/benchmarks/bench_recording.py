@@ -10,9 +10,9 @@ import numpy as np
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
-from hil.recording.records import ROW, ROW_DTYPE, row_fields
+from hil.recording.records import ROW, ROW_DTYPE, row_of
 from hil.recording.ring import RingReader, RingWriter
-from hil.recording.side_rows import FRAME, FRAME_DTYPE
+from hil.recording.side_rows import FRAME, FRAME_DTYPE, frame_row
 from hil.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
 
 _BATCH, _BATCHES = 1_000, 200
@@ -22,19 +22,19 @@ _CAPACITY = 1 << 10
 def main() -> None:
     """Print a table."""
     record = _record()
-    fields = row_fields(record)
+    fields = ROW.unpack(row_of(record))
     rows, row_reader = _ring(ROW, ROW_DTYPE)
     frames, frame_reader = _ring(FRAME, FRAME_DTYPE)
     buffer = bytearray(ROW.size)
     cases: list[tuple[str, Callable[[], object], RingReader]] = [
         ("pack a cycle record (baseline)", lambda: ROW.pack_into(buffer, 0, *fields), row_reader),
-        ("record a cycle", lambda: rows.push(*row_fields(record)), row_reader),
+        ("record a cycle", lambda: rows.push(row_of(record)), row_reader),
         (
             "pack a frame (baseline)",
             lambda: FRAME.pack_into(buffer, 0, 1, 2, 8, 1, b"12345678"),
             frame_reader,
         ),
-        ("record a frame", lambda: frames.push(1, 2, 8, 1, b"12345678"), frame_reader),
+        ("record a frame", lambda: frames.push(frame_row(Instant(1), 2, 1, b"12345678")), frame_reader),
     ]
     print(f"{'':32} {'p50':>8} {'p99':>8} {'max':>8} us   x baseline")
     baseline = 1.0

@@ -81,7 +81,7 @@ class StopAfter(StopRequest):
 
     def __call__(self) -> bool:
         if self._clock.now() >= self._at:
-            self.signal_name = "SIGINT"
+            self.ask("SIGINT")
         return super().__call__()
 
     def check(self) -> None:

@@ -19,7 +19,7 @@ from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
 from hil.configuration.network_file import load_network
 from tests.benchmarks.bench_commissioning import row, within
-from tests.commissioning import errors_of, unknown_world
+from tests.commissioning import LATE, LOSS, errors_of, unknown_world
 from virtual_bus.unknown_drive import unknown_drive
 
 
@@ -39,7 +39,7 @@ def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) ->
 
 
 def test_the_same_with_lost_frames_and_a_drifting_clock(tmp_path: Path) -> None:
-    truth, result, spy = unknown_world(9, tmp_path, lossy=True, drift_ppm=300.0, spied=True)
+    truth, result, spy = unknown_world(9, tmp_path, faults=LOSS, drift_ppm=300.0, spied=True)
     errors = errors_of(truth, result, spy)
     assert within(errors), row(9, errors)
     network = load_network(tmp_path / "network.toml")
@@ -47,6 +47,12 @@ def test_the_same_with_lost_frames_and_a_drifting_clock(tmp_path: Path) -> None:
     assert network.losses_in_a_row_max >= 1
     delays = next(record for record in result.records if record.name == "delays")
     assert delays.outcome.figures["commands_lost"] > 0
+
+
+def test_a_turn_is_right_whenever_its_readings_arrive(tmp_path: Path) -> None:
+    truth, result, _ = unknown_world(1, tmp_path, faults=LATE, period_us=10_000)
+    (turn,) = (record for record in result.records if record.name == "turn")
+    assert turn.outcome.figures["units_per_turn"] == pytest.approx(math.tau / truth.position_rad, rel=3e-4)
 
 
 def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Path) -> None:

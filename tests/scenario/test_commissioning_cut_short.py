@@ -106,7 +106,7 @@ class Stop(EmergencyStop):
         return self.at is not None and self.bus.sent >= self.at
 
     @property
-    def signal_name(self) -> str:
+    def asked_by(self) -> str:
         return "SIGINT"
 
 

@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S
+from hil.pace import CALIBRATION_SYNCS
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
@@ -67,6 +69,18 @@ def test_a_fault_of_a_drive_has_the_time_of_its_emcy(servo_bench: BenchRunner, f
     assert abs(faulty[0] - emcy.at) < NS_PER_MS
     told = [text for _, text in texts(run, "injected")]
     assert told == [f"injected: drive fault {fault.replace('_', ' ')}, node 1"]
+
+
+def test_the_calibration_is_there_sync_by_sync_with_its_reading(servo_bench: BenchRunner) -> None:
+    run = servo_bench(LING2012, {"bench.duration_s": 0.3, "load": {}}, faults={})
+    phases = {state: at for at, state in states(run, "phase")}
+    there = [
+        frame.can_id
+        for frame in run.wire.frames
+        if phases["calibrating"] <= frame.at < phases["enabling"] and frame.can_id in (0x080, 0x181)
+    ]
+    assert there == [0x080, 0x181] * CALIBRATION_SYNCS
+    assert set(np.diff(run.rows["sequence"], prepend=0)) == {1}, "a row is a planned cycle, and nothing else"
 
 
 def test_the_stopping_is_there_until_the_drive_rests(servo_bench: BenchRunner) -> None:

@@ -15,7 +15,7 @@ from hil.bench import run_bench
 from hil.configuration.config import BenchConfig
 from hil.recording.recorder import MemoryRecorder
 from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW, ROW_DTYPE, Rows, store_record
+from hil.recording.records import ROW_DTYPE, Rows, row_of
 from hil.samples import CycleRecord
 from hil.terminal.progress import no_progress
 from hil.world import World, WorldPlan
@@ -40,11 +40,9 @@ class RowsRecorder(MemoryRecorder):
     def __init__(self, plan: RecordingPlan) -> None:
         super().__init__(plan.review, plan.seed)
         self._kept = bytearray()
-        self._row = bytearray(ROW.size)
 
     def record(self, record: CycleRecord) -> None:
-        store_record(self._row, 0, record)
-        self._kept += self._row
+        self._kept += row_of(record)
         super().record(record)
 
     def fault_block(self, length: int, block: bytes) -> None:

@@ -24,6 +24,8 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+from librt.strings import BytesWriter, write_i64_le
+
 from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
 from virtual_bus.fault_injection.fault_plan import EXTENDED_ID_MAX, STANDARD_ID_MAX, Direction
@@ -78,10 +80,8 @@ AT_NODE: Final = len(Direction)
 EXTENDED_FLAG: Final = 1 << 31
 """In ``can_id``: an extended frame."""
 
-_FIELDS: Final = "qqqqIIBBxx"
-_VALUES: Final = 8
-_ENTRY: Final = struct.Struct("<" + _FIELDS)
-_BLOCK_ENTRIES: Final = 90
+_ENTRY: Final = struct.Struct("<8q")
+_BLOCK_ENTRIES: Final = 60
 BLOCK_BYTES: Final = _BLOCK_ENTRIES * _ENTRY.size
 BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
 """A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""
@@ -121,8 +121,8 @@ class FaultLog:
     """Collects entries into blocks for a sink, in the order of injection; without a sink it keeps them."""
 
     def __init__(self) -> None:
-        self._values: list[int] = []
-        """Of the entries of a block, one after the other; packed together, which costs half."""
+        self._block = BytesWriter()
+        """Entries not given on yet."""
         self._waiting: list[bytes] = []
         self._sink: Callable[[int, bytes], object] | None = None
 
@@ -137,25 +137,24 @@ class FaultLog:
         self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0
     ) -> None:
         """Add an entry, see :class:`Entry`."""
-        values = self._values
-        values.append(at_ns)
-        values.append(a)
-        values.append(b)
-        values.append(c)
-        values.append(can_id)
-        values.append(n)
-        values.append(code)
-        values.append(link)
-        if len(values) == _BLOCK_ENTRIES * _VALUES:
+        block = self._block
+        write_i64_le(block, at_ns)
+        write_i64_le(block, a)
+        write_i64_le(block, b)
+        write_i64_le(block, c)
+        write_i64_le(block, can_id)
+        write_i64_le(block, n)
+        write_i64_le(block, code)
+        write_i64_le(block, link)
+        if len(block) >= BLOCK_BYTES:
             self.flush()
 
     def flush(self) -> None:
         """Let the sink have what has been collected."""
-        values = self._values
-        if not values:
+        data = self._block.getvalue()
+        if not data:
             return
-        data = struct.pack("<" + _FIELDS * (len(values) // _VALUES), *values)
-        values.clear()
+        self._block.truncate(0)
         if self._sink is None:
             self._waiting.append(data)
         else:

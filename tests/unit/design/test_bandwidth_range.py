@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from design.bandwidth_range import BandwidthRange, bandwidth_range
+from design.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
+from design.delay_norm import hinf_norm
 from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.loss_patterns import pattern_of, worst_gain
 from design.sampled import analyse_sampled, regular_patterns
@@ -28,10 +29,24 @@ def test_what_is_certified_holds_between_the_slices() -> None:
     found = bandwidth_range(model_at, K, NETWORK, patterns, nominal)
     assert found.min_hz < 700.0
     assert found.max_hz > 900.0
+    assert found.decay_per_s is not None
     for bandwidth_hz in np.linspace(found.min_hz, found.max_hz, 5):
         loop = HeldLoop(model_at(float(bandwidth_hz)), K, NETWORK)
         assert worst_gain(loop, regular_patterns(loop)).gain <= found.gain
         assert pattern_of(loop, analysis.slowest.steps).decay_per_s >= found.decay_per_s
+
+
+def test_the_range_of_a_constant_delay_ends_where_the_gain_would_rise_too_far() -> None:
+    gain = np.array([-0.486, -1.0367])
+    norm = hinf_norm(model_at(800.0).loop(gain, 0.002))
+    found = constant_bandwidth_range(model_at, gain, 0.002, BandwidthRange(800.0, 800.0, norm))
+    assert found.decay_per_s is None
+    assert found.gain <= 1.1 * norm
+    assert found.max_hz > 1200.0
+    assert 500.0 < found.min_hz < 600.0
+    for bandwidth_hz in np.linspace(found.min_hz, found.max_hz, 9):
+        assert hinf_norm(model_at(float(bandwidth_hz)).loop(gain, 0.002)) <= found.gain
+    assert hinf_norm(model_at(found.min_hz / 1.08).loop(gain, 0.002)) > 1.05 * norm
 
 
 def test_a_design_for_a_slow_current_loop_is_unstable_on_a_fast_one() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from design.delay_loop import DelayLoop
-from design.delay_norm import hinf_norm, hinf_peak, is_stable, largest_stable_delay_s
+from design.delay_norm import hinf_norm, hinf_peak, is_stable, largest_stable_delay_s, norm_between
 from design.speed_loop import Feedback, Units, gain_for_error, peak_floor_rad_s, percent_of_speed, speed_model
 from tests.motors import AZAIZ, LING
 from tests.unit.design.delay_oracles import generator_abscissa, magnitudes, random_loop
@@ -92,6 +92,53 @@ def test_gain_at_rest_in_closed_form() -> None:
     loop = speed_model(LING).loop([0.0, K2], 0.0)
     static = 1.0 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * K2)
     assert hinf_norm(loop) == pytest.approx(static, rel=1e-9)
+
+
+@pytest.mark.parametrize("delay_s", [1.0, 1e3, 1e6])
+def test_gain_at_rest_in_closed_form_whatever_the_delay(delay_s: float) -> None:
+    """With K2 > 0, less than friction, the feedback is in phase at rest and nowhere more so."""
+    static = 1.0 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * 0.004)
+    for bandwidth_hz in (None, 800.0):
+        loop = speed_model(LING, current_bandwidth_hz=bandwidth_hz).loop([0.0, 0.004], delay_s)
+        assert hinf_norm(loop) == pytest.approx(static, rel=1e-13)
+
+
+def test_after_a_long_delay_some_low_frequency_is_in_phase() -> None:
+    """K2 < 0: below a delay's inverse rate friction alone counts, so that the gain is as with K2 > 0."""
+    loop = speed_model(LING, current_bandwidth_hz=800.0).loop([0.0, -0.0046], 1e8)
+    assert hinf_norm(loop) == pytest.approx(
+        1.0 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * 0.0046), rel=1e-11
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_current_loop_between_two_has_a_larger_norm_than_the_bound(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    slow_hz, width = float(np.exp(draw.uniform(4.0, 7.0))), float(draw.uniform(1.02, 1.25))
+    delay_s, crossing = float(draw.uniform(5e-4, 5e-3)), float(draw.uniform(0.2, 0.9))
+    integral = bool(seed % 2)
+
+    def loop(bandwidth_hz: float) -> DelayLoop:
+        model = speed_model(LING, integral, bandwidth_hz)
+        K2 = -crossing / (delay_s + 1.0 / (math.tau * slow_hz)) / float(model.A[1, 0])
+        K = [0.0, K2, K2 / model.integral_time_s(delay_s)][: len(model.A)]
+        return model.loop(K, delay_s)
+
+    bound = norm_between(loop(slow_hz), loop(slow_hz * width))
+    inner = [hinf_norm(loop(slow_hz * float(part))) for part in np.linspace(1.0, width, 9)]
+    assert max(inner) <= bound
+    assert bound < 1.04 * max(inner)
+
+
+def test_a_bound_between_two_loops_is_not_that_of_the_two() -> None:
+    """Current loops of 7 and of 6000 Hz are stable, those between them are not."""
+    slow, between, fast = (
+        speed_model(LING, current_bandwidth_hz=hz).loop([-0.55, -1.6], 0.002) for hz in (7.0, 300.0, 6000.0)
+    )
+    assert math.isfinite(hinf_norm(slow))
+    assert math.isfinite(hinf_norm(fast))
+    assert not is_stable(between)
+    assert norm_between(slow, fast) == math.inf
 
 
 def test_units_of_a_demand() -> None:

@@ -4,13 +4,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.recording.records import ROW, ROW_DTYPE, Rows, row_fields
+from hil.recording.records import ROW_DTYPE, Rows, row_of
 from hil.samples import CycleRecord
 
 
 def rows_of(records: Iterable[CycleRecord]) -> Rows:
     """Packed records."""
-    return np.frombuffer(b"".join(ROW.pack(*row_fields(record)) for record in records), ROW_DTYPE)
+    return np.frombuffer(b"".join(row_of(record) for record in records), ROW_DTYPE)
 
 
 def plain_rows(

@@ -1,5 +1,6 @@
 """A folder of the user's is neither imported by a process of ours, nor taken for a package of ours."""
 
+import json
 import os
 import subprocess
 import sys
@@ -81,11 +82,18 @@ def test_a_hidden_room_is_named_in_one_line(tmp_path: Path, room: str) -> None:
     (tmp_path / room).mkdir()
     (tmp_path / room / "__init__.py").touch()
     command = [sys.executable, "-P", "-m", "hil.cli", "run", str(EXAMPLE)]
-    found = said_in(tmp_path, command, PYTHONPATH=f"{tmp_path}:{ROOT}")
-    assert found.returncode == 2
-    assert found.stderr.count("\n") == 1
-    assert str(tmp_path / room) in found.stderr
-    assert f"hides the package {room!r}" in found.stderr
+    path = f"{tmp_path}:{ROOT}"
+    plain = said_in(tmp_path, command, PYTHONPATH=path)
+    with_object = said_in(tmp_path, [*command, "--json"], PYTHONPATH=path)
+    for found in (plain, with_object):
+        assert found.returncode == 2
+        assert found.stderr.count("\n") == 1
+        assert str(tmp_path / room) in found.stderr
+        assert f"hides the package {room!r}" in found.stderr
+    assert plain.stdout == ""
+    verdict = json.loads(with_object.stdout)["verdict"]
+    assert (verdict["outcome"], verdict["exit_status"]) == ("bad input", 2)
+    assert f"hides the package {room!r}" in verdict["reason"]
 
 
 def test_no_room_is_hidden_here() -> None:

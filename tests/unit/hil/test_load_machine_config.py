@@ -11,7 +11,7 @@ from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.configuration.bench_file import load_bench
 from hil.instrument import InstrumentLoadMachine, Wait
-from hil.recording.side_rows import EVENT, EVENT_DTYPE, LoadEvent, event_fields, events_of
+from hil.recording.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
 from hil.recording.verdict_text import verdict_markdown
 from tests.scenario.processes import EXAMPLES
 from tests.unit.hil.recording_tools import plan_for
@@ -65,7 +65,7 @@ def test_what_cannot_be_is_told(tmp_path: Path, old: str, new: str, message: str
 
 def test_a_reading_survives_the_ring() -> None:
     event = LoadEvent(Instant(123456789), "axis1", 0.6123456789, -157.0796)
-    row = EVENT.pack(*event_fields(event))
+    row = event_row(event)
     assert events_of(np.frombuffer(row, EVENT_DTYPE)) == [event]
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from drivers.record import replaced
 from drivers.timebase import Instant
 from hil.figures.summary import Summary
 from hil.recording.line_reader import LineReader
 from hil.recording.logger import Logger
-from hil.recording.records import ROW, row_fields
+from hil.recording.records import ROW, row_of
 from hil.recording.ring import RingWriter
-from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_fields
+from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
 from hil.verdict import Outcome
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -31,11 +32,13 @@ class Rings:
     frames: RingWriter
     events: RingWriter
 
-    def fill(self) -> None:
+    def fill(self, doubled: int = 0) -> None:
+        """``doubled``: number of a cycle whose row stands in the place of the next one's too."""
         for record in synthetic_records(CYCLES):
-            self.rows.push(*row_fields(record))
-            self.frames.push(record.due_at, 0x80, 0, 1, b"")
-        self.events.push(*event_fields(TextEvent(Instant(0), "WARN", "load")))
+            again = doubled and record.sequence == doubled + 1
+            self.rows.push(row_of(replaced(record, sequence=doubled) if again else record))
+            self.frames.push(frame_row(record.due_at, 0x80, 1, b""))
+        self.events.push(event_row(TextEvent(Instant(0), "WARN", "load")))
 
 
 @pytest.fixture
@@ -51,9 +54,10 @@ def run_logger(
     rings: Rings,
     said: bytes,
     within: AbstractContextManager[None] | None = None,
+    doubled: int = 0,
 ) -> Summary:
     """The logger over filled rings, with ``said`` on its input, once it has started ``within`` something."""
-    rings.fill()
+    rings.fill(doubled)
     read_end, write_end = os.pipe()
     os.write(write_end, said)
     os.close(write_end)
@@ -71,6 +75,17 @@ def test_a_run_that_ends_as_it_should(tmp_path: Path, rings: Rings) -> None:
     assert summary.cycles == CYCLES
     assert summary.verdict.completed
     assert summary.recording_faults == ()
+
+
+@pytest.mark.parametrize("doubled", [1, 120, CYCLES - 1])
+def test_a_run_with_a_row_twice_and_another_missing_has_not_passed(
+    tmp_path: Path, rings: Rings, doubled: int
+) -> None:
+    """As many rows as were planned: only their numbers tell."""
+    verdict = run_logger(tmp_path, rings, OUTCOME, doubled=doubled).verdict
+    assert verdict.outcome is Outcome.CUT_SHORT
+    assert not verdict.completed
+    assert verdict.reason == f"rows are missing or double behind cycle {doubled}"
 
 
 def test_an_input_that_ends_means_a_dead_writer(tmp_path: Path, rings: Rings) -> None:
@@ -119,7 +134,7 @@ def test_a_file_that_cannot_be_opened_ends_the_logger(rings: Rings, tmp_path: Pa
 
 def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> None:
     for record in synthetic_records(512 - CYCLES + 3):
-        rings.rows.push(*row_fields(record))
+        rings.rows.push(row_of(record))
     summary = run_logger(tmp_path, rings, OUTCOME)
     assert summary.cycles == 512
     assert summary.recording_faults == ("3 cycle records lost, the logger was too slow",)

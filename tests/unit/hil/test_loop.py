@@ -138,6 +138,33 @@ def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:
     assert (missed.woke_at, missed.sync_handed_at, missed.sync_on_bus_at, missed.command) == (None,) * 4
 
 
+@pytest.mark.parametrize("stopped_in", [10, 40])
+def test_a_sync_handed_over_ticks_too_late_is_that_of_the_tick_it_falls_into(stopped_in: int) -> None:
+    """The process is stopped for 2.3 periods between looking at the clock and handing the SYNC over."""
+
+    class StoppedBus(FakeBus):
+        def send_sync(self) -> Instant:
+            if self.sync_count == CALIBRATION_SYNCS + stopped_in - 1:
+                self.at = Instant(self.at + 2_300_000)
+            return super().send_sync()
+
+    records: list[CycleRecord] = []
+    drive = FakeDrive(lambda cycle: 300_000)
+    bus = StoppedBus([drive])
+    loop = make_loop(bus, [make_axis(drive, records)])
+    loop.calibrate()
+    outcome = loop.run(Duration(40 * PERIOD), lambda: False, lambda at: None, lambda done: None)
+    missed = [10, 11] if stopped_in == 10 else [40]
+    assert (outcome.cycles, outcome.cycles_missed) == (40, len(missed))
+    assert [record.sequence for record in records] == list(range(1, 41))
+    assert [record.sequence for record in records if record.sync_handed_at is None] == missed
+    for record in records:
+        if record.sync_handed_at is not None:
+            assert record.due_at <= record.sync_handed_at < record.due_at + PERIOD
+            assert isinstance(record.observation, Sample)
+            assert record.observation.sampled_at == record.sync_on_bus_at
+
+
 @pytest.mark.parametrize("late_us", [0, 300, 499, 501, 900, 1400, 1501, 2300])
 def test_no_sync_comes_within_half_a_period_of_another(late_us: int) -> None:
     bus_of: list[FakeBus] = []

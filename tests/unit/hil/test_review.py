@@ -11,7 +11,7 @@ from drivers.timebase import Instant
 from hil.figures.review import Review
 from hil.figures.summary import DropoutCounts, Figures
 from hil.recording.recording_plan import AxisPlan, ReviewPlan
-from hil.recording.records import LAYOUT, ROW, Rows, row_fields
+from hil.recording.records import LAYOUT, Rows, row_of
 from hil.samples import CycleRecord, Dropout
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -48,6 +48,27 @@ def test_counts_and_delays_against_the_records(records: list[CycleRecord]) -> No
     assert found.delay_us.max == max(delays)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "dense"),
+    [([1, 2, 3, 4], 4), ([1, 2, 2, 4], 2), ([1, 2, 4, 5], 2), ([2, 3, 4, 5], 0), ([1, 3, 2, 4], 1)],
+)
+@pytest.mark.parametrize("chunks", [1, 3])
+def test_rows_are_dense_up_to_the_first_that_is_missing_or_double(
+    numbers: list[int], dense: int, chunks: int
+) -> None:
+    rows = plain_rows(4)
+    rows["sequence"] = numbers
+    assert figures_of(*np.array_split(rows, chunks)).dense == dense
+
+
+def test_of_several_axes_the_least_dense_counts() -> None:
+    plan = ReviewPlan((AxisPlan("axis1", 1.0), AxisPlan("axis2", 1.0)))
+    first, second = plain_rows(5), plain_rows(4)
+    second["axis"] = 1
+    assert figures_of(first, second, plan=plan).dense == 4
+    assert figures_of(first, plan=plan).dense == 0
+
+
 def test_lateness_is_of_every_cycle() -> None:
     rows = plain_rows(100)
     rows["woke_at"] += np.arange(100) * 1_000
@@ -55,7 +76,7 @@ def test_lateness_is_of_every_cycle() -> None:
 
 
 def test_the_digest_is_that_of_the_packed_rows(records: list[CycleRecord]) -> None:
-    packed = b"".join(ROW.pack(*row_fields(record)) for record in records)
+    packed = b"".join(row_of(record) for record in records)
     assert figures_of(rows_of(records)).digest == blake2b(packed, digest_size=16).hexdigest()
 
 

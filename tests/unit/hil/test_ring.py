@@ -26,13 +26,13 @@ def ring() -> Iterator[tuple[RingWriter, RingReader]]:
 
 
 def push(writer: RingWriter, number: int) -> bool:
-    return writer.push(number, number, b"row")
+    return writer.push(ROW.pack(number, number, b"row"))
 
 
 def test_rows_come_out_as_they_went_in(ring: tuple[RingWriter, RingReader]) -> None:
     writer, reader = ring
     assert reader.drain().size == 0
-    writer.push(-5, 7, b"abc")
+    writer.push(ROW.pack(-5, 7, b"abc"))
     (row,) = reader.drain()
     assert (int(row["number"]), int(row["copy"]), bytes(row["text"])) == (-5, 7, b"abc")
     assert reader.drain().size == 0

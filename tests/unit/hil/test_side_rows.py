@@ -16,8 +16,9 @@ from hil.recording.side_rows import (
     RunEvent,
     StateEvent,
     TextEvent,
-    event_fields,
+    event_row,
     events_of,
+    frame_row,
 )
 
 instants = st.integers(-(2**62), 2**62).map(Instant)
@@ -30,7 +31,7 @@ events = (
 
 
 def through_a_row(event: RunEvent) -> RunEvent:
-    (found,) = events_of(np.frombuffer(EVENT.pack(*event_fields(event)), EVENT_DTYPE))
+    (found,) = events_of(np.frombuffer(event_row(event), EVENT_DTYPE))
     return found
 
 
@@ -44,6 +45,12 @@ def test_a_long_text_is_cut_at_a_whole_character() -> None:
     found = through_a_row(TextEvent(Instant(0), "INFO", "a" + "ü" * TEXT_BYTES))
     assert isinstance(found, TextEvent)
     assert found.text == "a" + "ü" * ((TEXT_BYTES - 1) // 2)
+
+
+@settings(derandomize=True, deadline=None)
+@given(instants, st.integers(0, 2**32 - 1), st.integers(0, 255), st.binary(max_size=8))
+def test_a_frame_row_is_as_the_struct_packs_it(at: Instant, can_id: int, sent: int, data: bytes) -> None:
+    assert frame_row(at, can_id, sent, data) == FRAME.pack(at, can_id, len(data), sent, data)
 
 
 def test_structs_and_dtypes_have_the_same_size() -> None:

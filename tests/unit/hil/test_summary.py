@@ -26,6 +26,7 @@ from tests.unit.hil.recording_tools import plan_for, whole_outcome
 FIGURES = Figures(
     cycles=200,
     rows=200,
+    dense=200,
     dropouts=DropoutCounts(3, 2, 1, 2),
     delay_us=Percentiles(400.0, 900.0, 1_500.0),
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),

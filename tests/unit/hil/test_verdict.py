@@ -53,8 +53,9 @@ def test_a_run_without_limits_is_completed_and_not_passed() -> None:
 
 ONE_BY_ONE = {
     "a cycle without a row": (WHOLE, CycleCount(199, 199, 0), KEPT, "", Outcome.CUT_SHORT),
-    "a row too many": (WHOLE, CycleCount(201, 201, 0), KEPT, "", Outcome.CUT_SHORT),
-    "a cycle of one axis of two": (two_axes(RESTING), CycleCount(200, 399, 0), KEPT, "", Outcome.CUT_SHORT),
+    "a row too many": (WHOLE, CycleCount(200, 201, 0), KEPT, "", Outcome.CUT_SHORT),
+    "a cycle of one axis of two": (two_axes(RESTING), CycleCount(199, 399, 0), KEPT, "", Outcome.CUT_SHORT),
+    "a cycle twice, and another not at all": (WHOLE, CycleCount(99, 200, 0), KEPT, "", Outcome.CUT_SHORT),
     "no plan": (replace(WHOLE, cycles_planned=None), COUNT, KEPT, "", Outcome.CUT_SHORT),
     "no drive looked at": (replace(WHOLE, drives=()), COUNT, KEPT, "", Outcome.CUT_SHORT),
     "one drive not looked at": (
