@@ -23,8 +23,7 @@ from tests.swarm.witness import EMCY_ID, Testimony
 
 STATUSES: Final = (0, 1, 3, 4, 5, 6)
 """docs/verdict.md; a drawn bench is never bad input, and nobody interrupts it."""
-REST_RAD_S: Final = 2.0
-"""Twice what counts as at rest: nothing holds the shaft when that was read, and the speed is a noisy one."""
+REST_RAD_S: Final = 1.0
 EMCY_WITHIN_NS: Final = NS_PER_MS
 TELLING_NS: Final = NS_PER_MS
 """What is told at the very end has no frame of its own."""
