@@ -25,13 +25,12 @@ from drivers.objects402 import Object
 from drivers.pdo import PdoPlan
 from drivers.profile402 import DriveCommand, Mode, State, state_of
 from drivers.readings import ReadingAssembler, Seen
+from drivers.rest import resting_since, slow
 from drivers.setpoint import SetPoint
 from drivers.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
-REST_RAD_S: Final = 1.0
-"""A shaft that turns slower counts as at rest."""
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 _CONNECT_TRY_S: Final = 0.1
 _SETTLE_NS: Final = 50 * NS_PER_MS
@@ -52,7 +51,6 @@ class ServoDrive(Drive):
 
     def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
         self.network = network
-        self._clock = network.clock
         self._now = network.clock.now
         self.node_id = node_id
         self.name = name or f"node {node_id}"
@@ -153,16 +151,28 @@ class ServoDrive(Drive):
             )
         self.control.walk(State.SWITCH_ON_DISABLED, deadline)
 
-    def quick_stop(self, deadline: Instant) -> None:
-        """Command a quick stop and wait until the shaft is at rest and the drive disabled, or in fault."""
+    def stop(self) -> None:
+        """Command a quick stop, and do not wait for the shaft. Raises PeerFault.
+
+        Where several drives are released one after the other, stop all of them first.
+        """
         self._stop_following()
+        if self.identity is None:
+            return
         self.control.command_by_pdo(DriveCommand.QUICK_STOP)
         if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
             self.control.command(DriveCommand.QUICK_STOP)
         self.supervision.end()
+
+    def quick_stop(self, deadline: Instant) -> None:
+        """Command a quick stop and wait until the shaft is slow and the drive disabled, or in fault."""
+        self.stop()
         moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
         state = self.control.await_state(
-            lambda now: now not in moving and self._at_rest(), deadline, "come to rest", faults=False
+            lambda now: now not in moving and slow(self.objects, self._assembler),
+            deadline,
+            "come to rest",
+            faults=False,
         )
         if state is not State.FAULT:
             self.control.walk(State.SWITCH_ON_DISABLED, deadline)
@@ -170,19 +180,20 @@ class ServoDrive(Drive):
     def release(self, limit: Duration = RELEASE_LIMIT) -> Release:
         """Leave the drive at rest and disabled; raises nothing for what the drive or the bus does.
 
-        Takes ``limit`` at most, and one SDO time-out. The drive then watches the host no more, and is
-        pre-operational. If it cannot be brought to rest, it goes on watching, and the host's heartbeat ends,
-        so that it stops by itself; so does every other drive of this network that is still watching.
+        Take every load off before: nothing holds the shaft then. Takes ``limit`` at most, REST_FOR and one
+        SDO time-out. The drive then watches the host no more, and is pre-operational. If it cannot be brought
+        to rest, it goes on watching, and the host's heartbeat ends, so that it stops by itself; so does every
+        other drive of this network that is still watching.
         """
         self._watch.active = False
         if self.identity is None:
             return Release(True, None, "it was never connected")
         deadline = self.network.deadline_after(limit)
-        failure = self._try_to_stop(deadline)
-        if failure is not None:
+        try:
+            rested_at = self._bring_to_rest(deadline)
+        except PeerFault as failure:
             done = end_heartbeat(self.network, watched=self._host_watch is not None)
             return Release(False, self.state, f"{failure}; {done}")
-        rested_at = self.network.clock.now()
         try:
             unwatched = self._leave()
         except PeerFault as error:
@@ -364,18 +375,15 @@ class ServoDrive(Drive):
             raise RuntimeError(f"{self.name} was not configured")
         return self.control.set_point
 
-    def _try_to_stop(self, deadline: Instant) -> PeerFault | None:
-        """Quick stop, again and again until it succeeds or the deadline comes; why it failed, if it did."""
+    def _bring_to_rest(self, deadline: Instant) -> Instant:
+        """Quick stop until it succeeds or the deadline comes. Since when it rests. Raises PeerFault."""
         while True:
             try:
                 self.quick_stop(deadline)
-            except BusDown as error:
-                return error
+                return resting_since(self.control, self._assembler, deadline)
             except PeerFault as error:
-                if self.network.clock.now() >= deadline:
-                    return error
-            else:
-                return None
+                if isinstance(error, BusDown) or self._now() >= deadline:
+                    raise
 
     def _leave(self) -> str:
         """End the watch on either side, and the PDOs; as :func:`drivers.heartbeats.forget_host`."""
@@ -389,10 +397,3 @@ class ServoDrive(Drive):
         self._watch.active = False
         if self.control.set_point is not None:
             self.control.set_point.hold_torque(0.0)
-
-    def _at_rest(self) -> bool:
-        """By 0x606C; a drive that was never configured was never moved by this bench."""
-        if self._assembler is None:
-            return True
-        raw = self.objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
-        return abs(raw * self._assembler.scaling.velocity_rad_s) < REST_RAD_S

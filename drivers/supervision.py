@@ -34,7 +34,7 @@ class Release(NamedTuple):
     evidence: str = ""
     """What went wrong on the way; empty if nothing did."""
     rested_at: Instant | None = None
-    """When it was seen to be at rest; None if it was not, or never moved."""
+    """Since when it was at rest; None if it was not, or never moved."""
     unwatched: str = ""
     """In words, if its 1016h held something else at the end than was written into it."""
 

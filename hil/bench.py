@@ -356,7 +356,6 @@ class _Run:
         """Every way out of a run leads through here."""
         self._enter("stopping")
         self._guard.calm()
-        self._load.let_go(self._say)
         if errors := self._world.error_frames():
             self._say(f"{errors} error frames on the bus", "WARN")
         if trouble := self._world.trouble():
@@ -364,8 +363,9 @@ class _Run:
         if self._world.faults is not None:
             self._world.faults.stop()
         for drive in self._drives:
-            # Of all of them, before the first is let go: the others' commands cease meanwhile.
-            drive.supervision.end()
+            with suppress(PeerFault):  # its release tries again, and tells
+                drive.stop()
+        self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:
             release = drive.release()
             self._note_state(drive)
@@ -379,7 +379,6 @@ class _Run:
         if self._enabled_from is not None:
             for drive in self._drives:
                 self._conclusion.told(drive, self._enabled_from, self._zero)
-        self._load.take_off(self._say)
         self._guard.end(self._world.clock.now())
         self._progress("stopped", self._config.bench.duration_s)
 

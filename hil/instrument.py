@@ -69,6 +69,7 @@ class InstrumentLoadMachine:
         self._record = record
         self._begun_at: Instant | None = None
         self._plateaus: list[_Plateau] = []
+        self._kept = 0
 
     def connect(self) -> str:
         """Open the brake and learn who is there. Raises PeerFault."""
@@ -90,10 +91,6 @@ class InstrumentLoadMachine:
         self._dynamometer.pump(now)
         self._keep()
 
-    def let_go(self) -> None:
-        """Tell it to open the brake, without waiting for that. Raises PeerFault."""
-        self.set_torque(0.0)
-
     def take_off(self) -> None:
         """Open the brake and see that it did. Raises PeerFault."""
         self._dynamometer.take_off(self._wait.until)
@@ -110,7 +107,7 @@ class InstrumentLoadMachine:
         return {
             "axis": self.axis,
             "identity": self._dynamometer.identity,
-            "readings": tally.readings,
+            "readings": self._kept,
             "late": tally.late,
             "spoilt": tally.spoilt,
             "stamp_error_us_max": tally.error_ns_max / 1e3,
@@ -121,6 +118,7 @@ class InstrumentLoadMachine:
         for reading in self._dynamometer.take_readings():
             if self._begun_at is None or reading.at < self._begun_at:
                 continue
+            self._kept += 1
             self._record(self.axis, reading)
             if self._plateaus:
                 self._plateaus[-1].add(reading)

@@ -61,11 +61,6 @@ class LoadMachines:
         if self._instrument is not None:
             self._instrument.begin(at)
 
-    def let_go(self, say: Say) -> None:
-        """Have the brake open, before anything that takes time is done."""
-        if self._instrument is not None:
-            self._try(self._instrument.let_go, say)
-
     def take_off(self, say: Say) -> None:
         """Take every load off and see that it is gone; what fails is said."""
         for machine in self._objects:

@@ -14,13 +14,17 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 from unittest.mock import patch
 
 from hil.machine.stopping import STOP_SIGNALS
-from hil.recording import logger, logger_process, recovery
+from hil.recording import logger, logger_process, recorder, recovery
 
 _PROGRAMS = {"hil.recording.logger": logger.main, "hil.recording.recovery": recovery.main}
 _NEVER_S = 1e6
+ROWS: Final = 1 << 12
+FRAMES: Final = 1 << 15
+"""Room in the rings: more than a case fills, so that what a dead logger leaves is there; little to map."""
 
 
 class ForkedProcess:
@@ -116,6 +120,7 @@ def forked_loggers(
         return started[-1]
 
     _KEPT.add(kept)
-    with patch.object(logger_process, "start_python", start):
+    rings = patch.multiple(recorder, ROWS_CAPACITY=ROWS, FRAMES_CAPACITY=FRAMES)
+    with rings, patch.object(logger_process, "start_python", start):
         yield started
     _KEPT.discard(kept)

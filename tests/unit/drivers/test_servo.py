@@ -12,6 +12,7 @@ from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.objects import SettingRefused
 from drivers.profile402 import State
+from drivers.rest import REST_FOR
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
@@ -301,6 +302,44 @@ def test_release_leaves_the_drive_at_rest_and_unwatched(bench: Bench) -> None:
     assert servo.state is State.SWITCH_ON_DISABLED
     assert servo.values[0x1016, 1] == 0
     assert servo.nmt_state == 0x7F
+
+
+def test_a_shaft_that_turns_round_is_not_at_rest_by_one_reading(bench: Bench) -> None:
+    bus, servo, network, drive = bench
+    enabled(bench)
+    started = network.clock.now()
+
+    def swing(milliseconds: int) -> None:
+        """40 r/min at first, through zero every 50 ms, and still from 400 ms on."""
+        servo.values[0x606C, 0] = round(40_000 * math.cos(math.pi * milliseconds / 50))
+        if milliseconds < 400:
+            bus.call_after(NS_PER_MS, lambda: swing(milliseconds + 1))
+        else:
+            servo.values[0x606C, 0] = 0
+
+    servo.stop_ns = 10 * NS_PER_S
+    swing(0)
+    servo.stop_ns = 5 * NS_PER_MS
+    released = drive.release()
+    assert released.at_rest, released
+    assert released.rested_at is not None
+    assert 390 * NS_PER_MS < released.rested_at - started < 420 * NS_PER_MS
+    assert network.clock.now() - released.rested_at >= REST_FOR
+
+
+def test_a_shaft_that_goes_on_turning_is_told(bench: Bench) -> None:
+    bus, servo, network, drive = bench
+    enabled(bench)
+
+    def turned() -> None:
+        servo.values[0x606C, 0] = 40_000
+
+    bus.call_after(30 * NS_PER_MS, turned)
+    started = network.clock.now()
+    released = drive.release(Duration(NS_PER_S))
+    assert not released.at_rest
+    assert "the host's heartbeat ended" in released.evidence
+    assert network.clock.now() - started < 2 * NS_PER_S
 
 
 def test_release_of_a_dead_bus_raises_nothing(bench: Bench) -> None:
