@@ -151,15 +151,14 @@ class ServoDrive(Drive):
             )
         self.control.walk(State.SWITCH_ON_DISABLED, deadline)
 
-    def stop(self) -> None:
-        """Command a quick stop, and do not wait for the shaft. Raises PeerFault.
-
-        Where several drives are released one after the other, stop all of them first.
-        """
+    def stop(self, *, asking: bool = True) -> None:
+        """Quick stop by RPDO and, if ``asking``, by SDO, without waiting for the shaft. Raises PeerFault."""
         self._stop_following()
         if self.identity is None:
             return
         self.control.command_by_pdo(DriveCommand.QUICK_STOP)
+        if not asking:
+            return
         if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
             self.control.command(DriveCommand.QUICK_STOP)
         self.supervision.end()

@@ -362,9 +362,10 @@ class _Run:
             self._say(trouble, "WARN")
         if self._world.faults is not None:
             self._world.faults.stop()
-        for drive in self._drives:
-            with suppress(PeerFault):  # its release tries again, and tells
-                drive.stop()
+        for asking in (False, True):  # a silent drive holds up the next one that is asked
+            for drive in self._drives:
+                with suppress(PeerFault):  # its release tries again, and tells
+                    drive.stop(asking=asking)
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:
             release = drive.release()

@@ -2,6 +2,9 @@
 
 import csv
 
+import pytest
+
+from drivers.errors import PeerFault
 from drivers.profile402 import State
 from drivers.rest import REST_RAD_S
 from drivers.timebase import NS_PER_MS
@@ -33,6 +36,19 @@ def test_no_drive_runs_on_while_another_is_brought_to_rest(servo_bench: BenchRun
     stopped_at = [
         next(at for at, state in witness.testimony().states if state is State.QUICK_STOP)
         for witness in witnesses
+    ]
+    assert max(stopped_at) - min(stopped_at) < 10 * NS_PER_MS
+
+
+def test_a_drive_that_is_gone_does_not_keep_the_next_one_turning(servo_bench: BenchRunner) -> None:
+    """Its heartbeat is missed, and it is asked in vain, for half a second a time."""
+    witnesses: list[DriveWitness] = []
+    silent = {"faults.silence": [{"nodes": [2], "at_s": 0.2, "duration_s": 10.0}], "bench.duration_s": 1.0}
+    with witnessed(witnesses), pytest.raises(PeerFault):
+        servo_bench(EXAMPLES / "three_axes.toml", LOADED | silent)
+    stopped_at = [
+        next(at for at, state in witness.testimony().states if state is State.QUICK_STOP)
+        for witness in (witnesses[0], witnesses[2])
     ]
     assert max(stopped_at) - min(stopped_at) < 10 * NS_PER_MS
 
