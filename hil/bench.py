@@ -30,7 +30,6 @@ from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.network_guard import Uncertified, certified_plans, uncertified, watched
 from hil.recording.fault_report import write_fault_report
-from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.watch import RecordingWatch
 from hil.samples import CycleRecord
@@ -48,10 +47,6 @@ ENABLE_TIMEOUT_S = 2.0
 RUNS_FOLDER = Path("runs")
 
 
-def _not_told(_summary: Summary) -> None:
-    """Whoever is content with what :func:`run_bench` returns."""
-
-
 def run_bench(
     config: BenchConfig,
     *,
@@ -67,7 +62,7 @@ def run_bench(
     allow_uncertified: bool = False,
     privileged: bool = True,
     stop: StopRequest | None = None,
-    concluded: Callable[[Summary], None] = _not_told,
+    concluded: Callable[[Summary], None] = lambda _summary: None,
 ) -> Summary:
     """Run a bench and review it; from any thread.
 
@@ -81,16 +76,16 @@ def run_bench(
     did; in every case the drives are brought to rest and the recording is closed first. ``concluded`` is
     given the summary then, also of a run that ends in an error.
     """
-    _check_axes(config, controllers or {})
+    controllers = controllers or {}
+    _check_axes(config, controllers)
     sheets = data_sheets(config)
     spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
-    replaced = set(controllers or {})
+    replaced = set(controllers)
     worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
-    background = tuple(entry.stream for entry in config.bus.background)
     world_plan = WorldPlan(
         spec,
         config.bus.bitrate_bit_s,
@@ -98,7 +93,7 @@ def run_bench(
         config.fault_plan,
         seed,
         fault_log=log,
-        background=background,
+        background=tuple(entry.stream for entry in config.bus.background),
         segments=assembly.segment_plans(config),
     )
     devices = simulated_drives(config, seed) if spec.simulated else []
@@ -109,7 +104,12 @@ def run_bench(
         recorder = start_recording(plan)
         if log is not None:
             log.send_to(recorder.fault_block)
-        run = _Run(config, world, recorder, asked, progress, controllers or {}, worse, devices, sheets)
+        planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
+        conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
+            run = _Run(
+                config, world, recorder, conclusion, asked, progress, controllers, worse, devices, sheets
+            )
         with timing_conditions(world.real_time and privileged) as refused:
             try:
                 return run.to_the_end(refused, concluded)
@@ -135,6 +135,7 @@ class _Run:
         config: BenchConfig,
         world: World,
         recorder: Recorder,
+        conclusion: Conclusion,
         stop: StopRequest,
         progress: Progress,
         controllers: Mapping[str, Controller],
@@ -155,8 +156,7 @@ class _Run:
         self._networks, self._master = masters(self._network, world)
         self._sync_source = SyncSource(config.loop.sync)
         self._axes: list[Axis] = []
-        planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
-        self._conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        self._conclusion = conclusion
         self._enabled_from: Instant | None = None
         self._zero: Instant | None = None
         self._syncs: dict[str, SyncLog] = {}
@@ -176,17 +176,9 @@ class _Run:
         """
         for request in refused:
             self._say(f"not granted by the kernel: {request}", "WARN")
-        try:
+        with self._conclusion.explaining(lambda: self._close(concluded)):
             self._run_and_release()
             self._conclusion.came_to_its_end()
-        except BenchError as error:
-            self._conclusion.failed(error)
-            with suppress(RecordingFailed):  # what ended the run is to be told
-                self._close(concluded)
-            raise
-        except BaseException:
-            self._close(concluded)
-            raise
         return self._close(concluded)
 
     def _close(self, concluded: Callable[[Summary], None]) -> Summary:

@@ -1,6 +1,7 @@
 """What is to be said of a run beside its rows, gathered from its first step until the last drive rests."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -12,6 +13,7 @@ from drivers.supervision import Release
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Loop as LoopSettings
 from hil.loop import LoopOutcome
+from hil.recording.logger_process import RecordingFailed
 from hil.verdict import DriveEnd, Outcome, RunOutcome, outcome_of_status
 from virtual_bus.fault_injection.fault_plan import FaultPlan
 from virtual_bus.fault_injection.injection import Faults
@@ -57,6 +59,18 @@ class Conclusion:
                 f"the host was away at the end, and came back {late / NS_PER_MS:.0f} ms after the last cycle"
             )
             self._outcome = _cut_short(self._outcome, reason, Outcome.CUT_SHORT)
+
+    @contextmanager
+    def explaining(self, close: Callable[[], object]) -> Iterator[None]:
+        """What ends the run in here is noted, and the recording closed, before it passes on."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, BenchError):
+                self.failed(error)
+            with suppress(RecordingFailed):  # what ended the run is to be told
+                close()
+            raise
 
     def failed(self, error: BenchError) -> None:
         """An error ended the run."""

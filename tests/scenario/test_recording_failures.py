@@ -10,8 +10,10 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
+from drivers.errors import PeerFault
 from hil import bench as bench_module
 from hil.bench import run_bench
+from hil.bus_guard import BusGuard
 from hil.configuration.bench_file import load_bench
 from hil.figures.summary import Summary
 from hil.recording.logger_process import RecordingFailed
@@ -19,6 +21,7 @@ from hil.recording.recorder import FolderRecorder, start_recording
 from hil.recording.recording_plan import RecordingPlan
 from hil.recording.records import ROW_DTYPE
 from hil.recording.tail import TAIL_FILE, read_tail
+from hil.terminal.progress import no_progress
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
 LONG_S = 40
@@ -137,6 +140,33 @@ def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(
     assert "connecting" in events
     assert "operation enabled" not in events
     assert "stopping" in events
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(PeerFault("the adapter is gone"), 3), (OSError("defect"), 70)]
+)
+def test_a_run_that_cannot_be_set_up_leaves_a_recording_that_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, status: int
+) -> None:
+    def refused(*_: object) -> BusGuard:
+        raise error
+
+    monkeypatch.setattr(bench_module, "BusGuard", refused)
+    told: list[Summary] = []
+    with pytest.raises(type(error)):
+        run_bench(
+            load_bench(LING2012),
+            bus_spec=None,
+            time=None,
+            seed=None,
+            record=tmp_path / "run",
+            view=False,
+            progress=no_progress,
+            concluded=told.append,
+        )
+    assert [summary.verdict.exit_status for summary in told] == [status]
+    assert summary_in(tmp_path / "run")["verdict"]["exit_status"] == status
+    assert not (tmp_path / "run" / ".reserve").exists()
 
 
 def drive_states(folder: Path) -> list[str]:
