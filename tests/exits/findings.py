@@ -7,7 +7,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE
 from tests.exits.cells import BROKER, DRIVE, HOST, HUB, KILL, RUNNING
 from tests.exits.one_run import STOPPED_NS, Ended
-from tests.swarm.invariants import LOST_MAX, broken
+from tests.swarm.invariants import LOST_MAX_NS, broken
 
 REST_MAX: Final = Duration(NS_PER_S)
 """0.5 s until a drive misses its host (any_bus.toml), 0.1 s of quick stop, and what two shared cores take."""
@@ -39,7 +39,8 @@ def the_drive_rests(ended: Ended) -> Iterator[str]:
 
 def little_is_lost(ended: Ended) -> Iterator[str]:
     """Of a killed host what it had not made a row of yet; else nothing, or the recording says so."""
-    if ended.lost > (LOST_MAX if _host_killed(ended) else 0) and not ended.rows_told_lost:
+    most = LOST_MAX_NS // ended.ran.config.loop.period if _host_killed(ended) else 0
+    if ended.lost > most and not ended.rows_told_lost:
         yield f"{ended.lost} rows lost"
 
 

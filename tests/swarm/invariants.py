@@ -12,7 +12,6 @@ from can.io.canutils import CanutilsLogReader
 
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.attribution import HELD_MAX
 from hil.configuration.config import BenchConfig
 from hil.recording.records import ROW_DTYPE, Rows
 from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
@@ -31,8 +30,6 @@ TELLING_NS: Final = NS_PER_MS
 """What is told at the very end has no frame of its own."""
 LOST_MAX_NS: Final = Duration(200 * NS_PER_MS)
 """Of the rows before the host was killed; a row that waits for its reading has not been handed over."""
-LOST_MAX: Final = HELD_MAX + 1
-"""Cycles whose rows wait so at most."""
 LEFTOVERS: Final = ("records.tail", "frames.tail", ".reserve", "summary.json.part", "records.arrow.part")
 RECORDER_STRUCK: Final = (Mishap.LOGGER_KILLED, Mishap.LOGGER_DIES, Mishap.DISK_FULL)
 
@@ -147,13 +144,13 @@ def what_struck_the_recording_is_told(ran: Ran) -> Iterator[str]:
 
 
 def a_host_that_is_killed_leaves_its_rows(ran: Ran) -> Iterator[str]:
-    """All but the last 200 ms, or what is held, if somebody was there to take them out of the ring."""
+    """All but the last 200 ms, if somebody was there to take them out of the ring."""
     killed_at = ran.case.killed_at
     if killed_at is None or ran.circumstances.mishap is not Mishap.HOST_KILLED or not ran.rows.size:
         return
     last = Instant(int(ran.rows["due_at"].max()) + ran.first_cycle)
     done = any(event.get("state") == "stopping" for event in ran.events)
-    if killed_at - last > max(LOST_MAX_NS, LOST_MAX * ran.config.loop.period) and not done:
+    if killed_at - last > LOST_MAX_NS and not done:
         yield f"killed at {killed_at}, and the last row is of {last}"
 
 
