@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.adapters import BusSpec
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
 from hil.axis import Axis, AxisParts, LoadMachine
@@ -30,8 +31,9 @@ from hil.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
 from hil.stamp_attribution import StampAttribution
 from hil.syncs import SyncLog
 from hil.verdict import VerdictLimits
-from hil.world import SegmentPlan, World
+from hil.world import SegmentPlan, World, WorldPlan
 from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.frame import Frame
 
 SYNC_FRAME = Frame(0x080)
@@ -82,7 +84,21 @@ def command_duration(bitrate: int) -> Duration:
     return bits_duration(frame_bits(COMMAND_FRAME) + INTERMISSION_BITS, bitrate)
 
 
-def segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
+def world_plan(config: BenchConfig, spec: BusSpec, paced: bool, seed: int, log: FaultLog | None) -> WorldPlan:
+    """What the bench runs in; ``paced``: simulated time goes with the wall clock."""
+    return WorldPlan(
+        spec,
+        config.bus.bitrate_bit_s,
+        paced,
+        config.fault_plan,
+        seed,
+        fault_log=log,
+        background=tuple(entry.stream for entry in config.bus.background),
+        segments=_segment_plans(config),
+    )
+
+
+def _segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
     """The further segments of the simulated bus."""
     return tuple(
         SegmentPlan(

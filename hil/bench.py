@@ -39,7 +39,7 @@ from hil.sync_source import SyncSource, check_sync_source, sync_producer
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
 from hil.timing_report import distrust, timing_report
-from hil.world import World, WorldPlan, check_time, open_world
+from hil.world import World, check_time, open_world
 from virtual_bus.fault_injection.fault_log import FaultLog
 from virtual_bus.servo import SimulatedServo
 
@@ -86,16 +86,7 @@ def run_bench(
     check_sync_source(config, spec)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
-    world_plan = WorldPlan(
-        spec,
-        config.bus.bitrate_bit_s,
-        paced,
-        config.fault_plan,
-        seed,
-        fault_log=log,
-        background=tuple(entry.stream for entry in config.bus.background),
-        segments=assembly.segment_plans(config),
-    )
+    world_plan = assembly.world_plan(config, spec, paced, seed, log)
     devices = simulated_drives(config, seed) if spec.simulated else []
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
