@@ -1,7 +1,6 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -35,6 +34,7 @@ from hil.recording.watch import RecordingWatch
 from hil.samples import CycleRecord
 from hil.segments import listen_for_syncs, masters, record_frames
 from hil.simulated_drives import simulated_drives
+from hil.stopping_drives import stop_all
 from hil.sync_source import SyncSource, check_sync_source, sync_producer
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
@@ -345,10 +345,7 @@ class _Run:
             self._say(trouble, "WARN")
         if self._world.faults is not None:
             self._world.faults.stop()
-        for asking in (False, True):  # a silent drive holds up the next one that is asked
-            for drive in self._drives:
-                with suppress(PeerFault):  # its release tries again, and tells
-                    drive.stop(asking=asking)
+        stop_all(self._drives)
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:
             release = drive.release()

@@ -161,9 +161,9 @@ class Loop:
     def _cycle(self, due: Instant, woke_at: Instant) -> None:
         axes = self._axes
         probe = False
-        if self._pace.can_probe:
-            for axis in axes:
-                probe = probe or axis.wants_probe
+        for axis in axes:
+            axis.before_sync()
+            probe = probe or (self._pace.can_probe and axis.wants_probe)
         handed_at = self._pace.sync(self._number + 1, due, probe)
         for _ in range(ticks_passed(due, self._timing.period, handed_at)):
             self._miss(due, woke_at)

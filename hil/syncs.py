@@ -78,7 +78,7 @@ class SyncLog:
         self.behind = False
         """Whether the echo of a SYNC that is not waited for any more may still come."""
         self._given_up_at = Instant(0)
-        """When the last of those was handed over."""
+        """When the last was handed over whose echo may so come late."""
         self._in_step = 0
         """SYNCs in a row with one echo each."""
         self._echo_error = ECHO_ERROR[echoes]
@@ -91,7 +91,9 @@ class SyncLog:
         if self._echoed:
             if self._instants:
                 self._end_doubt()
-            mark.sure = not self.behind
+            if self.behind:  # its echo may be taken for that of one before, and its own still come
+                self._given_up_at = at
+                mark.sure = False
             self._pending.append(mark)
         else:
             self._put_on_bus(mark, Instant(at + self._latency))

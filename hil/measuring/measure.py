@@ -29,6 +29,7 @@ from hil.measuring.subject import Subject, affordable, timing_of
 from hil.pace import OwnSync
 from hil.recording.records import Rows
 from hil.segments import sync_log
+from hil.stopping_drives import stop_all
 from hil.syncs import SyncLog
 from hil.terminal.progress import Progress
 from hil.timing_report import distrust, timing_report
@@ -155,6 +156,8 @@ class _Measurement:
         self._guard.calm()
         if self._world.faults is not None:
             self._world.faults.stop()
+        enabled = self._request.enable
+        stop_all([subject.drive for subject in self._subjects if subject.configured and enabled])
         for subject in self._subjects:
             if subject.configured:
                 release = subject.drive.release()

@@ -166,6 +166,20 @@ def test_echoes_stay_unsure_while_the_bus_is_stopped_again_and_again() -> None:
     assert not fourth.sure
 
 
+def test_a_command_from_before_a_sync_tells_nothing_of_its_echo() -> None:
+    """The second SYNC's echo was taken for the third's, whose own comes when the fourth has gone out."""
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    log.handed(1, Instant(0))
+    second = log.handed(3, Instant(2 * PERIOD))
+    log.came(Instant(2 * PERIOD + 10_000))
+    log.handed(4, Instant(3 * PERIOD))
+    log.came(Instant(3 * PERIOD + 60_000))
+    log.passed(Instant(second.handed_at + 100_000))
+    fourth = log.handed(5, Instant(4 * PERIOD))
+    log.came(Instant(4 * PERIOD + 60_000))
+    assert not fourth.sure
+
+
 def test_a_bus_with_nothing_else_on_it_is_in_step_after_many_syncs() -> None:
     log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
     log.handed(0, Instant(-2 * PERIOD))
