@@ -166,12 +166,6 @@ class Axis:
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
 
-    def before_sync(self) -> None:
-        """A SYNC is about to go out: whether an older one may still be on its way, the last command tells."""
-        syncs = self.parts.syncs
-        if syncs.behind:
-            syncs.passed(self._commands.echoed_last())
-
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
         decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)

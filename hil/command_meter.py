@@ -66,13 +66,6 @@ class CommandMeter:
         if len(followed) > FOLLOWED_MAX:
             del followed[0]
 
-    def echoed_last(self) -> Instant:
-        """When the newest command that has been on the bus was handed over; 0 if none is known."""
-        for one in reversed(self._followed):
-            if one.sent.on_bus_at is not None:
-                return one.sent.handed_at
-        return Instant(0)
-
     def told(self, demand_raw: int, sync_at: Instant) -> None:
         """The drive followed ``demand_raw`` when the SYNC of ``sync_at`` ended; in order of SYNCs."""
         self._telling = True

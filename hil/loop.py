@@ -162,7 +162,6 @@ class Loop:
         axes = self._axes
         probe = False
         for axis in axes:
-            axis.before_sync()
             probe = probe or (self._pace.can_probe and axis.wants_probe)
         handed_at = self._pace.sync(self._number + 1, due, probe)
         for _ in range(ticks_passed(due, self._timing.period, handed_at)):

@@ -89,7 +89,7 @@ class OrderAttribution:
             health.error_ns_max = error_ns
             if age < self._transit - error_ns:
                 health.below_transit += 1
-        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure and mark.sure)
+        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
 
     def _oldest_at(self, mark: SyncMark) -> Instant:
         first = self._syncs.marks[0].on_bus_at

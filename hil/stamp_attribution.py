@@ -154,11 +154,10 @@ class StampAttribution:
             health.unmatched += 1
             return None
         health.placed += 1
-        if mark.sure:
-            self._judge(reading.received_at - sampled_at, error_ns)
+        self._judge(reading.received_at - sampled_at, error_ns)
         self._case.delays.add(reading.received_at - sampled_at)
         self._recent.append(mark)
-        return Sample(mark.sequence, reading, sampled_at, error_ns, mark.sure)
+        return Sample(mark.sequence, reading, sampled_at, error_ns, True)
 
     def _answer(self, mark: SyncMark, device_ns: int) -> None:
         """``mark`` has its reading."""

@@ -8,9 +8,7 @@ plus the time of the frame on an idle bus; the SYNC may have ended later than th
 
 A SYNC carries no number. Echoes come in the order of handing over, and none is from before its own. While one
 echo is awaited, it is the echo of that SYNC. Where a SYNC was given up and a later one handed over, one echo
-from after both may be that of either: they are then unsure, unless the other echo comes too. If that has not
-come when the next is handed over, it may come late, and every echo be that of the SYNC before: all are unsure
-until a frame has been on the bus that was handed over after them, and so was behind them on the way.
+from after both may be that of either: they are then unsure, unless the other echo comes too.
 """
 
 from typing import Final
@@ -32,9 +30,6 @@ REMEMBERED: Final = 128
 GIVEN_UP_AFTER_PERIODS: Final = 2
 """An echo that is so late will not come: a frame of the highest priority waits for one frame at most, so its
 bus has been stopped or has lost it. The bench goes on, as a drive without SYNC stands still."""
-IN_STEP_AFTER: Final = 16
-"""SYNCs in a row with one echo each: as many periods late no bus is that still answers. For a bus on which
-nothing else is sent that could tell."""
 SURPLUS: Final = 0
 """The sequence of a SYNC on the bus that this host did not hand over, or not so often."""
 
@@ -75,12 +70,6 @@ class SyncLog:
         """Those whose echo may still come, in the order of handing over."""
         self._instants: list[Instant] = []
         """Echoes that came while several were pending."""
-        self.behind = False
-        """Whether the echo of a SYNC that is not waited for any more may still come."""
-        self._given_up_at = Instant(0)
-        """When the last was handed over whose echo may so come late."""
-        self._in_step = 0
-        """SYNCs in a row with one echo each."""
         self._echo_error = ECHO_ERROR[echoes]
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
@@ -91,8 +80,6 @@ class SyncLog:
         if self._echoed:
             if self._instants:
                 self._end_doubt()
-            if self.behind:  # its echo may be taken for that of one before, and its own still come
-                self._given_up_at = at
                 mark.sure = False
             self._pending.append(mark)
         else:
@@ -103,18 +90,12 @@ class SyncLog:
         """Fewer echoes came than SYNCs were handed over: the missing one is not waited for any longer.
 
         The marks stay unsure. An echo that came soon after the last SYNC looks like that SYNC's, but a bus
-        that was stopped may give back the one before at just that time, and the last a period later.
+        that was stopped may give back the one before at just that time, and the last a period later. So the
+        next echo may be that of the last SYNC, and is unsure too; the one after it would be from before its
+        own hand-over.
         """
-        self.behind = True
-        self._in_step = 0
-        self._given_up_at = self._pending[-1].handed_at
         self._pending.clear()
         self._instants.clear()
-
-    def passed(self, handed_at: Instant) -> None:
-        """A frame handed over at ``handed_at`` has been on the bus: no older SYNC is still to come."""
-        if handed_at > self._given_up_at:
-            self.behind = False
 
     def heard(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC that this host did not hand over ended on the bus."""
@@ -132,18 +113,16 @@ class SyncLog:
         pending, instants = self._pending, self._instants
         before = self._handed_before(at)
         if before == 1 and not instants:
-            self._in_step += 1
-            self.behind = self.behind and self._in_step < IN_STEP_AFTER
             self._put_on_bus(pending.pop(0), at)
         elif before > len(instants):
             # The newest are the likelier ones, as the older ones had been given up.
             instants.append(at)
             for mark, instant in zip(pending[before - len(instants) : before], instants, strict=True):
                 mark.on_bus_at = instant
-            all_came = len(instants) == before
+            sure = len(instants) == before
             for mark in pending[:before]:
-                mark.sure = all_came and not self.behind
-            if all_came:
+                mark.sure = sure
+            if sure:
                 del pending[:before]
                 instants.clear()
             self._note_spacing(at)
