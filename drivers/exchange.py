@@ -153,11 +153,14 @@ class Master:
     def __init__(self) -> None:
         self.sync_count = 0
         """SYNCs sent."""
-        self.on_sync_echo: Callable[[Instant], None] | None = None
-        """Told of each of our SYNCs that was on the bus: its end of frame."""
+        self.sync_handed_at: list[Instant] = [Instant(0)]
+        """When the last of them was handed to the bus of each segment."""
+        self.on_sync_echo: Callable[[Instant, Instant], None] | None = None
+        """Told of each of our SYNCs that was on the bus: its end of frame, and when it had been handed over,
+        which is UNTOLD where the bus does not tell it."""
 
     def send_sync(self) -> Instant:
-        """Send a SYNC; when it was handed to the bus."""
+        """Send a SYNC; when it was handed to the bus, of several to the first."""
         raise NotImplementedError
 
     def pump(self, until: Instant) -> None:

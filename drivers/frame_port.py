@@ -22,11 +22,15 @@ ERROR_FLAG: Final = 0x2000_0000
 """CAN_ERR_FLAG of linux/can.h. An identifier that bears it is that of an error frame, told by the adapter."""
 
 
+UNTOLD: Final = Instant(-1)
+"""No instant of a hand-over is known."""
+
+
 class WireFrame(Record):
     """A classical CAN data or remote frame."""
 
     __match_args__ = ("can_id", "data", "extended", "remote", "remote_length")
-    __slots__ = __match_args__
+    __slots__ = (*__match_args__, "handed_at")
 
     def __init__(
         self,
@@ -44,6 +48,9 @@ class WireFrame(Record):
         self.remote: Final = remote
         self.remote_length: Final = remote_length
         """DLC of a remote frame; not used for a data frame."""
+        self.handed_at = UNTOLD
+        """When its sender handed it over, if that was noted. The echo on a simulated bus or a hub bears it,
+        and so tells of which frame it is. Never on the wire, and not compared."""
 
 
 class EchoBasis(Enum):

@@ -12,6 +12,8 @@ NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[bytes, Instant], None]
 """Takes the data of a frame and its instant."""
+EchoHandler = Callable[[bytes, Instant, Instant], None]
+"""The same, and when the frame had been handed over; UNTOLD if the bus does not tell that."""
 
 
 class FramePump(Master):
@@ -31,7 +33,7 @@ class FramePump(Master):
     ) -> None:
         super().__init__()
         self.handlers: dict[int, Handler] = {}
-        self.echo_handlers: dict[int, Handler] = {SYNC: self._on_sync_echo}
+        self.echo_handlers: dict[int, EchoHandler] = {SYNC: self._on_sync_echo}
         """Who is told of our own frames once they were on the bus, by identifier."""
         self.housekeeping_at: Instant = NEVER
         self._link = link
@@ -55,12 +57,16 @@ class FramePump(Master):
             due = self.housekeeping_at
             if link.fetch(until if until < due else due):
                 at = link.last_at
-                handlers = self.echo_handlers if link.last_own else self.handlers
-                handler = handlers.get(link.last_id)
-                if handler is not None:
-                    handler(link.last_data, at)
-                elif not link.last_own:
-                    self._others(link.last_id, link.last_data, at)
+                if link.last_own:
+                    echo_handler = self.echo_handlers.get(link.last_id)
+                    if echo_handler is not None:
+                        echo_handler(link.last_data, at, link.last_handed_at)
+                else:
+                    handler = self.handlers.get(link.last_id)
+                    if handler is not None:
+                        handler(link.last_data, at)
+                    else:
+                        self._others(link.last_id, link.last_data, at)
                 if at >= self.housekeeping_at:
                     self._keep_house(at)
                 return True
@@ -82,11 +88,13 @@ class FramePump(Master):
             self._sleep_until(until)
         self.pump(until)
 
-    def _on_sync_echo(self, _data: bytes, at: Instant) -> None:
+    def _on_sync_echo(self, _data: bytes, at: Instant, handed_at: Instant) -> None:
         if self.on_sync_echo is not None:
-            self.on_sync_echo(at)
+            self.on_sync_echo(at, handed_at)
 
     def send_sync(self) -> Instant:
         """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
         self.sync_count += 1
-        return self._link.send(SYNC, b"")
+        at = self._link.send(SYNC, b"")
+        self.sync_handed_at[0] = at
+        return at

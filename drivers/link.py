@@ -5,7 +5,7 @@ from typing import NoReturn
 import can
 
 from drivers.errors import BusDown
-from drivers.frame_port import ERROR_FLAG, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
+from drivers.frame_port import ERROR_FLAG, UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
 from drivers.frame_port import Direction as Direction
 from drivers.frame_port import Tap as Tap
 from drivers.message_port import MessagePort
@@ -44,6 +44,8 @@ class BusLink:
         self.last_at = Instant(0)
         self.last_own = False
         """Whether it is an echo."""
+        self.last_handed_at = UNTOLD
+        """If so, when the frame had been handed over, where the bus tells that."""
         self._now = clock.now
         self._taps: list[FrameTap] = []
         port: FramePort | None = getattr(bus, "frame_port", None)
@@ -98,6 +100,7 @@ class BusLink:
                     tap.frame("rx", can_id, data, extended, remote, at)
             if not (extended or remote):
                 self.last_id, self.last_data, self.last_at, self.last_own = can_id, data, at, own
+                self.last_handed_at = item.handed_at
                 return True
             self.ignored_frames += 1
 
@@ -106,9 +109,10 @@ class BusLink:
 
         Raises BusDown if the bus is gone or its transmit queue is full.
         """
-        at = self._now()
+        frame = WireFrame(can_id, data)
+        frame.handed_at = at = self._now()
         try:
-            self._port.transmit(WireFrame(can_id, data))
+            self._port.transmit(frame)
         except (can.CanError, OSError) as error:
             self._fail("send on", error)
         self.sent_frames += 1

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from drivers.exchange import SentCommand
+from drivers.frame_port import UNTOLD
 from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.objects402 import Object
@@ -27,7 +28,8 @@ ones never came to the bus, and one of equal data must not be taken for them."""
 
 
 class _Awaited:
-    """The commands of one RPDO that wait for their echo, by the data of their frames."""
+    """The commands of one RPDO that wait for their echo: by when they were handed over, or, where the bus
+    does not tell that, by the data of their frames."""
 
     __slots__ = ("_overtaken", "_waiting")
 
@@ -39,12 +41,13 @@ class _Awaited:
         """A command was handed to the bus."""
         self._waiting.append((data, command))
 
-    def echoed(self, data: bytes, at: Instant) -> None:
-        """A frame of this RPDO was on the bus: that of the first command that sent such data since the last
-        one seen there; or, if the bus let frames overtake each other, of the last one before."""
+    def echoed(self, data: bytes, at: Instant, handed_at: Instant) -> None:
+        """A frame of this RPDO was on the bus. Where nobody tells which, it is that of the first command that
+        sent such data since the last one seen there; or, if the bus let frames overtake each other, of the
+        last one before."""
         waiting = self._waiting
         for place, (awaited, command) in enumerate(waiting):
-            if awaited == data:
+            if awaited == data and handed_at in (UNTOLD, command.handed_at):
                 command.on_bus_at = at
                 for _ in range(place):
                     self._overtaken.append(waiting.popleft())
@@ -53,7 +56,7 @@ class _Awaited:
         overtaken = self._overtaken
         for place in range(len(overtaken) - 1, -1, -1):
             awaited, command = overtaken[place]
-            if awaited == data:
+            if awaited == data and handed_at in (UNTOLD, command.handed_at):
                 command.on_bus_at = at
                 del overtaken[place]
                 return

@@ -117,7 +117,7 @@ class OwnSync(Pace):
         answered = [False] * len(axes)
         for _ in range(CALIBRATION_SYNCS):
             sent_at = self._network.send_sync()
-            self._note(SURPLUS, sent_at)
+            self._note(SURPLUS)
             self._network.pump(Instant(sent_at + settle))
             _learn(axes, answered)
         return answered
@@ -147,11 +147,11 @@ class OwnSync(Pace):
         # the process may have been stopped just before
         skipped = ticks_passed(due, self._period, at)
         self._due = Instant(self._due + skipped * self._period)
-        self._note(sequence + skipped, at)
+        self._note(sequence + skipped)
         return at
 
-    def _note(self, sequence: int, at: Instant) -> None:
-        for syncs in self._syncs:
+    def _note(self, sequence: int) -> None:
+        for syncs, at in zip(self._syncs, self._network.sync_handed_at, strict=True):
             syncs.handed(sequence, at)
 
     def _may_hand_over(self, due: Instant) -> bool:

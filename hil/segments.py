@@ -39,9 +39,9 @@ class SegmentMasters(Master):
             network.pump, network.pump_one = self.pump, self.pump_one
 
     def send_sync(self) -> Instant:
-        sent = [pump.send_sync() for pump in self._pumps]
+        self.sync_handed_at = [pump.send_sync() for pump in self._pumps]
         self.sync_count += 1
-        return sent[0]
+        return self.sync_handed_at[0]
 
     def pump(self, until: Instant) -> None:
         while self.pump_one(until):
@@ -82,7 +82,7 @@ def heard_syncs(
     basis = network.link.echoes
     log = SyncLog(Duration(0), period, EchoBasis.RECEIPT if basis is EchoBasis.NONE else basis)
     pace = HeardSync(network.frame_pump, clock, period, log, stall)
-    network.frame_pump.on_sync_echo = pace.hear
+    network.frame_pump.on_sync_echo = lambda at, _handed_at: pace.hear(at)
     network.listen(SYNC, lambda _data, at: pace.hear(at))
     return log, pace
 

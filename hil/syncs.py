@@ -6,14 +6,15 @@ plus the time of the frame on an idle bus; the SYNC may have ended later than th
     handed over   1       2       3                4
     on the bus      1       2          ?               4      3 has not come back: lost in front of the bus
 
-A SYNC carries no number. Echoes come in the order of handing over, and none is from before its own. While one
-echo is awaited, it is the echo of that SYNC. Where a SYNC was given up and a later one handed over, one echo
-from after both may be that of either: they are then unsure, unless the other echo comes too.
+A SYNC carries no number. A simulated bus and a hub tell with an echo when its frame had been handed over. On
+other buses echoes come in the order of handing over, and none is from before its own. While one echo is
+awaited, it is the echo of that SYNC. Where a SYNC was given up and a later one handed over, one echo from
+after both may be that of either: they are then unsure, unless the other echo comes too.
 """
 
 from typing import Final
 
-from drivers.frame_port import EchoBasis
+from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
 
 ECHO_ERROR: Final = {
@@ -82,6 +83,8 @@ class SyncLog:
                 self._end_doubt()
                 mark.sure = False
             self._pending.append(mark)
+            if len(self._pending) > REMEMBERED:
+                del self._pending[0]
         else:
             self._put_on_bus(mark, Instant(at + self._latency))
         return mark
@@ -108,8 +111,19 @@ class SyncLog:
         self.surplus += 1
         self.heard(SURPLUS, at)
 
-    def came(self, at: Instant) -> None:
-        """The echo of one of our SYNCs."""
+    def came(self, at: Instant, handed_at: Instant = UNTOLD) -> None:
+        """The echo of one of our SYNCs; ``handed_at``: of the one that was handed over then."""
+        if handed_at == UNTOLD:
+            self._place_by_order(at)
+            return
+        for mark in self._pending:
+            if mark.handed_at == handed_at:
+                self._pending.remove(mark)
+                self._put_on_bus(mark, at)
+                return
+        self.stray(at)
+
+    def _place_by_order(self, at: Instant) -> None:
         pending, instants = self._pending, self._instants
         before = self._handed_before(at)
         if before == 1 and not instants:

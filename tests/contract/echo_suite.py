@@ -9,7 +9,7 @@ from typing import NamedTuple
 import can
 import pytest
 
-from drivers.frame_port import EchoBasis, FramePort
+from drivers.frame_port import UNTOLD, EchoBasis, FramePort
 from drivers.link import BusLink
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from virtual_bus.fault_injection.fault_plan import (
@@ -53,6 +53,8 @@ class EchoSuite:
     basis: EchoBasis
     stamps_differ_max_ns = 0
     """Between two participants, for one frame."""
+    tells_which = False
+    """Whether an echo tells when its frame was handed over."""
 
     @pytest.fixture
     def make_faulty(self) -> type[FaultyBus]:
@@ -139,6 +141,26 @@ class EchoSuite:
         assert [each.own for each in seen] == [True, True]
         self.assert_same(seen, self.take(watch, 2, clock))
         assert host.receive(Instant(clock.now() + SILENCE_NS)) is None
+        bus.shutdown()
+
+    def test_an_echo_tells_of_which_frame_it_is_or_nothing(
+        self, open_bus: OpenBus, clock: Clock, make_faulty: type[FaultyBus]
+    ) -> None:
+        """By when that was handed over; the truth is a number in the data."""
+        loss = IndependentLoss(probability=0.3, selection=OUT)
+        held = UniformDelay(min_ns=Duration(0), max_ns=HELD, reorder=True, selection=OUT)
+        bus, _ = self.faulty(open_bus, clock, make_faulty, loss, held)
+        link = BusLink(bus, clock)
+        handed_at = []
+        for number in range(20):
+            handed_at.append(link.send(RPDO, bytes([number])))
+            clock.sleep_until(Instant(clock.now() + 1))
+        order = []
+        while link.fetch(Instant(clock.now() + SILENCE_NS)):
+            order.append(link.last_data[0])
+            assert link.last_handed_at == (handed_at[order[-1]] if self.tells_which else UNTOLD)
+        assert 5 < len(order) < 20
+        assert order != sorted(order)
         bus.shutdown()
 
     def test_an_echo_meets_no_fault(

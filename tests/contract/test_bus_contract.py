@@ -33,6 +33,7 @@ class TestSimulated(ExactBusSuite, EchoSuite):
     """All participants on one segment, in simulated time."""
 
     basis = EchoBasis.BUS
+    tells_which = True
 
     @pytest.fixture
     def timeline(self) -> Timeline:
@@ -73,6 +74,7 @@ class TestHub(ExactBusSuite, EchoSuite):
     """All participants on one hub; they share this process but not the broker's."""
 
     basis = EchoBasis.BUS
+    tells_which = True
 
     @pytest.fixture
     def clock(self) -> Clock:

@@ -65,10 +65,10 @@ class HubPort(FramePort):
             if not self._wait(until):
                 return None
             self._take_in()
-        at, can_id, flags, dlc, data = kept.popleft()
+        at, handed_at, can_id, flags, dlc, data = kept.popleft()
         self.came_at = Instant(at)
         self.came_own = is_own(flags)
-        return frame_of(can_id, flags, dlc, data)
+        return frame_of(handed_at, can_id, flags, dlc, data)
 
     def transmit(self, frame: Frame) -> None:
         """Hand ``frame`` to the hub. Raises can.CanOperationError if the queue is full or the broker gone."""
@@ -135,8 +135,7 @@ class HubPort(FramePort):
             self._kept.extend(split_batch(packet))
             return
         for record in split_batch(packet):
-            _, can_id, flags, dlc, data = record
-            if accepts(filters, frame_of(can_id, flags, dlc, data)):
+            if accepts(filters, frame_of(*record[1:])):
                 self._kept.append(record)
 
     def _note(self, packet: bytes) -> None:

@@ -13,16 +13,16 @@ from typing import Final, NamedTuple
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.frame import Frame
 
-VERSION = 3
+VERSION = 4
 PACKET_BYTES_MAX: Final = 512
-"""Some 20 frames: a packet of the size that the kernel allocates for it in one piece."""
+"""Some 17 frames: a packet of the size that the kernel allocates for it in one piece."""
 
 _HELLO = struct.Struct("<4sHHI")
 _HELLO_MAGIC = b"SBhi"
 _WELCOME_MAGIC = b"SBok"
 _REFUSAL_MAGIC = b"SBno"
-_FRAME: Final = struct.Struct("<qIBB8s")
-FRAME_BYTES: Final = 22
+_FRAME: Final = struct.Struct("<qqIBB8s")
+FRAME_BYTES: Final = 30
 """No other record is as long, or a multiple of it."""
 BATCH_FRAMES_MAX: Final = PACKET_BYTES_MAX // FRAME_BYTES
 
@@ -53,8 +53,8 @@ class Hello(NamedTuple):
     """Whether it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
 
 
-Record = tuple[int, int, int, int, bytes]
-"""A frame as it travels: end of frame, identifier, flags, DLC, eight bytes."""
+Record = tuple[int, int, int, int, int, bytes]
+"""A frame as it travels: end of frame, when it was handed over, identifier, flags, DLC, eight bytes."""
 
 
 class Received(NamedTuple):
@@ -112,15 +112,16 @@ def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> b
     can_id, data, extended = frame.can_id, frame.data, frame.extended
     remote, remote_length = frame.remote, frame.remote_length
     flags = _EXTENDED * extended | _REMOTE * remote | _OWN * own
-    return _FRAME.pack(at, can_id, flags, remote_length if remote else len(data), data)
+    length = remote_length if remote else len(data)
+    return _FRAME.pack(at, frame.handed_at, can_id, flags, length, data)
 
 
 def decode_frame(packet: bytes) -> Received:
     """Raises MalformedRecord for a packet that no valid frame encodes to."""
     if len(packet) != FRAME_BYTES:
         raise MalformedRecord(f"{len(packet)} bytes are no frame")
-    at, can_id, flags, dlc, data = _FRAME.unpack(packet)
-    return Received(frame_of(can_id, flags, dlc, data), Instant(at), is_own(flags))
+    at, handed_at, can_id, flags, dlc, data = _FRAME.unpack(packet)
+    return Received(frame_of(handed_at, can_id, flags, dlc, data), Instant(at), is_own(flags))
 
 
 def split_batch(packet: bytes) -> Iterator[Record]:
@@ -133,9 +134,11 @@ def is_own(flags: int) -> bool:
     return bool(flags & _OWN)
 
 
-def frame_of(can_id: int, flags: int, dlc: int, data: bytes) -> Frame:
+def frame_of(handed_at: int, can_id: int, flags: int, dlc: int, data: bytes) -> Frame:
     """Raises MalformedRecord for what no valid frame encodes to."""
     extended, remote = bool(flags & _EXTENDED), bool(flags & _REMOTE)
     if dlc > 8 or can_id >> (29 if extended else 11):
         raise MalformedRecord(f"identifier 0x{can_id:X}, DLC {dlc}")
-    return Frame(can_id, b"", extended, True, dlc) if remote else Frame(can_id, data[:dlc], extended)
+    frame = Frame(can_id, b"", extended, True, dlc) if remote else Frame(can_id, data[:dlc], extended)
+    frame.handed_at = Instant(handed_at)
+    return frame

@@ -78,7 +78,9 @@ def damaged(frame: Frame, bit: int) -> Frame:
     place = bit % (8 * len(data))
     changed = bytearray(data)
     changed[place // 8] ^= 1 << place % 8
-    return Frame(frame.can_id, bytes(changed), frame.extended, frame.remote, frame.remote_length)
+    made = Frame(frame.can_id, bytes(changed), frame.extended, frame.remote, frame.remote_length)
+    made.handed_at = frame.handed_at
+    return made
 
 
 def replaced(frame: Frame, instead: Instead) -> Sequence[tuple[Frame, Duration]]:

@@ -48,16 +48,16 @@ class Bench:
 
 def test_an_echo_goes_to_its_handler_and_nowhere_else() -> None:
     bench = Bench()
-    echoes: list[tuple[bytes, Instant]] = []
+    echoes: list[tuple[bytes, Instant, Instant]] = []
     frames: list[bytes] = []
     tapped: list[tuple[str, int]] = []
     bench.link.tap(lambda way, can_id, _data, _extended, _remote, _at: tapped.append((way, can_id)))
-    bench.pump.echo_handlers[RPDO] = lambda data, at: echoes.append((data, at))
+    bench.pump.echo_handlers[RPDO] = lambda *echo: echoes.append(echo)
     bench.pump.handlers[RPDO] = lambda data, _at: frames.append(data)
-    bench.link.send(RPDO, b"\x01")
+    handed_at = bench.link.send(RPDO, b"\x01")
     bench.link.send(0x601, b"\x02")
     bench.pump.pump(Instant(MS))
-    assert echoes == [(b"\x01", bench.ended[0][1])]
+    assert echoes == [(b"\x01", bench.ended[0][1], handed_at)]
     assert (frames, bench.others) == ([], [])
     assert tapped == [("tx", RPDO), ("tx", 0x601)]
     assert (bench.link.sent_frames, bench.link.echoed_frames, bench.link.received_frames) == (2, 2, 0)
@@ -65,16 +65,16 @@ def test_an_echo_goes_to_its_handler_and_nowhere_else() -> None:
 
 def test_a_sync_of_ours_is_told_with_its_end_and_one_of_another_master_is_not() -> None:
     bench = Bench()
-    told: list[Instant] = []
+    told: list[tuple[Instant, Instant]] = []
     bench.pump.send_sync()
     bench.pump.pump(Instant(MS))  # nobody wants to know yet
-    bench.pump.on_sync_echo = told.append
-    bench.pump.send_sync()
+    bench.pump.on_sync_echo = lambda *echo: told.append(echo)
+    handed_at = bench.pump.send_sync()
     bench.peer_sends(2 * MS, SYNC)
     bench.pump.pump(Instant(3 * MS))
     ends = [at for can_id, at in bench.ended if can_id == SYNC]
     assert len(ends) == 3
-    assert told == [ends[1]]
+    assert told == [(ends[1], handed_at)]
     assert bench.others == [(SYNC, ends[2])]
 
 
@@ -103,7 +103,7 @@ def served(serve: Callable[[Bench, Instant], None]) -> Bench:
     bench.pump.housekeeping_at = Instant(2 * MS)
     for number in range(20):
         bench.peer_sends(number * MS // 2 + 1000, TPDO + number)
-    bench.pump.on_sync_echo = lambda at: bench.others.append((SYNC, at))
+    bench.pump.on_sync_echo = lambda at, _: bench.others.append((SYNC, at))
     for tick in range(1, 11):
         bench.pump.send_sync()
         serve(bench, Instant(tick * MS))

@@ -9,6 +9,7 @@ import pytest
 from drivers.drive_setup import DriveSettings
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, TransferAborted
 from drivers.exchange import Command
+from drivers.frame_port import UNTOLD
 from drivers.network import CanopenNetwork
 from drivers.objects import SettingRefused
 from drivers.profile402 import State
@@ -226,7 +227,7 @@ def test_a_command_tells_what_was_sent_and_when_it_was_on_the_bus(bench: Bench) 
     sent = drive.write(Command(7, 1.0, Instant(0), soon(network)))
     assert sent is not None
     assert (sent.sequence, sent.raw, sent.handed_at, sent.on_bus_at) == (7, 500, network.clock.now(), None)
-    network.frame_pump.echo_handlers[0x201](bus.sent_to(0x201)[-1], Instant(4711))
+    network.frame_pump.echo_handlers[0x201](bus.sent_to(0x201)[-1], Instant(4711), UNTOLD)
     assert sent.on_bus_at == 4711
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.exchange import SentCommand
+from drivers.frame_port import UNTOLD
 from drivers.pdo_plans import all_modes_plan
 from drivers.scaling import Scaling
 from drivers.setpoint import SetPoint
@@ -29,8 +30,8 @@ class Rig:
         self.frames = self.bus.sent_to(TORQUE)[-len(commands) :]
         return commands
 
-    def echo(self, place: int, at: int, can_id: int = TORQUE) -> None:
-        self.network.frame_pump.echo_handlers[can_id](self.frames[place], Instant(at))
+    def echo(self, place: int, at: int, can_id: int = TORQUE, handed_at: Instant = UNTOLD) -> None:
+        self.network.frame_pump.echo_handlers[can_id](self.frames[place], Instant(at), handed_at)
 
 
 @pytest.fixture
@@ -80,9 +81,20 @@ def test_of_equal_commands_the_first_is_found_first(rig: Rig) -> None:
     assert instants(commands) == [100, 200, None]
 
 
+def test_an_echo_that_tells_when_its_frame_was_handed_over_is_of_no_other(rig: Rig) -> None:
+    commands = []
+    for _ in range(3):
+        commands += rig.send(10)
+        rig.network.clock.sleep_until(Instant(rig.network.clock.now() + 1))
+    rig.echo(0, 100, handed_at=commands[2].handed_at)
+    rig.echo(0, 200, handed_at=commands[0].handed_at)
+    rig.echo(0, 300, handed_at=Instant(commands[2].handed_at + 1))
+    assert instants(commands) == [200, None, 100]
+
+
 def test_an_echo_of_what_is_no_command_is_passed_over(rig: Rig) -> None:
     commands = rig.send(10)
-    rig.network.frame_pump.echo_handlers[TORQUE](b"other", Instant(1))
+    rig.network.frame_pump.echo_handlers[TORQUE](b"other", Instant(1), UNTOLD)
     rig.echo(0, 2, can_id=VELOCITY)
     assert instants(commands) == [None]
 
@@ -109,13 +121,13 @@ def test_speeds_and_positions_are_commands_too(rig: Rig) -> None:
     position = rig.set_point.send_position(-3.0, 2)
     assert (speed.raw, position.raw) == (7, -3)
     for can_id, command in ((VELOCITY, speed), (POSITION, position)):
-        rig.network.frame_pump.echo_handlers[can_id](rig.bus.sent_to(can_id)[-1], Instant(5))
+        rig.network.frame_pump.echo_handlers[can_id](rig.bus.sent_to(can_id)[-1], Instant(5), UNTOLD)
         assert command.on_bus_at == 5
 
 
 def test_a_sync_of_our_own_is_told(rig: Rig) -> None:
-    told: list[Instant] = []
-    rig.network.frame_pump.echo_handlers[0x080](b"", Instant(1))
-    rig.network.frame_pump.on_sync_echo = told.append
-    rig.network.frame_pump.echo_handlers[0x080](b"", Instant(2))
-    assert told == [2]
+    told: list[tuple[Instant, Instant]] = []
+    rig.network.frame_pump.echo_handlers[0x080](b"", Instant(1), UNTOLD)
+    rig.network.frame_pump.on_sync_echo = lambda *echo: told.append(echo)
+    rig.network.frame_pump.echo_handlers[0x080](b"", Instant(4), Instant(2))
+    assert told == [(4, 2)]

@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
 from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
-from drivers.frame_port import EchoBasis
+from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.axis import Axis, AxisParts
 from hil.clock_map import ClockMap
@@ -109,6 +109,7 @@ class FakeBus(Master):
     def send_sync(self) -> Instant:
         self.sync_count += 1
         self.handed_at.append(self.at)
+        self.sync_handed_at = [self.at]
         on_bus_at = Instant(self.at + SYNC_LATENCY)
         self.call_at(on_bus_at, lambda: self._echo(on_bus_at))
         self._answer(on_bus_at)
@@ -135,7 +136,7 @@ class FakeBus(Master):
 
     def _echo(self, at: Instant) -> None:
         if self.on_sync_echo is not None:
-            self.on_sync_echo(at)
+            self.on_sync_echo(at, UNTOLD)
 
     def rest(self, until: Instant) -> None:
         self.pump(until)

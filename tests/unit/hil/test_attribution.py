@@ -7,7 +7,7 @@ import pytest
 
 from drivers.frame_port import EchoBasis
 from drivers.timebase import Instant
-from hil.syncs import ECHO_ERROR, SyncLog
+from hil.syncs import ECHO_ERROR, REMEMBERED, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
 
@@ -189,6 +189,28 @@ def test_the_instant_of_an_echo_counts_for_as_much_as_its_stamps_are_worth() -> 
     second = log.handed(3, Instant(3 * PERIOD))
     log.came(Instant(3 * PERIOD - ECHO_ERROR[EchoBasis.KERNEL]))
     assert (second.on_bus_at, second.sure) == (3 * PERIOD - ECHO_ERROR[EchoBasis.KERNEL], False)
+
+
+def test_an_echo_that_tells_its_hand_over_is_never_in_doubt() -> None:
+    """A bus that stood still: the first SYNC comes after the third was handed over, the second later."""
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    marks = [log.handed(number, Instant(number * 2 * PERIOD)) for number in range(4)]
+    ended = {0: 4 * PERIOD + 1, 2: 4 * PERIOD + 2, 1: 7 * PERIOD}  # the last is lost in front of the bus
+    for number, at in ended.items():
+        log.came(Instant(at), marks[number].handed_at)
+    assert [mark.on_bus_at for mark in marks] == [4 * PERIOD + 1, 7 * PERIOD, 4 * PERIOD + 2, None]
+    assert all(mark.sure for mark in marks)
+    log.came(Instant(7 * PERIOD + 1), marks[1].handed_at)
+    assert log.surplus == 1, "a copy"
+
+
+def test_syncs_that_never_came_to_the_bus_are_forgotten() -> None:
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    first = log.handed(1, Instant(0))
+    for number in range(1, REMEMBERED + 1):
+        log.handed(number, Instant(number * PERIOD))
+    log.came(Instant(REMEMBERED * PERIOD + 1), first.handed_at)
+    assert (first.on_bus_at, log.surplus) == (None, 1)
 
 
 def test_an_echo_nobody_asked_for_is_surplus() -> None:

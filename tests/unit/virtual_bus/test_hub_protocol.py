@@ -59,8 +59,8 @@ def test_any_bytes_are_a_valid_frame_or_malformed(packet: bytes) -> None:
 def received(packet: bytes) -> list[Received]:
     """As a client takes a batch apart."""
     return [
-        Received(frame_of(can_id, flags, dlc, data), Instant(at), is_own(flags))
-        for at, can_id, flags, dlc, data in split_batch(packet)
+        Received(frame_of(handed_at, can_id, flags, dlc, data), Instant(at), is_own(flags))
+        for at, handed_at, can_id, flags, dlc, data in split_batch(packet)
     ]
 
 
