@@ -121,6 +121,10 @@ class Axis:
         self._commands = parts.commands
         self.uncertain = 0
         """Rows marked uncertain."""
+        self.learned = 0
+        """Readings that were learned from while calibrating."""
+        self._alone = True
+        """Whether the last SYNC while calibrating had one reading."""
         self._decisions: list[Decision] = []
         """Of the cycles whose readings' fates are open, the oldest first."""
         self._settled: list[Decision] = []
@@ -144,20 +148,31 @@ class Axis:
             self._by_order.probed(self.parts.syncs.marks[-1])
 
     def calibrate(self) -> bool:
-        """Take readings that can only answer the last SYNC; whether one came."""
+        """Take what has come since the last SYNC, and learn from it if it can only answer that one; whether a
+        reading came.
+
+        A drive or a bus that stood still gives back several at once, and those of SYNCs before. So a reading
+        must have come alone, and the SYNC before must have had its own.
+        """
         mark = self.parts.syncs.marks[-1]
         readings = self._drive.take_readings()
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
-        for reading in readings:
-            self._readings += 1
-            if reading.device_time_ns is not None:
-                self._by_stamp.learn(reading, mark)
-            else:
-                self._by_order.learn(reading, mark)
-            if mark.on_bus_at is not None:
-                self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
+        self._readings += len(readings)
+        alone = len({reading.device_time_ns or reading.received_at for reading in readings}) == 1
+        if alone and self._alone and mark.on_bus_at is not None:
+            self._learn(readings[0], mark)
+        self._alone = alone
         return bool(readings)
+
+    def _learn(self, reading: Reading, mark: SyncMark) -> None:
+        assert mark.on_bus_at is not None
+        self.learned += 1
+        if reading.device_time_ns is not None:
+            self._by_stamp.learn(reading, mark)
+        else:
+            self._by_order.learn(reading, mark)
+        self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
 
     def discard(self) -> None:
         """Let go of what has come: it answers SYNCs from before."""

@@ -22,6 +22,8 @@ from hil.ticker import ticks_missed, ticks_passed
 
 CALIBRATION_SYNCS: Final = 16
 """Enough for a first rate of the drive's clock to some 20 ppm, at stamps of 1 us."""
+CALIBRATION_SYNCS_MAX: Final = 4 * CALIBRATION_SYNCS
+"""Where three of four SYNCs teach nothing, more of them will not help."""
 CALIBRATION_SPACINGS: Final = 32
 """Of SYNCs that are heard: jitter of half a period is 1.6 % of so many, less than what is refused."""
 PERIOD_ERROR_MAX: Final = 0.02
@@ -113,13 +115,16 @@ class OwnSync(Pace):
         self._due = self._woke_at = Instant(0)
 
     def calibrate(self, axes: Sequence[Axis], settle: Duration) -> list[bool]:
-        """With SYNCs so far apart that each reading answers the last one."""
+        """With SYNCs so far apart that each reading answers the last one; with more of them where something
+        stood still meanwhile."""
         answered = [False] * len(axes)
-        for _ in range(CALIBRATION_SYNCS):
+        for number in range(1, CALIBRATION_SYNCS_MAX + 1):
             sent_at = self._network.send_sync()
             self._note(SURPLUS)
             self._network.pump(Instant(sent_at + settle))
             _learn(axes, answered)
+            if number >= CALIBRATION_SYNCS and min(axis.learned for axis in axes) >= CALIBRATION_SYNCS // 2:
+                break
         return answered
 
     def begin(self, axes: Sequence[Axis]) -> Instant:  # noqa: ARG002

@@ -11,6 +11,7 @@ from tests.truth.hub_run import HubOutcome, run_beside_a_listener
 from tests.truth.plans import COMMANDS_LATE, Plan
 from tests.truth.process_watch import Holding, watching
 from tests.truth.rows import LATE, LOST, MISSED, STALE, USED
+from tests.truth.stalls import Stalls
 
 CYCLES = 20_000
 PERIODS_US = {1: 1000, 3: 2000}
@@ -27,7 +28,9 @@ def main() -> None:
     parser.add_argument(
         "--commands", choices=SIDES, action="append", help="where they are lost and late; each, if left out"
     )
+    parser.add_argument("--stalls", type=int, metavar="SEED", help="let the processes stand still at times")
     options = parser.parse_args()
+    stalls = None if options.stalls is None else Stalls(options.stalls)
     for axes in options.axes or (1, 3):
         for side in options.commands or SIDES:
             at_host = COMMANDS_LATE if side == "host" else ""
@@ -41,7 +44,7 @@ def main() -> None:
             )
             with tempfile.TemporaryDirectory() as scratch:
                 with watching() as holdings:
-                    found = run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive)
+                    found = run_beside_a_listener(plan, options.cycles, Path(scratch), at_drive, stalls)
                 _print(plan, found)
                 _print_holdings(holdings)
 

@@ -1,5 +1,6 @@
 """A run on a hub with its drives in another process, beside a third client, held against what that heard."""
 
+import json
 import os
 import sys
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from hil.recording.records import ROW_DTYPE
 from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.hosted import DriveProcess
 from hil.testing.run import pdo_plans
-from tests.scenario.processes import run
+from tests.scenario.processes import RUN_TIMEOUT_S, start_run
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.hub_listener import heard, listening
 from tests.truth.hub_truth import Spacings, hub_truth, sync_spacings
@@ -22,6 +23,8 @@ from tests.truth.judge import Judgement, Timing, judge_axis
 from tests.truth.plans import Plan
 from tests.truth.rows import USED, Told, told_by
 from tests.truth.runner import ROOT, bench_config
+from tests.truth.stalls import Stalls, stalling
+from virtual_bus.can_bus.hub_place import HubPlace
 
 FRAMES, COMMANDS = "frames.bin", "commands.bin"
 MOTOR: Final = ROOT / "examples" / "motors" / "ling2012.toml"
@@ -43,10 +46,13 @@ class HubOutcome:
     """p50, p99, max, as told."""
 
 
-def run_beside_a_listener(plan: Plan, cycles: int, folder: Path, drive_faults: str = "") -> HubOutcome:
+def run_beside_a_listener(
+    plan: Plan, cycles: int, folder: Path, drive_faults: str = "", stalls: Stalls | None = None
+) -> HubOutcome:
     """``hil run`` and ``hil simulate`` for ``cycles`` planned cycles of ``plan``.
 
-    ``folder``: of the run's files. ``drive_faults``: TOML, a fault plan of the drives' side.
+    ``folder``: of the run's files. ``drive_faults``: TOML, a fault plan of the drives' side. ``stalls``: of
+    host, drives and the hub's broker.
     """
     config = bench_config(plan, cycles)
     hub = f"truth-{os.getpid()}"
@@ -55,10 +61,14 @@ def run_beside_a_listener(plan: Plan, cycles: int, folder: Path, drive_faults: s
     with listening(hub, folder / FRAMES):
         drives = DriveProcess(_simulate(hub, plan.axes, folder, drive_faults), folder / "drives.log")
         try:
-            status, summary, said = run(bench, f"hub:{hub}", folder / "run", config.bench.duration_s)
+            process = start_run(bench, f"hub:{hub}", folder / "run")
+            broker = int(HubPlace(hub).alive.read_text())
+            with stalling(stalls, [process.pid, drives.pid, broker]):
+                out, said = process.communicate(timeout=RUN_TIMEOUT_S + config.bench.duration_s)
         finally:
             drives.stop()
-    return _outcome(config, folder, status, said, summary)
+    summary = json.loads(out) if out.strip() else {}
+    return _outcome(config, folder, process.returncode, said, summary)
 
 
 def _simulate(hub: str, axes: int, folder: Path, faults: str) -> list[str]:

@@ -10,10 +10,18 @@ from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.compensation import Stamp
 from hil.loop import Actuation, LoopOutcome
-from hil.pace import CALIBRATION_SYNCS
+from hil.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
 from hil.safety import SafetyLimits
 from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
-from tests.unit.hil.loop_fakes import PERIOD, FakeBus, FakeDrive, make_axis, make_loop
+from tests.unit.hil.loop_fakes import (
+    DEVICE_CLOCK_OFFSET_NS,
+    PERIOD,
+    TIMING,
+    FakeBus,
+    FakeDrive,
+    make_axis,
+    make_loop,
+)
 
 
 def estimate_of(record: CycleRecord) -> StateEstimate:
@@ -138,6 +146,34 @@ def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:
     assert (missed.woke_at, missed.sync_handed_at, missed.sync_on_bus_at, missed.command) == (None,) * 4
 
 
+@pytest.mark.parametrize("first", [1, 2, 9, 13])
+@pytest.mark.parametrize("stood_still", [1, 3, 20])
+def test_a_drive_that_stood_still_while_calibrating_has_taught_nothing_wrong(
+    first: int, stood_still: int
+) -> None:
+    """It answers the SYNCs of that time all at once, beside the next one."""
+    settle, last = TIMING.settle, first + stood_still
+
+    def delay(sync: int) -> int:
+        return 250_000 + (last - sync) * settle if first <= sync < last else 250_000
+
+    drive = FakeDrive(delay)
+    axis = make_axis(drive, [])
+    make_loop(FakeBus([drive]), [axis]).calibrate()
+    clock = axis.parts.by_stamp.clock
+    assert clock.offset_ns == -DEVICE_CLOCK_OFFSET_NS
+    assert abs(clock.drift_ppm) < 1e-3
+    assert axis.learned >= CALIBRATION_SYNCS // 2
+
+
+def test_a_drive_that_never_answers_in_time_is_not_asked_for_ever() -> None:
+    drive = FakeDrive(lambda sync: 250_000 if sync % 2 else 250_000 + TIMING.settle)
+    axis = make_axis(drive, [])
+    bus = FakeBus([drive])
+    make_loop(bus, [axis]).calibrate()
+    assert (bus.sync_count, axis.learned) == (CALIBRATION_SYNCS_MAX, 1)
+
+
 @pytest.mark.parametrize("stopped_in", [10, 40])
 def test_a_sync_handed_over_ticks_too_late_is_that_of_the_tick_it_falls_into(stopped_in: int) -> None:
     """The process is stopped for 2.3 periods between looking at the clock and handing the SYNC over."""
@@ -213,13 +249,13 @@ def test_no_sync_is_handed_over_while_the_last_one_is_not_on_the_bus() -> None:
     came = bus.on_sync_echo
     assert came is not None
 
-    def held(at: Instant) -> None:
+    def held(at: Instant, handed_at: Instant) -> None:
         """The echo of the tenth SYNC of the run comes 1.4 periods late, as from a bus that stood still."""
         if bus.sync_count == CALIBRATION_SYNCS + 10:
             late = Instant(at + 1_400_000)
-            bus.call_at(late, lambda: came(late))
+            bus.call_at(late, lambda: came(late, handed_at))
         else:
-            came(at)
+            came(at, handed_at)
 
     bus.on_sync_echo = held
     loop.run(Duration(20 * PERIOD), lambda: False, lambda at: None, lambda done: None)
