@@ -1,5 +1,69 @@
-"""What every test gets: suites and helpers tell, as tests do, with what their assertions failed."""
+"""What every test gets: assertions of helpers that tell, and a second try in real time where it is owed.
+
+A test of the group "real time" needs a machine that wakes a process in time. One that failed while the
+machine did not (see :mod:`tests.stillness`) says nothing yet, and is tried again, three times in all. A
+failure on a machine that kept its time stands; so does what was told wrongly, however late all were.
+"""
+
+from collections.abc import Generator
 
 import pytest
 
+from tests.stillness import EXCUSED_MS, Untrue, Witness
+
 pytest.register_assert_rewrite("tests.contract", "tests.scenario", "tests.truth")
+
+TRIES = 3
+REAL_TIME = "real time"
+_witness: Witness | None = None
+"""One for each worker, made when it is first needed."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests in real time their further tries."""
+    for item in items:
+        if _is_in_real_time(item):
+            item.add_marker(pytest.mark.flaky(reruns=TRIES - 1, condition=_is_excused))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """The machine is watched while a test in real time runs."""
+    global _witness
+    if _is_in_real_time(item):
+        _witness = _witness or Witness()
+        _witness.begin()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What the machine did is told with a failure."""
+    report = yield
+    if report.failed and _witness is not None and _is_in_real_time(item):
+        report.sections.append(("The machine", f"kept a process waiting for {_witness.late_ms()} ms"))
+    return report
+
+
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """No process outlives its test."""
+    if _is_in_real_time(item):
+        from tests.scenario.processes import (
+            end_what_is_left,  # its assertions are rewritten only from here on
+        )
+
+        end_what_is_left()
+
+
+def pytest_sessionfinish() -> None:
+    """Nothing is left running."""
+    if _witness is not None:
+        _witness.stop()
+
+
+def _is_in_real_time(item: pytest.Item) -> bool:
+    group = item.get_closest_marker("xdist_group")
+    return group is not None and REAL_TIME in (*group.args, *group.kwargs.values())
+
+
+def _is_excused(error: BaseException) -> bool:
+    assert _witness is not None
+    return _witness.late_ms() >= EXCUSED_MS and not isinstance(error, Untrue)

@@ -25,6 +25,7 @@ VELOCITY_UNIT_RAD_S = 1e-3 / RPM_PER_RAD_S
 START_LIMIT_S = 60.0
 RUN_TIMEOUT_S = 90
 REST_RAD_S = 0.5
+_in_background: list[subprocess.Popen[str]] = []
 NO_DISK = 99
 """Status of :func:`on_disk_of` where it cannot be."""
 _ON_DISK = f"""
@@ -75,9 +76,27 @@ def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator
 def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
     """``hil run --json`` in the background."""
     command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json"]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=quiet_environment()
+    return in_background(command)
+
+
+def in_background(
+    command: Sequence[str], stdin: int | None = None, stdout: int = subprocess.PIPE
+) -> subprocess.Popen[str]:
+    """A command whose outputs are read by the test; it ends with the test."""
+    process = subprocess.Popen(
+        command, stdin=stdin, stdout=stdout, stderr=subprocess.PIPE, text=True, env=quiet_environment()
     )
+    _in_background.append(process)
+    return process
+
+
+def end_what_is_left() -> None:
+    """What a test that failed has left behind ends."""
+    while _in_background:
+        process = _in_background.pop()
+        if process.returncode is None:
+            process.kill()
+            process.communicate()
 
 
 def on_disk_of(size: str, disk: Path, kept: Path, command: Sequence[str]) -> list[str]:

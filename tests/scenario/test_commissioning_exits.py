@@ -26,7 +26,7 @@ from tests.scenario.processes import (
     VELOCITY_UNIT_RAD_S,
     broker_of,
     hub_name,
-    quiet_environment,
+    in_background,
     run_command,
     simulated_drive,
 )
@@ -132,14 +132,7 @@ def command(bus: str, out: Path) -> list[str]:
 
 
 def start(bus: str, out: Path, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        command(bus, out),
-        stdin=stdin,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=quiet_environment(),
-    )
+    return in_background(command(bus, out), stdin, subprocess.DEVNULL)
 
 
 def restore(bus: str, out: Path) -> subprocess.CompletedProcess[str]:

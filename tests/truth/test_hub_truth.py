@@ -7,14 +7,16 @@ import pytest
 
 from drivers.pdo_plans import torque_plan
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable
 from tests.truth.hub_run import run_beside_a_listener
 from tests.truth.hub_truth import OutOfOrder, Spacings, hub_truth, sync_spacings
 from tests.truth.plans import Plan
 from tests.truth.rows import LOST, TOLD_DTYPE, Told
+from tests.truth.stalls import Stalls
 
 CYCLES = 2_000
-UNCERTAIN_MAX = 0.01
+UNCERTAIN_MAX = 0.05
 """A run that is in doubt everywhere would tell nothing wrong, and nothing at all."""
 PERIOD = Duration(NS_PER_MS)
 PLAN = torque_plan(1, device_stamp=True)
@@ -22,17 +24,20 @@ NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
 
 
 @pytest.mark.xdist_group("real time")
+@pytest.mark.parametrize("stalls", [None, Stalls(2)], ids=["smooth", "stalled"])
 @pytest.mark.parametrize("axes", [1, 3])
-def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, tmp_path: Path) -> None:
-    found = run_beside_a_listener(Plan("hub", axes=axes), CYCLES, tmp_path)
+def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, stalls: Stalls | None, tmp_path: Path) -> None:
+    found = run_beside_a_listener(Plan("hub", axes=axes), CYCLES, tmp_path, stalls=stalls)
 
+    readings, spacings = found.readings, found.spacings
+    if readings.wrong or readings.echo_wrong or readings.bound_broken or found.negative_delays:
+        raise Untrue(f"{readings.misjudged}, echoes {readings.echo_wrong}: {readings.examples}")
+    if spacings.too_early:
+        raise Untrue("by its stamps a SYNC was on the bus before it was handed over")
     assert found.status in (0, 6), found.said  # 6: cycles were missed, and no limit says how many may
-    assert found.readings.rows == axes * CYCLES
-    assert (found.readings.wrong, found.readings.echo_wrong) == (0, 0), found.readings.examples
-    assert found.readings.uncertain <= UNCERTAIN_MAX * found.readings.rows
-    assert (found.readings.unaccounted, found.spacings.handed) == (0, 0)
-    assert (found.negative_delays, found.readings.bound_broken) == (0, 0)
-    assert found.spacings.too_early == 0, "by its stamps a SYNC was on the bus before it was handed over"
+    assert readings.rows == axes * CYCLES
+    assert readings.uncertain <= UNCERTAIN_MAX * readings.rows
+    assert (readings.unaccounted, spacings.handed) == (0, 0)
 
 
 def frames(*syncs_us: int) -> FrameTable:
