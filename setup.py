@@ -29,9 +29,11 @@ HOT_MODULES = [
         "drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"
     ),
     *_below("drivers", "record servo setpoint supervision timebase"),
-    *_below("hil", "attribution axis clock_map clock_question command_meter compensation controllers delay"),
-    *_below("hil", "loop order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
-    *_below("hil/recording", "records ring row_writer side_rows"),
+    *_below("hil/control", "compensation controllers"),
+    *_below("hil/loop", "attribution axis clock_map clock_question command_meter delay loop"),
+    *_below("hil/loop", "order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
+    *_below("hil/recording", "ring row_writer"),
+    *_below("hil/rows", "records side_rows"),
     *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
     *_below("virtual_bus/can_bus", "arbitration bit_length bus_load controller error_frame error_handling"),
     *_below(

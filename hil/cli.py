@@ -3,7 +3,7 @@
 What a command needs is imported inside it, so that ``hil --help`` answers at once.
 """
 
-from hil.hidden_rooms import refuse_hidden_rooms
+from hil.terminal.hidden_rooms import refuse_hidden_rooms
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
@@ -158,14 +158,14 @@ def run(
             config = config.with_faults(load_faults(replay_faults, named_by))
 
         from hil.configuration.quantities import odd_values
-        from hil.network_guard import loop_doubts
+        from hil.execution.network_guard import loop_doubts
 
         simulated = (bus or config.bus.spec) == "simulated"
         for note in (*odd_values(config), *loop_doubts(config, (), simulated)):
             typer.echo(f"hil: note: {note}", err=True)
 
-        from hil.bench import run_bench
-        from hil.terminal.progress import TerminalProgress
+        from hil.execution.bench import run_bench
+        from hil.machine.progress import TerminalProgress
 
         progress = TerminalProgress(sys.stderr, config.bench.duration_s)
         try:

@@ -83,7 +83,7 @@ def servo_bus(request: pytest.FixtureRequest) -> str:
 
     It fails the test if the bus was asked for on the command line, or a folder hides a package of servobench.
     """
-    from hil.hidden_rooms import hidden_room
+    from hil.terminal.hidden_rooms import hidden_room
 
     if (trouble := hidden_room()) is not None:
         pytest.fail(trouble, pytrace=False)

@@ -19,7 +19,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
-from hil.world import WorldPlan, open_world
+from hil.execution.world import WorldPlan, open_world
 from virtual_bus.fault_injection.faulty_device import SimulatedNode
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo

@@ -12,13 +12,13 @@ from design.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.speed_design import least_gain
 from design.speed_loop import speed_model
 from design.speed_robustness import noise_gain
-from hil import bench
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import Rows
-from hil.terminal.progress import no_progress
+from hil.execution import bench
+from hil.machine.progress import no_progress
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import Rows
 from tests.truth.tapped_run import RowsRecorder
 from virtual_bus.servo_drive.firmware import FirmwareParameters
 

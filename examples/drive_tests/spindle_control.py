@@ -1,7 +1,7 @@
 """The product of this project: a speed controller for a spindle."""
 
 from drivers.exchange import Command
-from hil.samples import StateEstimate
+from hil.loop.samples import StateEstimate
 
 
 class SpindleController:

@@ -15,14 +15,14 @@ from drivers.objects import RemoteObjects
 from drivers.timebase import NS_PER_S, Duration
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
-from hil.commissioning.journal import DriveMark, append_restored, read_journal
 from hil.commissioning.outcome import Verdict
 from hil.commissioning.report import REPORT_FILE, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.restore import await_answer, restore
+from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
-from hil.world import WorldPlan, open_world
+from hil.restoring.journal import DriveMark, append_restored, read_journal
+from hil.restoring.restore import await_answer, restore
 from virtual_bus.fault_injection.faulty_device import SimulatedNode
 from virtual_bus.unknown_drive import unknown_drive
 

@@ -8,16 +8,16 @@ from drivers.errors import BenchError, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files
-from hil.commissioning.journaled import STORE_PARAMETERS, JournaledNetwork
 from hil.commissioning.outcome import StepRecord, Verdict
 from hil.commissioning.report import write_report
 from hil.commissioning.request import CommissionRequest
-from hil.commissioning.restore import Restoration, restore
 from hil.commissioning.sequence import run_sequence
 from hil.commissioning.session import Findings, Session
 from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
-from hil.world import World
+from hil.execution.world import World
+from hil.restoring.journaled import STORE_PARAMETERS, JournaledNetwork
+from hil.restoring.restore import Restoration, restore
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""

@@ -6,7 +6,7 @@ from typing import Any, Final
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from drivers.drive_setup import Identity
-from hil.commissioning.journal import ObjectKey
+from hil.restoring.journal import ObjectKey
 
 _UNSIGNED: Final = {1: 0x05, 2: 0x06, 4: 0x07, 8: 0x1B}
 _SIGNED_TYPES: Final = {0x02: 1, 0x03: 2, 0x04: 4, 0x15: 8}

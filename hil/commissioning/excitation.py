@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.exchange import Command
 from hil.commissioning.identify import Mechanics
-from hil.samples import StateEstimate
+from hil.loop.samples import StateEstimate
 
 _BANDWIDTH_RAD_S: Final = 40.0
 """Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""

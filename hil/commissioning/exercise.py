@@ -12,24 +12,24 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
-from hil.axis import Axis, AxisParts
-from hil.bus_guard import BusGuard
-from hil.clock_map import ClockMap
-from hil.command_meter import CommandMeter
 from hil.commissioning.drive_port import DrivePort, Quantity
 from hil.commissioning.request import MotionLimits
-from hil.compensation import Arrival
-from hil.controllers import Controller
-from hil.delay import DelayMeter
-from hil.loop import Loop, LoopTiming
-from hil.order_attribution import OrderAttribution
-from hil.pace import OwnSync
-from hil.safety import SafetyGuard, SafetyLimits
-from hil.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
-from hil.scenario import LoadProfile, Segment, SpeedProfile
-from hil.segments import sync_log
-from hil.stamp_attribution import StampAttribution
-from hil.syncs import SyncLog
+from hil.control.compensation import Arrival
+from hil.control.controllers import Controller
+from hil.execution.bus_guard import BusGuard
+from hil.execution.segments import sync_log
+from hil.loop.axis import Axis, AxisParts
+from hil.loop.clock_map import ClockMap
+from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import DelayMeter
+from hil.loop.loop import Loop, LoopTiming
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.pace import OwnSync
+from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
+from hil.loop.scenario import LoadProfile, Segment, SpeedProfile
+from hil.loop.stamp_attribution import StampAttribution
+from hil.loop.syncs import SyncLog
 
 Array = NDArray[np.float64]
 

@@ -5,13 +5,13 @@ from typing import Any, Final
 
 from drivers.objects402 import Object
 from hil.commissioning.dcf import dcf_text
-from hil.commissioning.journal import ObjectKey
-from hil.commissioning.journaled import SET_POINTS
-from hil.commissioning.restore import pdo_of
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import suggestion
 from hil.configuration.network_file import Network, network_text
 from hil.configuration.toml_text import toml_text
+from hil.restoring.journal import ObjectKey
+from hil.restoring.journaled import SET_POINTS
+from hil.restoring.restore import pdo_of
 
 DRIVE_FILE: Final = "drive.toml"
 MOTOR_FILE: Final = "motor.toml"

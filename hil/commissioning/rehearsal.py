@@ -8,10 +8,10 @@ from typing import Any
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text
+from hil.execution.node_ids_taken import refuse_taken
+from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
-from hil.node_ids_taken import refuse_taken
-from hil.world import WorldPlan, open_world
 from virtual_bus.fault_injection.injection import Faults
 from virtual_bus.frame import Device
 from virtual_bus.hosting import serve

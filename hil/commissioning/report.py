@@ -7,8 +7,8 @@ from typing import Any
 from drivers.errors import BenchError
 from hil.commissioning.outcome import StepRecord, Verdict
 from hil.commissioning.request import CommissionRequest
-from hil.commissioning.restore import Restoration
 from hil.commissioning.session import Session
+from hil.restoring.restore import Restoration
 
 REPORT_FILE = "report.md"
 FIGURES_FILE = "figures.json"

@@ -18,20 +18,20 @@ from drivers.profile402 import Mode
 from drivers.scaling import ScaleOverride, Scaling
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
-from hil.assembly import COMMAND_FRAME, SYNC_FRAME
-from hil.bus_guard import BusGuard
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
 from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.identify import Mechanics
-from hil.commissioning.journal import ObjectKey
-from hil.commissioning.journaled import JournaledNetwork
 from hil.commissioning.outcome import StepFailed
 from hil.commissioning.request import CommissionRequest, MotionLimits
 from hil.configuration.config import Guard
-from hil.loop import Actuation, LoopTiming
+from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME
+from hil.execution.bus_guard import BusGuard
+from hil.execution.world import World
+from hil.loop.loop import Actuation, LoopTiming
 from hil.machine.stopping import Interrupted
-from hil.world import World
+from hil.restoring.journal import ObjectKey
+from hil.restoring.journaled import JournaledNetwork
 from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
 
 ENABLE_LIMIT_S: Final = 3.0

@@ -17,8 +17,8 @@ from hil.commissioning.plots import draw_verification
 from hil.commissioning.session import PERIODS_US, Session
 from hil.commissioning.step import Step
 from hil.commissioning.steps_dynamics import total_delay_s
-from hil.controllers import Pid, PidGains
-from hil.scenario import Ramp, Segment, SpeedProfile
+from hil.control.controllers import Pid, PidGains
+from hil.loop.scenario import Ramp, Segment, SpeedProfile
 
 _MARGIN: Final = 1.6
 """The controller is designed for so many times the measured delay."""

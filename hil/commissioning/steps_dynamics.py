@@ -20,7 +20,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.step import Step
 from hil.configuration.network_file import Delays as DelayFigures
 from hil.configuration.network_file import Network
-from hil.scenario import Ramp
+from hil.loop.scenario import Ramp
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]

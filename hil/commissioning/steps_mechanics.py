@@ -25,8 +25,8 @@ from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_current, draw_mechanics
 from hil.commissioning.session import Session, held_s
 from hil.commissioning.step import Step
-from hil.scenario import Ramp, Segment
-from hil.scenario import Step as SpeedStep
+from hil.loop.scenario import Ramp, Segment
+from hil.loop.scenario import Step as SpeedStep
 
 _SPEED_SHARE: Final = 0.9
 _TORQUE_SHARE: Final = 0.6

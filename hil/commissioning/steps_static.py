@@ -9,13 +9,13 @@ from drivers.objects402 import Object
 from drivers.profile402 import Mode, supported_mode_bit
 from drivers.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scaling_from
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
-from hil.commissioning.journal import Journal
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.request import motion_limits
-from hil.commissioning.restore import head_of
 from hil.commissioning.session import Session
 from hil.commissioning.step import Step
+from hil.restoring.journal import Journal
+from hil.restoring.restore import head_of
 
 CONNECT_LIMIT_S = 5.0
 LISTEN_S = 0.5

@@ -17,7 +17,7 @@ from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.session import Session, held_s
 from hil.commissioning.step import Step
 from hil.commissioning.turn import can_home, hand_turn, index_turn
-from hil.scenario import Ramp, Segment
+from hil.loop.scenario import Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40

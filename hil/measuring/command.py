@@ -5,16 +5,16 @@ from collections.abc import Sequence
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import utc_stamp
-from hil.bench import RUNS_FOLDER
 from hil.configuration.motor_file import LING2012
+from hil.execution.bench import RUNS_FOLDER
+from hil.execution.simulated_drives import drive_parameters
+from hil.execution.world import WorldPlan, open_world
+from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.measuring.figures import Measured
 from hil.measuring.measure import Say, measure
 from hil.measuring.request import MeasureRequest
-from hil.simulated_drives import drive_parameters
-from hil.terminal.progress import Progress
-from hil.world import WorldPlan, open_world
 from virtual_bus.servo import SimulatedServo
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.errors import BadInput
 from drivers.exchange import Command
-from hil.samples import StateEstimate
+from hil.loop.samples import StateEstimate
 
 TORQUE_SHARE: Final = 0.03
 """Of the rated torque: thirty steps of 6071h, hardly more than the friction of most motors."""
@@ -41,7 +41,7 @@ class Excitation:
     """Torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
 
     The sign alternates, so that the speed stays where it was; where it has wandered off by more than
-    :data:`CALM_SHARE` of its limit the torque brakes. A :class:`hil.controllers.Controller`.
+    :data:`CALM_SHARE` of its limit the torque brakes. A :class:`hil.control.controllers.Controller`.
     """
 
     def __init__(self, steps: int, unit_nm: float, speed_max_rad_s: float, seed: int) -> None:

@@ -6,13 +6,13 @@ from typing import Any
 
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US
-from hil.axis import Axis
 from hil.configuration.network_file import Network
+from hil.loop.axis import Axis
 from hil.measuring.bounds import CONFIDENCE, rank_above, share_within_largest
 from hil.measuring.loss_model import Losses
 from hil.measuring.request import MeasureRequest
 from hil.measuring.stages import Stage
-from hil.recording.network_meter import delays_of, histogram_of
+from hil.reviewing.network_meter import delays_of, histogram_of
 
 Json = dict[str, Any]
 

@@ -10,14 +10,18 @@ from drivers.frame_port import EchoBasis
 from drivers.objects402 import Object
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
-from hil.axis import Axis
-from hil.bus_guard import BusGuard
-from hil.commissioning.journal import Journal
-from hil.commissioning.journaled import JournaledNetwork
-from hil.commissioning.restore import head_of, restore
 from hil.configuration.config import Guard
-from hil.connecting import connect
-from hil.loop import Loop, LoopOutcome
+from hil.execution.bus_guard import BusGuard
+from hil.execution.connecting import connect
+from hil.execution.segments import sync_log
+from hil.execution.stopping_drives import stop_all
+from hil.execution.timing_report import distrust, timing_report
+from hil.execution.world import World
+from hil.loop.axis import Axis
+from hil.loop.loop import Loop, LoopOutcome
+from hil.loop.pace import OwnSync
+from hil.loop.syncs import SyncLog
+from hil.machine.progress import Progress
 from hil.machine.stopping import StopRequest
 from hil.measuring import stages
 from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
@@ -26,14 +30,10 @@ from hil.measuring.network import network_of
 from hil.measuring.probe import Change, acting
 from hil.measuring.request import MeasureRequest
 from hil.measuring.subject import Subject, affordable, timing_of
-from hil.pace import OwnSync
-from hil.recording.records import Rows
-from hil.segments import sync_log
-from hil.stopping_drives import stop_all
-from hil.syncs import SyncLog
-from hil.terminal.progress import Progress
-from hil.timing_report import distrust, timing_report
-from hil.world import World
+from hil.restoring.journal import Journal
+from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.restore import head_of, restore
+from hil.rows.records import Rows
 
 CONNECT_LIMIT_S: Final = 5.0
 ENABLE_LIMIT_S: Final = 2.0

@@ -6,16 +6,16 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.timebase import NS_PER_US
-from hil.assembly import shortest_transit
 from hil.configuration.network_file import Certainty, LossChain, Network
 from hil.configuration.toml_text import toml_text
-from hil.figures.histogram import TimeHistogram
+from hil.execution.assembly import shortest_transit
+from hil.loop.samples import CommandFate
 from hil.measuring.bounds import CONFIDENCE, share_within_largest
 from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import UNKNOWN, Losses, Outcomes, losses_of
-from hil.recording.network_meter import NetworkMeter, histogram_of
-from hil.recording.records import COMMAND_FATES, FATE_SAMPLE, Rows
-from hil.samples import CommandFate
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.network_meter import NetworkMeter, histogram_of
+from hil.rows.records import COMMAND_FATES, FATE_SAMPLE, Rows
 
 _APART: Final = 1000
 """Unknown fates between the sequences of two drives, so that neither's state says anything of the other's."""

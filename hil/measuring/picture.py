@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hil.measuring.figures import Measured
-from hil.recording.network_meter import delays_of, histogram_of
+from hil.reviewing.network_meter import delays_of, histogram_of
 
 _BLUE, _RED, _GRID = "#1f5fa8", "#c8442c", "#e3e6ea"
 _ROW_INCHES = 1.3

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
 from drivers.servo import ServoDrive
 from drivers.timebase import Clock, Instant
-from hil.clock_map import ClockMap
-from hil.compensation import Arrival
-from hil.samples import StateEstimate
+from hil.control.compensation import Arrival
+from hil.loop.clock_map import ClockMap
+from hil.loop.samples import StateEstimate
 
 BEFORE_NS: Final = 2_000
 """A demand that changed so shortly before its command was on the bus is its own: a stamp of 1013h is rounded
@@ -83,7 +83,7 @@ class DecisionProbe:
         self.receive = self._arrival.receive
 
     def estimate(self, apply_at: Instant) -> StateEstimate:
-        """As that of :class:`hil.compensation.Arrival`."""
+        """As that of :class:`hil.control.compensation.Arrival`."""
         self.began_at = self._now()
         return self._arrival.estimate(apply_at)
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from drivers.exchange import SentCommand
 from drivers.frame_port import EchoBasis
-from hil.figures.histogram import TimeHistogram
+from hil.loop.samples import CommandFate, DropoutCause
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
 from hil.measuring.probe import Change
-from hil.recording.network_meter import action_delays_ns
-from hil.recording.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.samples import CommandFate, DropoutCause
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.network_meter import action_delays_ns
+from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
 
 NO_ECHO: Final = "no echo of own frames on this bus"
 NOT_ENABLED: Final = "the drive is disabled: --enable"

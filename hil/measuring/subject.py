@@ -20,22 +20,22 @@ from drivers.profile402 import CONTROLWORDS, DriveCommand, Mode
 from drivers.scaling import ScaleOverride
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
-from hil.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
-from hil.axis import Axis, AxisParts
-from hil.clock_map import ClockMap
-from hil.command_meter import CommandMeter
-from hil.delay import DelayMeter
-from hil.loop import Actuation, LoopTiming
+from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
+from hil.loop.axis import Axis, AxisParts
+from hil.loop.clock_map import ClockMap
+from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import DelayMeter
+from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.samples import CycleRecord
+from hil.loop.scenario import LoadProfile, SpeedProfile
+from hil.loop.stamp_attribution import StampAttribution
+from hil.loop.syncs import SyncLog
 from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
 from hil.measuring.request import MeasureRequest
-from hil.order_attribution import OrderAttribution
-from hil.recording.records import ROW, ROW_DTYPE, Rows, row_of
-from hil.safety import SafetyGuard, SafetyLimits
-from hil.samples import CycleRecord
-from hil.scenario import LoadProfile, SpeedProfile
-from hil.stamp_attribution import StampAttribution
-from hil.syncs import SyncLog
+from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
 from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
 
 HORIZON: Final = 50

@@ -4,8 +4,8 @@ import math
 
 import rerun.blueprint as rrb
 
-from hil.figures.summary import Summary
-from hil.recording.recording_plan import RecordingPlan
+from hil.rows.recording_plan import RecordingPlan
+from hil.verdict.summary import Summary
 
 TIMELINE = "run_time"
 STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"

@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.nmt import Emergency
 from drivers.timebase import NS_PER_MS, Instant
 from hil.recording.run_folder import FRAMES_FILE
-from hil.testing.frame_names import frame_name
+from hil.rows.frame_names import frame_name
 
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
-from hil.figures.summary import Summary
 from hil.recording.append_file import AppendFile
-from hil.recording.records import Rows
 from hil.recording.ring import RingReader
-from hil.recording.run_zero import RunZero
-from hil.recording.side_rows import RunEvent
+from hil.rows.records import Rows
+from hil.rows.run_zero import RunZero
+from hil.rows.side_rows import RunEvent
+from hil.verdict.summary import Summary
 from virtual_bus.fault_injection.fault_log import (
     BLOCK,
     BLOCK_BYTES,

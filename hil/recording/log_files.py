@@ -13,19 +13,20 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration, Instant
-from hil.figures.histogram import TimeHistogram
-from hil.figures.summary import Summary
 from hil.recording.append_file import AppendFile
 from hil.recording.candump import candump_lines, direction_lines
-from hil.recording.frame_order import FrameOrder
-from hil.recording.network_meter import NetworkKeeper
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import RECORDS_FILE, RecordsWriter
 from hil.recording.run_folder import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.recording.run_metadata import run_metadata
-from hil.recording.run_zero import RunZero
-from hil.recording.side_rows import (
+from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
+from hil.recording.telemetry import RERUN_FILE, Telemetry
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.network_meter import NetworkKeeper
+from hil.rows.frame_order import FrameOrder
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import RECORDS_FILE, RecordsWriter
+from hil.rows.run_zero import RunZero
+from hil.rows.side_rows import (
     FRAME_DTYPE,
     BeginEvent,
     IdentityEvent,
@@ -34,8 +35,7 @@ from hil.recording.side_rows import (
     StateEvent,
     TextEvent,
 )
-from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
-from hil.recording.telemetry import RERUN_FILE, Telemetry
+from hil.verdict.summary import Summary
 from virtual_bus.child_python import python_command, python_environment
 
 _BLOCK_ROWS = 8_192

@@ -19,23 +19,23 @@ from pathlib import Path
 import rerun as rr
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.figures.review import Review
-from hil.figures.summary import Summary, summarise
 from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
-from hil.recording.injected_faults import InjectedFaults
 from hil.recording.line_reader import LineReader
 from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import RECORDS_FILE
 from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import SUMMARY_FILE, Reserve, write_summary
-from hil.recording.run_zero import RunZero
-from hil.recording.set_points import SetPointTeller
-from hil.recording.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
-from hil.verdict import RunOutcome
+from hil.reviewing.review import Review
+from hil.rows.injected_faults import InjectedFaults
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_zero import RunZero
+from hil.rows.set_points import SetPointTeller
+from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
+from hil.verdict.summary import Summary, summarise
+from hil.verdict.verdict import RunOutcome
 
 _DRAIN_PERIOD_S = 0.1
 _FLUSH_PERIOD_NS = NS_PER_S

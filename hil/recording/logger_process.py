@@ -10,11 +10,11 @@ from typing import Any, Final
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
-from hil.figures.summary import Summary
 from hil.recording.line_reader import LineReader
-from hil.recording.recording_plan import RecordingPlan
 from hil.recording.run_folder import LOGGER_LOG
-from hil.verdict import RunOutcome
+from hil.rows.recording_plan import RecordingPlan
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import RunOutcome
 from virtual_bus.child_python import python_command, python_environment
 
 READY: Final = "ready"

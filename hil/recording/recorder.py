@@ -13,15 +13,15 @@ import numpy as np
 from drivers.errors import BadInput
 from drivers.frame_port import FrameTap
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
-from hil.figures.review import Review
-from hil.figures.summary import Summary, summarise
+from hil.loop.samples import CycleRecord
 from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
-from hil.recording.recording_plan import RecordingPlan, ReviewPlan
-from hil.recording.records import ROW, ROW_DTYPE, row_of
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
 from hil.recording.run_folder import BENCH_FILE
-from hil.recording.side_rows import (
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import RecordingPlan, ReviewPlan
+from hil.rows.records import ROW, ROW_DTYPE, row_of
+from hil.rows.side_rows import (
     EVENT,
     FRAME,
     BeginEvent,
@@ -31,8 +31,8 @@ from hil.recording.side_rows import (
     TextEvent,
     event_row,
 )
-from hil.samples import CycleRecord
-from hil.verdict import RunOutcome
+from hil.verdict.summary import Summary, summarise
+from hil.verdict.verdict import RunOutcome
 from virtual_bus.fault_injection.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16

@@ -18,22 +18,10 @@ import numpy as np
 from pyarrow import ArrowInvalid
 
 from drivers.timebase import Instant
-from hil.figures.review import Review
-from hil.figures.summary import Summary, summarise
 from hil.recording.append_file import AppendFile
 from hil.recording.candump import DIRECTION_BYTES
 from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
 from hil.recording.log_files import EventsKeeper, FramesKeeper
-from hil.recording.network_meter import NetworkKeeper
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import (
-    RECORDS_FILE,
-    RecordsWriter,
-    finish_records,
-    read_metadata,
-    read_records,
-)
 from hil.recording.rerun_anew import write_rerun_anew
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import (
@@ -45,8 +33,21 @@ from hil.recording.run_folder import (
     write_summary,
 )
 from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
-from hil.recording.run_zero import RunZero
-from hil.recording.side_rows import (
+from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
+from hil.recording.telemetry import RERUN_FILE
+from hil.reviewing.network_meter import NetworkKeeper
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import (
+    RECORDS_FILE,
+    RecordsWriter,
+    finish_records,
+    read_metadata,
+    read_records,
+)
+from hil.rows.run_zero import RunZero
+from hil.rows.side_rows import (
     EVENT_DTYPE,
     FRAME_DTYPE,
     BeginEvent,
@@ -54,9 +55,8 @@ from hil.recording.side_rows import (
     RunEvent,
     events_of,
 )
-from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
-from hil.recording.telemetry import RERUN_FILE
-from hil.verdict import RunOutcome
+from hil.verdict.summary import Summary, summarise
+from hil.verdict.verdict import RunOutcome
 from virtual_bus.fault_injection.fault_log import FAULTS_FILE
 
 

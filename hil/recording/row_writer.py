@@ -2,17 +2,17 @@
 
 from drivers.frame_port import FrameTap
 from drivers.timebase import Instant
-from hil.recording.records import row_of
+from hil.loop.samples import CycleRecord
 from hil.recording.ring import RingWriter
-from hil.recording.side_rows import EXTENDED_FLAG, REMOTE_FLAG, frame_row
-from hil.samples import CycleRecord
+from hil.rows.records import row_of
+from hil.rows.side_rows import EXTENDED_FLAG, REMOTE_FLAG, frame_row
 
 
 class RowWriter(FrameTap):
     """The cyclic part of a recorder."""
 
     def __init__(self, rows: RingWriter, frames: RingWriter, keep_frames: bool, segment: int = 0) -> None:
-        """``rows`` of :data:`~hil.recording.records.ROW`, ``frames`` of FRAME; ``segment``: its number."""
+        """``rows`` of :data:`~hil.rows.records.ROW`, ``frames`` of FRAME; ``segment``: its number."""
         self._received = 2 * segment
         self._sent = 2 * segment + 1
         self._rows = rows

@@ -5,7 +5,7 @@ import json
 import os
 from pathlib import Path
 
-from hil.figures.summary import Summary
+from hil.verdict.summary import Summary
 
 BENCH_FILE = "bench.toml"
 """The bench as it was run."""

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_US, Instant
-from hil.figures.histogram import TimeHistogram
-from hil.figures.summary import Summary
+from hil.loop.samples import CommandFate
 from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.recording.row_states import (
+from hil.recording.run_metadata import run_metadata
+from hil.recording.verdict_text import verdict_markdown
+from hil.reviewing.histogram import TimeHistogram
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from hil.rows.row_states import (
     HOST_IN_TIME,
     HOST_MISSED,
     LINK_DEGRADED,
@@ -31,11 +33,9 @@ from hil.recording.row_states import (
     HostStates,
     LinkStates,
 )
-from hil.recording.run_metadata import run_metadata
-from hil.recording.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
-from hil.recording.verdict_text import verdict_markdown
-from hil.samples import CommandFate
-from hil.verdict import LimitResult
+from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import LimitResult
 
 _RPM = 30.0 / math.pi
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)

@@ -1,10 +1,10 @@
 """The verdict of a run as a page of Markdown."""
 
-from hil.figures.certificate_text import certificate_lines
-from hil.figures.summary import Percentiles, Summary, metric_title
-from hil.figures.timing_text import timing_lines
-from hil.recording.recording_plan import RecordingPlan
-from hil.verdict import Check, LimitResult, verdict_title
+from hil.rows.recording_plan import RecordingPlan
+from hil.verdict.certificate_text import certificate_lines
+from hil.verdict.summary import Percentiles, Summary, metric_title
+from hil.verdict.timing_text import timing_lines
+from hil.verdict.verdict import Check, LimitResult, verdict_title
 
 
 def verdict_markdown(plan: RecordingPlan, summary: Summary | None) -> str:

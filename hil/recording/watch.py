@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from hil.machine.progress import Progress
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import Recorder
-from hil.terminal.progress import Progress
 from virtual_bus.timeline import SimulatedClock
 
 _POLL_NS = NS_PER_MS

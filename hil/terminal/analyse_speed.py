@@ -115,7 +115,7 @@ def speed(
 
         from design.errors import DesignError
         from hil.configuration.motor_file import RAD_S_PER_RPM
-        from hil.delay_design.analysis import (
+        from hil.studies.speed.analysis import (
             LoopRequest,
             chance_figures,
             continuous_figures,

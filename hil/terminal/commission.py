@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 BusOption = Annotated[
     str, typer.Option("--bus", metavar="SPEC", help="hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")

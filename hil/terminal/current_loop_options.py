@@ -9,7 +9,7 @@ from drivers.errors import MISSING, BadInput
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
-    from hil.drive_current_loop import KnownLoop
+    from hil.configuration.drive_current_loop import KnownLoop
 
 BenchOption = Annotated[
     Path | None,
@@ -40,7 +40,7 @@ def current_loop(
 
     Of the sources at most one may be given; without any it is that of the simulated drive as it is built.
     """
-    from hil.drive_current_loop import KnownLoop
+    from hil.configuration.drive_current_loop import KnownLoop
 
     given = {
         "--bench": bench,
@@ -88,7 +88,7 @@ def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
 def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
     """Of the drive that the bench runs on. Raises BadInput where it would have to be measured first."""
     from drivers.adapters import parse_bus_spec
-    from hil.drive_current_loop import current_loop_of
+    from hil.configuration.drive_current_loop import current_loop_of
 
     simulated = parse_bus_spec(config.bus.spec, config.source).simulated
     found = current_loop_of(config, axis, simulated=simulated)
@@ -100,8 +100,8 @@ def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
 
 def _of_drive_file(path: Path) -> "KnownLoop":
     from drivers.bounded_file import NamedBy
+    from hil.configuration.drive_current_loop import KnownLoop
     from hil.configuration.drive_file import load_drive_file
-    from hil.drive_current_loop import KnownLoop
 
     found = load_drive_file(path, NamedBy("--commissioned", "", str(path))).current_loop
     if found is None:

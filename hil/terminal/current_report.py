@@ -6,11 +6,11 @@ import numpy as np
 import typer
 
 from design.mixed_sensitivity import loop_functions
-from hil.figures.terminal_plot import plot
+from hil.terminal.plot import plot
 
 if TYPE_CHECKING:
     from design.current_design import AxisDesign
-    from hil.current_control import CurrentResult
+    from hil.studies.current.design import CurrentResult
 
 _POINTS = 220
 

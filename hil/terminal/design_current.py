@@ -10,8 +10,8 @@ import typer
 from hil.terminal.exit_status import reported_errors
 
 if TYPE_CHECKING:
-    from hil.current_control import CurrentResult
-    from hil.current_request import OtherAxis
+    from hil.studies.current.design import CurrentResult
+    from hil.studies.current.request import OtherAxis
 
 
 class Axis(StrEnum):
@@ -114,8 +114,8 @@ def current(
         from drivers.errors import BadInput
         from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor
         from hil.configuration.weights_file import load_weights
-        from hil.current_control import design_current
-        from hil.current_request import CurrentRequest
+        from hil.studies.current.design import design_current
+        from hil.studies.current.request import CurrentRequest
         from hil.terminal.design_errors import refused
 
         if gamma is not None and gamma_factor is not None:
@@ -149,7 +149,7 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """The continuous controller in ``path``, made for the axis that is not designed."""
     from drivers.bounded_file import NamedBy
     from hil.configuration.current_controller_file import load_current_controller
-    from hil.current_request import OtherAxis
+    from hil.studies.current.request import OtherAxis
 
     if path is None:
         return None
@@ -167,12 +167,12 @@ def _finish(
 
         print_result(result)
     if out is not None:
-        from hil.current_control import write_controller
+        from hil.studies.current.design import write_controller
 
         write_controller(out, result, axis)
         typer.echo(f"written {out}", err=True)
     if picture is not None:
-        from hil.figures.current_loops import draw_bounds
+        from hil.studies.current.pictures import draw_bounds
 
         draw_bounds(result.chosen, picture)
         typer.echo(f"written {picture}", err=True)

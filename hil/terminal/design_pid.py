@@ -57,8 +57,8 @@ def pid(
     with reported_errors():
         from drivers.bounded_file import NamedBy
         from hil.configuration.motor_file import load_motor
-        from hil.current_control import write_text
-        from hil.speed_pid import PidRequest, controller_text, design_pid, pid_figures
+        from hil.studies.current.design import write_text
+        from hil.studies.speed.pid import PidRequest, controller_text, design_pid, pid_figures
         from hil.terminal.current_report import print_figures
         from hil.terminal.design_errors import refused
 

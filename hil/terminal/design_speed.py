@@ -26,11 +26,11 @@ from hil.terminal.speed_options import (
     motor_of,
     print_figures,
 )
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from design.held_loop import SampledNetwork
-    from hil.delay_design.synthesis import DesignRequest
+    from hil.studies.speed.synthesis import DesignRequest
 
 
 _LOSSES_MAX = 50
@@ -158,7 +158,7 @@ def speed(
 
         from design.speed_loop import Feedback, gain_for_error
         from hil.configuration.motor_file import RAD_S_PER_RPM
-        from hil.delay_design.synthesis import DesignRequest
+        from hil.studies.speed.synthesis import DesignRequest
 
         load = load_nm or parameters.rated_torque_nm
         at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
@@ -233,7 +233,7 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float 
 
 def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:
     from design.errors import DesignError
-    from hil.delay_design.synthesis import Unreachable, design_speed, with_bandwidths
+    from hil.studies.speed.synthesis import Unreachable, design_speed, with_bandwidths
 
     try:
         result = design_speed(request)
@@ -252,7 +252,7 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     else:
         print_figures(figures)
     if out is not None:
-        from hil.delay_design.controller_text import write_controller
+        from hil.studies.speed.controller_text import write_controller
 
         if result.sampled is not None and not result.sampled.certified:
             expected = "a loop that is certified; another --strategy or a shorter period may be"

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 ANY_NODE = 1
 """What $NODEID stands for where neither the user nor the file says it."""

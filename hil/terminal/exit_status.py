@@ -9,7 +9,7 @@ import typer
 
 from drivers.errors import BenchError
 from drivers.printable import printable
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 
 def _no_more(status: int, _text: str) -> int:

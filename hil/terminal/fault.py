@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 
 def fault(
@@ -30,8 +30,8 @@ def fault(
         from drivers.adapters import parse_bus_spec
         from drivers.errors import BadInput
         from drivers.network import CanopenNetwork
-        from hil.drive_fault import look_at_fault
-        from hil.world import WorldPlan, open_world
+        from hil.execution.world import WorldPlan, open_world
+        from hil.inspecting.drive_fault import look_at_fault
 
         spec = parse_bus_spec(bus, "--bus")
         if spec.simulated:

@@ -9,7 +9,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.simulate import MotorOption
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from hil.measuring.figures import Measured
@@ -120,8 +120,8 @@ def measure(
 
 
 def _measured(request: "MeasureRequest") -> "Measured":
+    from hil.machine.progress import TerminalProgress
     from hil.measuring.command import run_measurement
-    from hil.terminal.progress import TerminalProgress
 
     progress = TerminalProgress(sys.stderr, request.cycles * request.period_us * 1e-6)
     try:

@@ -8,7 +8,7 @@ from hil.measuring.bounds import CONFIDENCE, share_within_largest
 from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import Losses, LossModel
 from hil.measuring.stages import WAYS, Stage
-from hil.recording.network_meter import delays_of
+from hil.reviewing.network_meter import delays_of
 
 RUNS_SHOWN = 8
 

@@ -21,7 +21,7 @@ def recover(
     """
     with reported_errors():
         from hil.configuration.bench_file import load_bench
-        from hil.recovered_run import recover_run, refuse_whole
+        from hil.execution.recovered_run import recover_run, refuse_whole
         from hil.terminal.report import print_run
 
         refuse_whole(run)

@@ -12,10 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
-from hil.figures.certificate_text import certificate_lines
-from hil.figures.summary import Percentiles, Summary, metric_title
-from hil.figures.timing_text import timing_lines
-from hil.verdict import Check, LimitResult, Outcome, verdict_title
+from hil.verdict.certificate_text import certificate_lines
+from hil.verdict.summary import Percentiles, Summary, metric_title
+from hil.verdict.timing_text import timing_lines
+from hil.verdict.verdict import Check, LimitResult, Outcome, verdict_title
 
 WIDTH_MAX = 100
 _STYLE = {Outcome.PASSED: "green", Outcome.NOTHING_ASKED: "yellow"}

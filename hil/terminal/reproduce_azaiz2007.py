@@ -26,7 +26,7 @@ def azaiz2007(
 
         found, designs, runs = reproduce()
         if figures is not None:
-            from hil.figures.current_loops import draw_paper
+            from hil.studies.current.pictures import draw_paper
 
             for path in draw_paper(designs, runs, figures):
                 typer.echo(f"written {path}", err=True)

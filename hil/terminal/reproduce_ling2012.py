@@ -23,12 +23,12 @@ def ling2012(
     """[Ling2012] in full: Table 2 by every method, the printed controller, and Cases 1 to 3 on the bench."""
     with reported_errors():
         from drivers.timebase import utc_stamp
-        from hil.delay_design.reproduction import reproduce
+        from hil.studies.papers.reproduction import reproduce
 
         runs = (figures or Path("runs")) / f"ling2012-{utc_stamp()}"
         found, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
         if figures is not None:
-            from hil.figures.speed_loops import draw_ling2012
+            from hil.studies.papers.pictures import draw_ling2012
 
             for path in draw_ling2012(found, recorded, figures):
                 typer.echo(f"written {path}", err=True)

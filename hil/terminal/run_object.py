@@ -7,8 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-from hil.figures.summary import Summary, summary_without_run
-from hil.verdict import ExitStatus, Finding, outcome_of_status
+from hil.verdict.summary import Summary, summary_without_run
+from hil.verdict.verdict import ExitStatus, Finding, outcome_of_status
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 """UsageError of whichever click typer brings along."""

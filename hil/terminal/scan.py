@@ -11,7 +11,7 @@ from hil.terminal.exit_status import reported_errors
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.scanning import Adapters, BusReport
+    from hil.inspecting.scanning import Adapters, BusReport
 
 
 def scan(
@@ -47,7 +47,7 @@ def scan(
         from drivers.adapters import parse_bus_spec
         from drivers.errors import BadInput
         from drivers.timebase import duration_s
-        from hil.scanning import ScanPlan, find_adapters, scan_bus
+        from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
         from hil.terminal.node_list import UNCONFIGURED, node_ids
 
         plan = None

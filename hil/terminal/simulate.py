@@ -90,7 +90,7 @@ def simulate(
         from hil.configuration.background import load_background
         from hil.configuration.bench_file import load_faults
         from hil.configuration.motor_file import LING2012, load_motor
-        from hil.device_files import DeviceFiles
+        from hil.execution.device_files import DeviceFiles
         from hil.terminal.node_list import node_ids
 
         files = DeviceFiles(eds, store)
@@ -103,8 +103,8 @@ def simulate(
         named_by = NamedBy("--background", "", str(background))
         others = load_background(background, named_by) if background else ()
 
-        from hil.simulated_drives import simulate as simulate_drives
-        from hil.simulated_load import SimulatedLoadMachine
+        from hil.execution.simulated_drives import simulate as simulate_drives
+        from hil.load.simulated_load import SimulatedLoadMachine
 
         instrument = SimulatedLoadMachine.wanted(
             load_machine, load_machine_fault or [], motor_file.parameters

@@ -10,16 +10,16 @@ from typing import Any
 from drivers.adapters import parse_bus_spec
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BenchError
-from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile
-from hil.controllers import Controller
+from hil.control.controllers import Controller
+from hil.execution.bench import run_bench
+from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
-from hil.terminal.progress import no_progress
 from hil.testing.hosted import DriveHost
 from hil.testing.run import Run
-from hil.verdict import Outcome
+from hil.verdict.verdict import Outcome
 
 PathLike = str | os.PathLike[str]
 

@@ -17,10 +17,10 @@ from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
 from hil.configuration.bench_file import faults_from, load_faults
 from hil.configuration.motor_file import LING2012, MotorFile, load_motor
-from hil.device_files import DeviceFiles
+from hil.execution.device_files import DeviceFiles
+from hil.execution.world import World, WorldPlan, open_world
 from hil.testing.hosted import DriveHost, DriveProcess
 from hil.testing.wire import Wire, intended_frames
-from hil.world import World, WorldPlan, open_world
 from virtual_bus.fault_injection.injection import Faults
 from virtual_bus.servo import SimulatedServo
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.profile402 import State, state_of
 from drivers.timebase import NS_PER_S
-from hil.recording.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
+from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -19,14 +19,14 @@ from drivers.pdo_plans import torque_plan
 from drivers.profile402 import Mode, State
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
-from hil.drive_settings import data_sheets
-from hil.figures.summary import Summary
-from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import RECORDS_FILE, read_records
+from hil.execution.drive_settings import data_sheets
 from hil.recording.run_folder import EVENTS_FILE
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import RECORDS_FILE, read_records
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
-from hil.verdict import Outcome
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import Outcome
 
 _TRACK = "drive"
 

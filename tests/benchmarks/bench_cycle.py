@@ -20,10 +20,10 @@ import numpy as np
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.configuration.motor_file import LING2012
 from hil.machine.compiled import MANIFEST, compiled_modules
-from hil.recording.records import ROW, ROW_DTYPE, record_of
 from hil.recording.ring import RingReader, RingWriter
 from hil.recording.row_writer import RowWriter
-from hil.recording.side_rows import FRAME, FRAME_DTYPE
+from hil.rows.records import ROW, ROW_DTYPE, record_of
+from hil.rows.side_rows import FRAME, FRAME_DTYPE
 from virtual_bus.can_bus.host_port import HostPort
 from virtual_bus.fault_injection.fault_plan import Direction
 from virtual_bus.fault_injection.fault_plan_toml import load_fault_plan

@@ -18,7 +18,7 @@ from design.sampled import regular_patterns
 from design.sequence_certificate import certify_decay, certify_gain
 from design.speed_loop import Units
 from design.worst_peak import worst_peak
-from hil.delay_design.reproduction import table2
+from hil.studies.papers.reproduction import table2
 from tests.unit.design.random_loops import order_is_found, random_bounds
 from tests.unit.design.random_peaks import peaks_of
 

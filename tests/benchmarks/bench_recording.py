@@ -10,10 +10,10 @@ import numpy as np
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_US, Duration, Instant, MonotonicClock
-from hil.recording.records import ROW, ROW_DTYPE, row_of
+from hil.loop.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
 from hil.recording.ring import RingReader, RingWriter
-from hil.recording.side_rows import FRAME, FRAME_DTYPE, frame_row
-from hil.samples import CommandFate, CycleRecord, Sample, Sending, StateEstimate
+from hil.rows.records import ROW, ROW_DTYPE, row_of
+from hil.rows.side_rows import FRAME, FRAME_DTYPE, frame_row
 
 _BATCH, _BATCHES = 1_000, 200
 _CAPACITY = 1 << 10

@@ -15,8 +15,8 @@ from unittest.mock import patch
 
 from drivers.timebase import MonotonicClock
 from hil.cli import app
+from hil.machine import progress
 from hil.recording import logger_process
-from hil.terminal import progress
 from tests.exits.cells import CONNECTING, RUNNING
 from tests.exits.written_witness import WrittenWitness
 from tests.swarm.witness import DriveWitness, witnessed

@@ -17,10 +17,10 @@ import numpy as np
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.recording.records import FATE_MISSED
-from hil.recording.records_file import RECORDS_FILE
+from hil.rows.records import FATE_MISSED
+from hil.rows.records_file import RECORDS_FILE
 from hil.testing.hosted import DriveProcess
-from hil.verdict import Outcome
+from hil.verdict.verdict import Outcome
 from tests.exits.cells import (
     BROKER,
     CONNECTING,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
-from hil.recording.records_file import RecordsWriter
+from hil.rows.records_file import RecordsWriter
 
 WRITE_NS: Final = 100 * NS_PER_MS
 

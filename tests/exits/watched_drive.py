@@ -8,8 +8,8 @@ from unittest.mock import patch
 import can
 
 from drivers.timebase import Clock
-from hil import simulated_drives
 from hil.cli import app
+from hil.execution import simulated_drives
 from tests.exits.written_witness import WrittenWitness
 from virtual_bus.hosting import serve
 from virtual_bus.servo import SimulatedServo

@@ -6,7 +6,6 @@ from typing import Final
 
 from drivers.bounded_file import NamedBy
 from drivers.dictionary import load_dictionary
-from hil.commissioning.journal import read_journal
 from hil.commissioning.request import load_nameplate
 from hil.configuration.background import load_background
 from hil.configuration.bench_file import load_bench, load_controller, load_faults
@@ -16,6 +15,7 @@ from hil.configuration.motor_file import load_motor
 from hil.configuration.network_file import load_network
 from hil.configuration.plant_file import load_plant
 from hil.configuration.weights_file import load_weights
+from hil.restoring.journal import read_journal
 from tests.mutants.mutant import Kind
 from tests.unit.drivers.sound_sheet import SOUND
 from virtual_bus.canopen_device.parameter_store import FileStore

@@ -11,10 +11,10 @@ import numpy as np
 
 from drivers.timebase import NS_PER_MS, Instant
 from hil.configuration.bench_file import load_bench
-from hil.figures.summary import summary_without_run
+from hil.execution.recovered_run import recover_run, refuse_whole
 from hil.recording.log_files import EventsKeeper, FramesKeeper, LoadKeeper, RecordsKeeper
 from hil.recording.logger_process import RecordingFailed
-from hil.recording.side_rows import (
+from hil.rows.side_rows import (
     FRAME,
     FRAME_DTYPE,
     BeginEvent,
@@ -24,8 +24,8 @@ from hil.recording.side_rows import (
     StateEvent,
     TextEvent,
 )
-from hil.recovered_run import recover_run, refuse_whole
-from hil.verdict import Outcome
+from hil.verdict.summary import summary_without_run
+from hil.verdict.verdict import Outcome
 from tests.mutants.kinds import BENCH, RECORDED
 from tests.mutants.mutant import Kind
 from tests.unit.hil.recording_tools import plan_for

@@ -6,10 +6,10 @@ from typing import Any
 from unittest.mock import patch
 
 from drivers.timebase import Duration, Instant, duration_s
-from hil import bench, world
 from hil.configuration.config import BenchConfig
-from hil.simulated_drives import simulated_drives
-from hil.world import World, WorldPlan
+from hil.execution import bench, world
+from hil.execution.simulated_drives import simulated_drives
+from hil.execution.world import World, WorldPlan
 from virtual_bus.frame import Frame
 from virtual_bus.hosting import attach_to_segment
 from virtual_bus.servo import SimulatedServo

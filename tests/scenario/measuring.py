@@ -11,12 +11,12 @@ from drivers.errors import TransferAborted
 from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S
 from hil.configuration.bench_file import faults_from
+from hil.execution.world import World, WorldPlan, open_world
+from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest
 from hil.measuring.figures import Measured
 from hil.measuring.measure import measure
 from hil.measuring.request import MeasureRequest
-from hil.terminal.progress import Progress, no_progress
-from hil.world import World, WorldPlan, open_world
 from tests.motors import LING
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.servo_drive.servo_parameters import DriveParameters

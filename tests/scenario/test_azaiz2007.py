@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
-from hil.simulated_drives import drive_parameters
+from hil.execution.simulated_drives import drive_parameters
 from hil.testing.bench_runs import BenchRunner
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

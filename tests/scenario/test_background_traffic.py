@@ -8,7 +8,7 @@ import pytest
 
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.background import load_background
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command, simulated_drive
 from virtual_bus.background import CATCH_UP_MAX
 

@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import AnswersTwice, BenchError, DriveInFault
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Instant
-from hil.bus_guard import ForeignTraffic
+from hil.execution.bus_guard import ForeignTraffic
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.foreign_node import LATE, Act, ForeignNode, beside_the_bench

@@ -25,15 +25,15 @@ from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.command import check_mark
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
-from hil.commissioning.journal import DriveMark, append_restored, read_journal
 from hil.commissioning.outcome import Outcome, Verdict
 from hil.commissioning.request import CommissionRequest, Nameplate
-from hil.commissioning.restore import restore
 from hil.commissioning.session import Session
 from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
+from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.stopping import Interrupted
-from hil.world import World, WorldPlan, open_world
+from hil.restoring.journal import DriveMark, append_restored, read_journal
+from hil.restoring.restore import restore
 from tests.commissioning import WrappedStep
 from virtual_bus.servo import SimulatedServo
 from virtual_bus.unknown_drive import unknown_drive

@@ -16,8 +16,8 @@ from drivers.link import BusLink
 from drivers.network import CanopenNetwork
 from drivers.profile402 import State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
-from hil.commissioning.journal import read_journal
 from hil.commissioning.report import REPORT_FILE
+from hil.restoring.journal import read_journal
 from tests.motors import LING
 from tests.scenario.processes import (
     HIL,

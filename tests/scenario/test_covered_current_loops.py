@@ -10,7 +10,7 @@ from drivers.bounded_file import read_toml
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_controller
 from hil.configuration.motor_file import LING2012
-from hil.network_guard import static_faults
+from hil.execution.network_guard import static_faults
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput
-from hil.bench import run_bench
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
-from hil.delay_design.controller_text import plant_of
+from hil.execution.bench import run_bench
+from hil.machine.progress import no_progress
 from hil.recording.run_folder import EVENTS_FILE
-from hil.terminal.progress import no_progress
-from hil.verdict import LimitResult
+from hil.studies.speed.controller_text import plant_of
+from hil.verdict.verdict import LimitResult
 from tests.random_motors import FINE_ENCODER, designed, random_bench, run, steady_rms_nm, torque_rms_nm
 
 QUIET_NM = 0.15

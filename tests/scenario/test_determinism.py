@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.recording.records import FATE_SAMPLE
+from hil.rows.records import FATE_SAMPLE
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S
-from hil.pace import CALIBRATION_SYNCS
+from hil.loop.pace import CALIBRATION_SYNCS
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault
-from hil.bench import run_bench
 from hil.cli import app
+from hil.execution.bench import run_bench
+from hil.machine.progress import no_progress
 from hil.pytest_plugin import StartDrive
-from hil.terminal.progress import no_progress
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES

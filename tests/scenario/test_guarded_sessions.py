@@ -9,7 +9,7 @@ from hil.commissioning.commission import commission
 from hil.commissioning.dialog import EmergencyStop, Silent
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.steps import all_steps
-from hil.world import WorldPlan, open_world
+from hil.execution.world import WorldPlan, open_world
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
 from virtual_bus.frame import Frame

@@ -9,8 +9,8 @@ import pytest
 from drivers.errors import BadInput, LimitExceeded, NoAnswer, PeerFault
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from hil import world
-from hil.recording.records import Rows
+from hil.execution import world
+from hil.rows.records import Rows
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import BENCH, EXAMPLES
 from virtual_bus.background import BackgroundNode, Stream, background_nodes

@@ -15,10 +15,10 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.timebase import NS_PER_MS, Instant
-from hil import bench, world
 from hil.cli import app
-from hil.recording.records_file import RECORDS_FILE, read_metadata
+from hil.execution import bench, world
 from hil.recording.run_folder import EVENTS_FILE
+from hil.rows.records_file import RECORDS_FILE, read_metadata
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.servo import ServoApplication, SimulatedServo
 from virtual_bus.timeline import SimulatedClock

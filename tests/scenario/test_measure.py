@@ -17,14 +17,14 @@ from drivers.network import CanopenNetwork
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.cli import app
-from hil.commissioning.journal import read_journal
-from hil.commissioning.restore import restore
 from hil.configuration.network_file import load_network
 from hil.machine.stopping import Interrupted
 from hil.measuring.figures import Measured
 from hil.measuring.loss_model import Losses
 from hil.measuring.network import fault_plan_text
 from hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
+from hil.restoring.journal import read_journal
+from hil.restoring.restore import restore
 from tests.scenario.measuring import Rig, StopAfter, measuring_rig
 from tests.scenario.processes import VELOCITY_UNIT_RAD_S
 from tests.scenario.test_commissioning_cut_short import CutBus

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import AnswersTwice, BadInput, PeerFault
 from drivers.link import BusLink, StampSource
 from drivers.timebase import MonotonicClock
-from hil.node_ids_taken import refuse_taken
+from hil.execution.node_ids_taken import refuse_taken
 from hil.pytest_plugin import StartDrive
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.hosted import DriveProcess

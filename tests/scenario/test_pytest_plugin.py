@@ -14,8 +14,8 @@ import pytest
 from drivers.errors import DriveInFault
 from drivers.exchange import Command
 from drivers.profile402 import State
+from hil.loop.samples import StateEstimate
 from hil.pytest_plugin import MakeDrive, StartDrive
-from hil.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES, hub_name, observer, quiet_environment, serving
 from tests.scenario.test_data_sheet_run import changes, sheet

@@ -11,17 +11,17 @@ import pyarrow as pa
 import pytest
 
 from drivers.errors import PeerFault
-from hil import bench as bench_module
-from hil.bench import run_bench
-from hil.bus_guard import BusGuard
 from hil.configuration.bench_file import load_bench
-from hil.figures.summary import Summary
+from hil.execution import bench as bench_module
+from hil.execution.bench import run_bench
+from hil.execution.bus_guard import BusGuard
+from hil.machine.progress import no_progress
 from hil.recording.logger_process import RecordingFailed
 from hil.recording.recorder import FolderRecorder, start_recording
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE
 from hil.recording.tail import TAIL_FILE, read_tail
-from hil.terminal.progress import no_progress
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE
+from hil.verdict.summary import Summary
 from tests.scenario.processes import EXAMPLES, HIL, NO_DISK, RUN_TIMEOUT_S, on_disk_of, quiet_environment
 
 LONG_S = 40

@@ -16,8 +16,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from hil.recording.record_columns import COLUMNS, FORMAT, PHASE_COLUMN
-from hil.recording.records_file import RECORDS_FILE, read_metadata
+from hil.rows.record_columns import COLUMNS, FORMAT, PHASE_COLUMN
+from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES

@@ -16,7 +16,7 @@ from drivers.profile402 import Mode
 from drivers.scaling import ScaleOverride
 from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.world import WorldPlan, open_world
+from hil.execution.world import WorldPlan, open_world
 from tests.motors import LING
 from tests.unit.drivers.eds_maker import I8, NODE, U32, Pdo, four_pdos, sheet_text, variable
 from tests.unit.drivers.test_vendor_files import FILES

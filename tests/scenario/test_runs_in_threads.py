@@ -12,13 +12,13 @@ import pytest
 
 from drivers.exchange import Command
 from drivers.profile402 import State
-from hil.bench import run_bench
 from hil.configuration.bench_file import load_bench
-from hil.controllers import Controller
-from hil.figures.summary import Summary
+from hil.control.controllers import Controller
+from hil.execution.bench import run_bench
+from hil.loop.samples import StateEstimate
+from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest
-from hil.samples import StateEstimate
-from hil.terminal.progress import Progress, no_progress
+from hil.verdict.summary import Summary
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
 

@@ -13,13 +13,14 @@ from design.papers.ling2012 import TABLE_2, table2_row
 from design.speed_loop import Units
 from drivers.bounded_file import read_toml
 from drivers.errors import LimitExceeded
-from hil.bench import run_bench
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_bench, load_controller
 from hil.configuration.network_file import load_network
-from hil.delay_design import paper_runs, reproduction
-from hil.delay_design.paper_runs import VARIANTS, bench_tables
-from hil.terminal.progress import no_progress
+from hil.execution.bench import run_bench
+from hil.machine.progress import no_progress
+from hil.studies.papers import reproduction
+from hil.studies.papers import runs as paper_runs
+from hil.studies.papers.runs import VARIANTS, bench_tables
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")

@@ -11,7 +11,7 @@ from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
 from hil.testing.bench_runs import BenchRunner
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command
 
 BENCH = EXAMPLES / "two_segments.toml"

@@ -7,10 +7,10 @@ import pytest
 from drivers.errors import BadInput, DriveInFault
 from drivers.exchange import Command
 from hil.configuration.config import BenchConfig
-from hil.samples import StateEstimate
-from hil.simulated_drives import simulated_drives
+from hil.execution.simulated_drives import simulated_drives
+from hil.loop.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
-from hil.verdict import LimitResult, Outcome
+from hil.verdict.verdict import LimitResult, Outcome
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.canopen_device.application import ErrorRegister
 from virtual_bus.servo import SimulatedServo
@@ -126,7 +126,7 @@ def test_an_emcy_that_nobody_planned_keeps_a_run_from_passing(
         drives[:] = simulated_drives(config, seed)
         return drives
 
-    monkeypatch.setattr("hil.bench.simulated_drives", made)
+    monkeypatch.setattr("hil.execution.bench.simulated_drives", made)
     run = servo_bench(BENCH, SHORT, faults={}, controllers={"axis1": Warned(drives)})
     verdict = run.summary.verdict
     assert (verdict.outcome, verdict.exit_status) == (Outcome.PEER_FAULT, 3)

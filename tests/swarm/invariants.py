@@ -13,11 +13,11 @@ from can.io.canutils import CanutilsLogReader
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import BenchConfig
-from hil.recording.records import ROW_DTYPE, Rows
-from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.loop.stamp_attribution import REVOKED
 from hil.recording.run_folder import DIRECTIONS_FILE, SUMMARY_FILE
 from hil.recording.run_metadata import FIRST_CYCLE
-from hil.stamp_attribution import REVOKED
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.wire import Wire, read_wire
 from tests.swarm.mishaps import STRIKE, Circumstances, Mishap
 from tests.swarm.witness import EMCY_ID, Testimony

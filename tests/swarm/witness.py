@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 from drivers.profile402 import State
 from drivers.timebase import Instant
-from hil import bench
-from hil.world import World, WorldPlan
+from hil.execution import bench
+from hil.execution.world import World, WorldPlan
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo
 

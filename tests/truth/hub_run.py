@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.configuration.config import BenchConfig
-from hil.recording.records import ROW_DTYPE
-from hil.recording.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.records import ROW_DTYPE
+from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.hosted import DriveProcess
 from hil.testing.run import pdo_plans
 from tests.scenario.processes import RUN_TIMEOUT_S, start_run

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration
-from hil.recording.records import ROW_DTYPE, Rows
+from hil.rows.records import ROW_DTYPE, Rows
 
 NO_INSTANT: Final = -(2**63)
 """Stands for an instant that there is not."""

@@ -14,8 +14,8 @@ import can
 import numpy as np
 
 from drivers.timebase import Clock, Instant
-from hil import simulated_drives
 from hil.cli import main as hil
+from hil.execution import simulated_drives
 from tests.truth.hub_listener import FRAME_DTYPE
 from virtual_bus.frame import Device, Frame
 from virtual_bus.hosting import serve

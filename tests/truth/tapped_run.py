@@ -10,15 +10,15 @@ import numpy as np
 
 from drivers.errors import BenchError
 from drivers.link import BusLink, StampSource
-from hil import bench, world
-from hil.bench import run_bench
 from hil.configuration.config import BenchConfig
+from hil.execution import bench, world
+from hil.execution.bench import run_bench
+from hil.execution.world import World, WorldPlan
+from hil.loop.samples import CycleRecord
+from hil.machine.progress import no_progress
 from hil.recording.recorder import MemoryRecorder
-from hil.recording.recording_plan import RecordingPlan
-from hil.recording.records import ROW_DTYPE, Rows, row_of
-from hil.samples import CycleRecord
-from hil.terminal.progress import no_progress
-from hil.world import World, WorldPlan
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE, Rows, row_of
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.servo import SimulatedServo
 

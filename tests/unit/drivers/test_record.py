@@ -8,7 +8,7 @@ from drivers.exchange import Command, DemandChange, Readback, Reading
 from drivers.frame_port import WireFrame
 from drivers.record import Record, replaced, values_of
 from drivers.timebase import Instant
-from hil.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
+from hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
 
 KINDS = (
     *(WireFrame, Reading, Readback, DemandChange, Command),

@@ -14,11 +14,11 @@ from itertools import count
 
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_S, Instant
-from hil.clock_map import ClockMap
-from hil.order_attribution import OrderAttribution
-from hil.samples import Sample
-from hil.stamp_attribution import StampAttribution
-from hil.syncs import SyncLog
+from hil.loop.clock_map import ClockMap
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.samples import Sample
+from hil.loop.stamp_attribution import StampAttribution
+from hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TRANSIT, reading_at
 
 CALIBRATION = 16

@@ -9,19 +9,19 @@ from drivers.errors import DriveInFault
 from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
 from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.axis import Axis, AxisParts
-from hil.clock_map import ClockMap
-from hil.command_meter import CommandMeter
-from hil.compensation import Arrival, Compensator
-from hil.delay import DelayMeter
-from hil.loop import Actuation, Loop, LoopTiming
-from hil.order_attribution import OrderAttribution
-from hil.pace import OwnSync
-from hil.safety import SafetyGuard, SafetyLimits
-from hil.samples import CycleRecord, StateEstimate
-from hil.scenario import LoadProfile, SpeedProfile, Step
-from hil.stamp_attribution import StampAttribution
-from hil.syncs import SyncLog
+from hil.control.compensation import Arrival, Compensator
+from hil.loop.axis import Axis, AxisParts
+from hil.loop.clock_map import ClockMap
+from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import DelayMeter
+from hil.loop.loop import Actuation, Loop, LoopTiming
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.pace import OwnSync
+from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.samples import CycleRecord, StateEstimate
+from hil.loop.scenario import LoadProfile, SpeedProfile, Step
+from hil.loop.stamp_attribution import StampAttribution
+from hil.loop.syncs import SyncLog
 
 PERIOD = Duration(NS_PER_MS)
 SYNC_LATENCY = Duration(50_000)

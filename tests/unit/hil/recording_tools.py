@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.verdict import DriveEnd, RunOutcome, VerdictLimits
+from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictLimits
 from tests.unit.hil.synthetic_run import DEADLINE
 
 RESTING = DriveEnd("axis1", "operation enabled", "switch on disabled", at_rest=True)

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.recording.records import ROW_DTYPE, Rows, row_of
-from hil.samples import CycleRecord
+from hil.loop.samples import CycleRecord
+from hil.rows.records import ROW_DTYPE, Rows, row_of
 
 
 def rows_of(records: Iterable[CycleRecord]) -> Rows:

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
-from hil.samples import (
+from hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,

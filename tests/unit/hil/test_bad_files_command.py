@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
-from hil.verdict import ExitStatus
+from hil.verdict.verdict import ExitStatus
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 BENCH = str(EXAMPLES / "ling2012.toml")

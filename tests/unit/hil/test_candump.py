@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.recording.candump import candump_lines, direction_lines
-from hil.recording.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
+from hil.rows.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE, REMOTE_FLAG
 
 Row = tuple[int, int, int, int, bytes]
 

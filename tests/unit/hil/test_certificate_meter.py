@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from hil.figures.certificate_meter import CertificateMeter
-from hil.figures.certificate_text import certificate_lines
-from hil.figures.review import Review
-from hil.recording.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
-from hil.recording.records import COMMAND_FATES, Rows
-from hil.samples import CommandFate
+from hil.loop.samples import CommandFate
+from hil.reviewing.certificate_meter import CertificateMeter
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
+from hil.rows.records import COMMAND_FATES, Rows
+from hil.verdict.certificate_text import certificate_lines
 from tests.unit.hil.row_tools import plain_rows
 
 SETTLING = Duration(100 * NS_PER_MS)

@@ -14,12 +14,12 @@ from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
 from hil.cli import app
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.figures.summary import Summary
 from hil.machine.capability import Capability, Status
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
-from hil.verdict import ExitStatus, Finding, Outcome
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import ExitStatus, Finding, Outcome
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -57,8 +57,8 @@ class Bench:
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     found = Bench()
     stand_ins = {
-        "hil.bench": ("run_bench", found.run_bench),
-        "hil.simulated_drives": ("simulate", found.simulate),
+        "hil.execution.bench": ("run_bench", found.run_bench),
+        "hil.execution.simulated_drives": ("simulate", found.simulate),
     }
     for name, (function, stand_in) in stand_ins.items():
         module = ModuleType(name)

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from drivers.timebase import Instant
-from hil.clock_map import STAMP_RESOLUTION, ClockMap
+from hil.loop.clock_map import STAMP_RESOLUTION, ClockMap
 
 OFFSET_NS = 123_456_789_012
 PERIOD_NS = 1_000_000

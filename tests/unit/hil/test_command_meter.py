@@ -6,8 +6,8 @@ import pytest
 
 from drivers.exchange import SentCommand
 from drivers.timebase import NS_PER_MS, Instant
-from hil.command_meter import CommandMeter
-from hil.samples import CommandFate, Sending
+from hil.loop.command_meter import CommandMeter
+from hil.loop.samples import CommandFate, Sending
 
 HORIZON = 20
 PERIOD = NS_PER_MS

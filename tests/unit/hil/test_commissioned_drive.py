@@ -11,9 +11,9 @@ from drivers.exchange import Command, Readback, Reading, SentCommand
 from drivers.objects import SettingRefused
 from drivers.servo import ServoDrive
 from drivers.timebase import Instant
-from hil.commissioned_drive import TurnedDrive, as_the_loop_counts, write_commissioned
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import DriveFile, load_drive_file
+from hil.execution.commissioned_drive import TurnedDrive, as_the_loop_counts, write_commissioned
 
 FILE = """
 [drive]

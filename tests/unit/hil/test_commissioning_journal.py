@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import BadInput
-from hil.commissioning.journal import (
+from hil.restoring.journal import (
     Change,
     DriveMark,
     Journal,

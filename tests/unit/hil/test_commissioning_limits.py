@@ -16,7 +16,7 @@ from hil.commissioning.excitation import Profile, Pulse, SpeedGuide
 from hil.commissioning.exercise import EnergyMeter, Watched
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.request import MotionLimits, Nameplate, load_nameplate, motion_limits
-from hil.samples import StateEstimate
+from hil.loop.samples import StateEstimate
 
 PERIOD_NS = 1_000_000
 LIMITS = MotionLimits(

@@ -3,8 +3,8 @@
 import random
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.compensation import AT_REST, Arrival, Stamp
-from hil.samples import Sample
+from hil.control.compensation import AT_REST, Arrival, Stamp
+from hil.loop.samples import Sample
 from tests.unit.hil.loop_fakes import reading_at
 
 PERIOD = Duration(NS_PER_MS)

@@ -5,10 +5,10 @@ import pytest
 from drivers.errors import BadInput
 from drivers.nmt import Emergency
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.conclusion import Conclusion, named_emergencies
 from hil.configuration.config import Loop
-from hil.loop import LoopOutcome
-from hil.verdict import Outcome
+from hil.execution.conclusion import Conclusion, named_emergencies
+from hil.loop.loop import LoopOutcome
+from hil.verdict.verdict import Outcome
 from virtual_bus.fault_injection.fault_log import KINDS, Entry
 from virtual_bus.fault_injection.fault_plan import FaultPlan
 from virtual_bus.fault_injection.injection import Faults

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.delay import DelayMeter
-from hil.samples import Dropout, DropoutCause, Sample
+from hil.loop.delay import DelayMeter
+from hil.loop.samples import Dropout, DropoutCause, Sample
 from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.errors import BadInput
 from drivers.timebase import Instant
-from hil.device_files import DeviceFiles
+from hil.execution.device_files import DeviceFiles
 from tests.motors import LING
 from virtual_bus.frame import Frame
 from virtual_bus.servo import SimulatedServo

@@ -9,7 +9,7 @@ from drivers.errors import DriveInFault
 from drivers.network import CanopenNetwork
 from drivers.profile402 import State
 from hil.cli import app
-from hil.drive_fault import look_at_fault
+from hil.inspecting.drive_fault import look_at_fault
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 Bench = tuple[FakeBus, FakeServo, CanopenNetwork]

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from drivers.drive_setup import Identity
-from hil.assembly import loop_timing
 from hil.configuration.bench_file import load_bench
-from hil.drive_settings import drive_settings, identity_notes
+from hil.execution.assembly import loop_timing
+from hil.execution.drive_settings import drive_settings, identity_notes
 from tests.unit.drivers.eds_maker import NODE, four_pdos, sheet
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ling2012.toml"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.hidden_rooms import ROOMS, ROOT, hidden_room
+from hil.terminal.hidden_rooms import ROOMS, ROOT, hidden_room
 from virtual_bus.child_python import python_command, python_environment
 
 EXECUTED = "executed"

@@ -10,9 +10,9 @@ from drivers.dynamometer import LoadReading, Tally
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.configuration.bench_file import load_bench
-from hil.instrument import InstrumentLoadMachine, Wait
-from hil.recording.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
+from hil.load.instrument import InstrumentLoadMachine, Wait
 from hil.recording.verdict_text import verdict_markdown
+from hil.rows.side_rows import EVENT_DTYPE, LoadEvent, event_row, events_of
 from tests.scenario.processes import EXAMPLES
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.test_summary import summary_with

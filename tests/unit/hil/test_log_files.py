@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.figures.histogram import TimeHistogram
-from hil.figures.summary import Figures, Summary, summarise
 from hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
-from hil.recording.records import ROW_DTYPE
-from hil.recording.side_rows import FRAME, FRAME_DTYPE
+from hil.reviewing.histogram import TimeHistogram
+from hil.rows.records import ROW_DTYPE
+from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from hil.verdict.summary import Figures, Summary, summarise
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -12,13 +12,13 @@ import pytest
 
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.figures.summary import Summary
 from hil.recording.line_reader import LineReader
 from hil.recording.logger import Logger
-from hil.recording.records import ROW, row_of
 from hil.recording.ring import RingWriter
-from hil.recording.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
-from hil.verdict import Outcome
+from hil.rows.records import ROW, row_of
+from hil.rows.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import Outcome
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -8,11 +8,11 @@ import pytest
 from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.compensation import Stamp
-from hil.loop import Actuation, LoopOutcome
-from hil.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
-from hil.safety import SafetyLimits
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
+from hil.control.compensation import Stamp
+from hil.loop.loop import Actuation, LoopOutcome
+from hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
+from hil.loop.safety import SafetyLimits
+from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import (
     DEVICE_CLOCK_OFFSET_NS,
     PERIOD,

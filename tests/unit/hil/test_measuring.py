@@ -11,15 +11,15 @@ from drivers.exchange import Command, SentCommand
 from drivers.frame_port import EchoBasis
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.compensation import AT_REST
 from hil.configuration.network_file import load_network, network_text
+from hil.control.compensation import AT_REST
+from hil.loop.samples import CommandFate
 from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN
 from hil.measuring.network import network_of
 from hil.measuring.probe import Change, acting
 from hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
-from hil.recording.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
-from hil.samples import CommandFate
+from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 
 PERIOD_NS = 1_000_000
 UNIT_NM = 0.002

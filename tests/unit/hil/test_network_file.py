@@ -7,10 +7,10 @@ import pytest
 
 from drivers.errors import BadInput, BenchError
 from hil.configuration.network_file import ClockHealth, Network, load_network, network_text
-from hil.recording.network_meter import NetworkKeeper, NetworkMeter
-from hil.recording.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
-from hil.recording.side_rows import FRAME_DTYPE
-from hil.samples import CommandFate
+from hil.loop.samples import CommandFate
+from hil.reviewing.network_meter import NetworkKeeper, NetworkMeter
+from hil.rows.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
+from hil.rows.side_rows import FRAME_DTYPE
 from tests.unit.hil.test_summary import summary_with, timing
 from virtual_bus.fault_injection.fault_plan_toml import read_fault_plan
 

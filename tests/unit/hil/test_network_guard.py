@@ -13,9 +13,8 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
 from hil.configuration.network_file import Network
 from hil.configuration.speed_controller_file import MadeFor
-from hil.delay_design.controller_text import plant_of
-from hil.network_guard import Allowed, NetworkGuard, allowed, static_faults, uncertified
-from hil.samples import (
+from hil.execution.network_guard import Allowed, NetworkGuard, allowed, static_faults, uncertified
+from hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,
@@ -25,6 +24,7 @@ from hil.samples import (
     Sending,
     StateEstimate,
 )
+from hil.studies.speed.controller_text import plant_of
 from tests.unit.hil.loop_fakes import reading_at
 
 PERIOD = Duration(2_000_000)

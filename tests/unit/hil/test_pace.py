@@ -9,11 +9,11 @@ import pytest
 from drivers.errors import LimitExceeded, NoAnswer, PeerFault
 from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
-from hil.loop import Loop, LoopOutcome
-from hil.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
-from hil.safety import SafetyLimits
-from hil.samples import CycleRecord, Dropout, DropoutCause, Sample
-from hil.syncs import SyncLog
+from hil.loop.loop import Loop, LoopOutcome
+from hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
+from hil.loop.safety import SafetyLimits
+from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample
+from hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive, make_axis
 
 FIRST_AT = 3 * PERIOD + 123_456

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from drivers.bounded_file import read_toml
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_bench
-from hil.network_guard import loop_doubts
-from hil.pid_current_loop import crossover_rad_s, slow_loops
+from hil.execution.network_guard import loop_doubts
+from hil.execution.pid_current_loop import crossover_rad_s, slow_loops
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 HINF = EXAMPLES / "azaiz2007_hinf.toml"

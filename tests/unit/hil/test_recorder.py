@@ -15,11 +15,11 @@ import pytest
 from drivers.errors import BadInput
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.figures.summary import Summary
 from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, start_recording
-from hil.recording.records import record_of
-from hil.recording.records_file import read_records
-from hil.verdict import Outcome
+from hil.rows.records import record_of
+from hil.rows.records_file import read_records
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import Outcome
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
-from hil.recording.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, record_of, row_of
-from hil.samples import (
+from hil.loop.samples import (
     CommandFate,
     CycleRecord,
     Dropout,
@@ -16,6 +15,7 @@ from hil.samples import (
     Sending,
     StateEstimate,
 )
+from hil.rows.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, record_of, row_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 instants = st.integers(-(2**62), 2**62).map(Instant)

@@ -8,11 +8,11 @@ import pyarrow as pa
 import pytest
 
 from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.record_columns import COLUMNS
-from hil.recording.records import LAYOUT, NOTHING, Rows
-from hil.recording.records_file import RecordsWriter, finish_records, read_metadata, read_records
-from hil.recording.run_zero import RunZero
-from hil.recording.side_rows import BeginEvent, TextEvent
+from hil.rows.record_columns import COLUMNS
+from hil.rows.records import LAYOUT, NOTHING, Rows
+from hil.rows.records_file import RecordsWriter, finish_records, read_metadata, read_records
+from hil.rows.run_zero import RunZero
+from hil.rows.side_rows import BeginEvent, TextEvent
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

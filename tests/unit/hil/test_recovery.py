@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 from drivers.timebase import Instant
 from hil.cli import app
 from hil.configuration.bench_file import load_bench
-from hil.figures.summary import Summary
 from hil.recording import rerun_anew
 from hil.recording.log_files import EventsKeeper, RecordsKeeper
-from hil.recording.records import ROW_DTYPE
-from hil.recording.records_file import read_records
 from hil.recording.run_folder import Reserve
-from hil.recording.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
+from hil.rows.records import ROW_DTYPE
+from hil.rows.records_file import read_records
+from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
+from hil.verdict.summary import Summary
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

@@ -8,10 +8,10 @@ import pytest
 from rich.console import Console
 
 from hil.configuration.bench_file import load_bench
-from hil.figures.summary import DropoutCounts, Percentiles, SpeedError, Summary
-from hil.terminal.progress import LINE_WIDTH, TerminalProgress, bar_line
+from hil.machine.progress import LINE_WIDTH, TerminalProgress, bar_line
 from hil.terminal.report import print_run, recording_lines, viewer_command
-from hil.verdict import CycleCount, Finding, Outcome, RunOutcome, VerdictLimits, judge
+from hil.verdict.summary import DropoutCounts, Percentiles, SpeedError, Summary
+from hil.verdict.verdict import CycleCount, Finding, Outcome, RunOutcome, VerdictLimits, judge
 from tests.unit.hil.recording_tools import whole_outcome
 from tests.unit.hil.test_summary import timing
 

@@ -8,11 +8,11 @@ import pytest
 
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.figures.review import Review
-from hil.figures.summary import DropoutCounts, Figures
-from hil.recording.recording_plan import AxisPlan, ReviewPlan
-from hil.recording.records import LAYOUT, Rows, row_of
-from hil.samples import CycleRecord, Dropout
+from hil.loop.samples import CycleRecord, Dropout
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, ReviewPlan
+from hil.rows.records import LAYOUT, Rows, row_of
+from hil.verdict.summary import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drivers.readings import NEVER_TOLD
-from hil.recording.records import FATE_MISSED
-from hil.recording.row_states import (
+from hil.rows.records import FATE_MISSED
+from hil.rows.row_states import (
     LINK_WINDOW_CYCLES,
     Change,
     DriveStates,

@@ -9,7 +9,7 @@ import pytest
 from drivers.profile402 import State
 from drivers.timebase import NS_PER_MS, Instant
 from hil.configuration.bench_file import load_bench
-from hil.recording.records import NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import NOTHING, ROW_DTYPE, Rows
 from hil.testing.run import Run
 from hil.testing.wire import SeenFrame, Wire
 from tests.unit.hil.test_report import summary

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.compensation import AT_REST
-from hil.safety import SafetyGuard, SafetyLimits
+from hil.control.compensation import AT_REST
+from hil.loop.safety import SafetyGuard, SafetyLimits
 
 
 def guard(slew: float | None = None) -> SafetyGuard:

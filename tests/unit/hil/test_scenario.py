@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.scenario import LoadProfile, Ramp, Sine, SpeedProfile, Step, sine_of_turns
+from hil.loop.scenario import LoadProfile, Ramp, Sine, SpeedProfile, Step, sine_of_turns
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Instant
-from hil.recording.side_rows import (
+from hil.rows.side_rows import (
     EVENT,
     EVENT_DTYPE,
     FRAME,

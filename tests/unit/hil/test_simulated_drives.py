@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.simulated_drives import ids_on_the_bus, simulated_drives
+from hil.execution.simulated_drives import ids_on_the_bus, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
 from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
 from virtual_bus.canopen_device.nmt_state import UNCONFIGURED

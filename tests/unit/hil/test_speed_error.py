@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_MS, Duration
-from hil.figures.speed_error import SpeedErrorMeter, worst
-from hil.figures.summary import SpeedError
-from hil.recording.recording_plan import AxisPlan
-from hil.recording.records import Rows
+from hil.reviewing.speed_error import SpeedErrorMeter, worst
+from hil.rows.recording_plan import AxisPlan
+from hil.rows.records import Rows
+from hil.verdict.summary import SpeedError
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
 

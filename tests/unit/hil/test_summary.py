@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from drivers.frame_port import EchoBasis
-from hil.figures.summary import (
+from hil.recording.verdict_text import verdict_markdown
+from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.verdict.summary import (
     DropoutCounts,
     Figures,
     Percentiles,
@@ -17,10 +19,8 @@ from hil.figures.summary import (
     summarise,
     summary_without_run,
 )
-from hil.figures.timing_text import timing_lines
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.recording.verdict_text import verdict_markdown
-from hil.verdict import Check, LimitResult, Outcome, RunOutcome, Verdict, VerdictLimits
+from hil.verdict.timing_text import timing_lines
+from hil.verdict.verdict import Check, LimitResult, Outcome, RunOutcome, Verdict, VerdictLimits
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
 FIGURES = Figures(

@@ -11,7 +11,7 @@ from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput, BusDown
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.bench_file import load_bench
-from hil.sync_source import check_sync_source, kernel_sync
+from hil.execution.sync_source import check_sync_source, kernel_sync
 from tests.unit.hil.test_config import BENCH, edited, load
 from virtual_bus.segment import Segment
 from virtual_bus.simulated_bus import SimulatedBus

@@ -10,13 +10,13 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
-from hil.figures.review import Review
-from hil.figures.summary import Summary, summarise
-from hil.recording.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
-from hil.recording.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
-from hil.recording.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
+from hil.loop.samples import CommandFate
 from hil.recording.telemetry import Telemetry, _round_width
-from hil.samples import CommandFate
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
+from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
+from hil.verdict.summary import Summary, summarise
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records

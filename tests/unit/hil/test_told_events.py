@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.recording.injected_faults import WINDOW_GAP, InjectedFaults
-from hil.recording.recording_plan import PlannedSetPoint
-from hil.recording.records import NOTHING, ROW_DTYPE, Rows
-from hil.recording.set_points import SetPointTeller
-from hil.recording.side_rows import TextEvent
+from hil.rows.injected_faults import WINDOW_GAP, InjectedFaults
+from hil.rows.recording_plan import PlannedSetPoint
+from hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from hil.rows.set_points import SetPointTeller
+from hil.rows.side_rows import TextEvent
 from virtual_bus.fault_injection.fault_log import KIND_CODES, NONE, Entry
 
 ZERO = Instant(7 * NS_PER_S)

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_MS
-from hil.figures.review import Review
-from hil.figures.torque_swing import BLOCK, TorqueSwingMeter
-from hil.recording.recording_plan import AxisPlan, ReviewPlan
-from hil.recording.records import NOTHING, Rows
+from hil.reviewing.review import Review
+from hil.reviewing.torque_swing import BLOCK, TorqueSwingMeter
+from hil.rows.recording_plan import AxisPlan, ReviewPlan
+from hil.rows.records import NOTHING, Rows
 from tests.unit.hil.row_tools import plain_rows
 
 RATED_NM = 2.0

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from hil.verdict import (
+from hil.verdict.verdict import (
     CycleCount,
     DriveEnd,
     ExitStatus,

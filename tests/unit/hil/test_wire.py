@@ -6,8 +6,8 @@ import pytest
 
 from drivers.pdo_plans import all_modes_plan, torque_plan
 from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.records_file import RecordsWriter
-from hil.testing.frame_names import frame_name
+from hil.rows.frame_names import frame_name
+from hil.rows.records_file import RecordsWriter
 from hil.testing.wire import Wire, intended_frames, read_wire
 
 PLAN = torque_plan(1, device_stamp=True)

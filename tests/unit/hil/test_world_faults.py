@@ -5,7 +5,7 @@ import pytest
 from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.world import WorldPlan, open_world
+from hil.execution.world import WorldPlan, open_world
 from tests.motors import LING
 from virtual_bus.fault_injection.fault_plan import FaultPlan, IndependentLoss, Selection, Side
 from virtual_bus.fault_injection.node_fault_plan import HostStall, Occasion

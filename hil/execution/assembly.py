@@ -1,0 +1,292 @@
+"""From a checked bench file to the parts of a run."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from drivers.adapters import BusSpec
+from drivers.exchange import Drive
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_axis import Drive as DriveConfig
+from hil.configuration.config_axis import (
+    PidController,
+    RampReference,
+    Reference,
+    StampCompensator,
+    StepReference,
+)
+from hil.control.compensation import Arrival, Compensator, Stamp
+from hil.control.controllers import Controller, Pid, PidGains, StateFeedback
+from hil.execution.world import SegmentPlan, World, WorldPlan
+from hil.loop.axis import Axis, AxisParts, LoadMachine
+from hil.loop.clock_map import ClockMap
+from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import DelayMeter
+from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.samples import CycleRecord
+from hil.loop.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from hil.loop.stamp_attribution import StampAttribution
+from hil.loop.syncs import SyncLog
+from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
+from hil.verdict.verdict import VerdictLimits
+from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from virtual_bus.fault_injection.fault_log import FaultLog
+from virtual_bus.frame import Frame
+
+SYNC_FRAME = Frame(0x080)
+FRAME_BITS_BARE = 44
+"""Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
+COMMAND_FRAME = Frame(0x201, bytes(4))
+"""As long as a command can be told to be before its data are known."""
+
+
+def loop_timing(config: BenchConfig) -> LoopTiming:
+    """The loop's times; the latencies are those of the first segment while it is idle."""
+    return timing_at(config, config.bus.bitrate_bit_s)
+
+
+def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
+    """The loop's times with the latencies of an idle segment of that bit rate, bit/s."""
+    return LoopTiming(
+        period=config.loop.period,
+        decide_after=config.loop.decide_after,
+        settle=Duration(config.loop.deadline + config.loop.period),
+        actuation=Actuation(config.loop.actuation),
+        sync_latency=_own_sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+    )
+
+
+def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
+    """From handing a SYNC over until its end on an idle segment; None: the first one."""
+    return _own_sync_latency(config.bitrate_on(segment))
+
+
+def _own_sync_latency(bitrate: int) -> Duration:
+    return bits_duration(frame_bits(SYNC_FRAME), bitrate)
+
+
+def _settles(timing: LoopTiming) -> Duration:
+    """From a command's arrival until it shows at a SYNC."""
+    return timing.period if timing.actuation is Actuation.ON_SYNC else Duration(0)
+
+
+def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
+    """The least time that a frame takes on the wire: one without a stuff bit (ISO 11898-1)."""
+    return bits_duration(FRAME_BITS_BARE + 8 * data_bytes, bitrate)
+
+
+def command_duration(bitrate: int) -> Duration:
+    """How long a command keeps an idle segment of that bit rate, with the intermission after it."""
+    return bits_duration(frame_bits(COMMAND_FRAME) + INTERMISSION_BITS, bitrate)
+
+
+def world_plan(config: BenchConfig, spec: BusSpec, paced: bool, seed: int, log: FaultLog | None) -> WorldPlan:
+    """What the bench runs in; ``paced``: simulated time goes with the wall clock."""
+    return WorldPlan(
+        spec,
+        config.bus.bitrate_bit_s,
+        paced,
+        config.fault_plan,
+        seed,
+        fault_log=log,
+        background=tuple(entry.stream for entry in config.bus.background),
+        segments=_segment_plans(config),
+    )
+
+
+def _segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
+    """The further segments of the simulated bus."""
+    return tuple(
+        SegmentPlan(
+            each.name,
+            each.bitrate_bit_s,
+            frozenset(config.drive[axis].node for axis in config.axes_on(each.name)),
+            tuple(entry.stream for entry in each.background),
+        )
+        for each in config.bus.segment
+    )
+
+
+def speed_profile(segments: tuple[Reference, ...]) -> SpeedProfile:
+    """The reference of one axis in rad/s."""
+    return SpeedProfile([_segment(segment) for segment in segments])
+
+
+def _segment(segment: Reference) -> Segment:
+    if isinstance(segment, StepReference):
+        return Step(segment.at_s, segment.speed_rad_s)
+    if isinstance(segment, RampReference):
+        return Ramp(segment.at_s, segment.speed_rad_s, segment.over_s)
+    return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)
+
+
+def controller(drive: DriveConfig, period_s: float) -> Controller:
+    """The controller of one axis."""
+    wanted = drive.controller
+    if isinstance(wanted, PidController):
+        gains = PidGains(
+            proportional_nm_s_rad=wanted.proportional_nm_s_rad,
+            integral_nm_rad=wanted.integral_nm_rad,
+            derivative_nm_s2_rad=wanted.derivative_nm_s2_rad,
+            derivative_filter_s=wanted.derivative_filter_s,
+            anti_windup_s=wanted.anti_windup_s,
+            feedforward_nm_s_rad=wanted.feedforward_nm_s_rad,
+        )
+        return Pid(gains, period_s)
+    motor = drive.motor.parameters
+    return StateFeedback(
+        wanted.gain,
+        motor.torque_constant_nm_a,
+        motor.viscous_friction_nm_s,
+        wanted.feedforward_load_nm,
+        period_s,
+    )
+
+
+def compensator(drive: DriveConfig, period: Duration) -> Compensator:
+    """The delay compensator of one axis."""
+    wanted = drive.compensator
+    if isinstance(wanted, StampCompensator):
+        return Stamp(Duration(wanted.delay_us * NS_PER_US), period)
+    return Arrival()
+
+
+def axis(
+    config: BenchConfig,
+    number: int,
+    drive: Drive,
+    reading_bytes: int,
+    load_machine: LoadMachine | None,
+    timing: LoopTiming,
+    syncs: SyncLog,
+    record: Callable[[CycleRecord], None],
+    tell: Callable[[str], None],
+    own_controller: Controller | None = None,
+) -> Axis:
+    """The ``number``-th axis of the bench, on ``drive``.
+
+    ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes
+    what is to be said of the drive's clock. ``own_controller``: in place of the bench's.
+    """
+    name = config.axes[number]
+    wanted = config.drive[name]
+    period_s = timing.period / NS_PER_S
+    own = timing_at(config, config.bitrate_of(name))
+    later = own.sync_latency - timing.sync_latency
+    if timing.actuation is Actuation.ON_ARRIVAL:
+        # The commands of a cycle go out one after the other, in the order of the axes.
+        earlier = [other for other in config.axes[:number] if config.drive[other].segment == wanted.segment]
+        later = own.command_latency - timing.command_latency
+        later += len(earlier) * command_duration(config.bitrate_of(name))
+    transit = shortest_transit(reading_bytes, config.bitrate_of(name))
+    limits = SafetyLimits(
+        torque_max_nm=wanted.limits.torque_max_nm,
+        speed_max_rad_s=wanted.limits.speed_max_rad_s,
+        torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,
+        dropouts_consecutive_max=wanted.limits.dropouts_consecutive_max,
+    )
+    parts = AxisParts(
+        name=name,
+        drive=drive,
+        controller=own_controller or controller(wanted, period_s),
+        compensator=compensator(wanted, timing.period),
+        guard=SafetyGuard(limits, period_s),
+        reference=speed_profile(config.reference.get(name, ())),
+        load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
+        load_machine=load_machine,
+        syncs=syncs,
+        by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
+        by_order=OrderAttribution(syncs, timing.period, transit, tell),
+        meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
+        commands=CommandMeter(config.loop.horizon_periods, _settles(timing)),
+    )
+    return Axis(number, parts, timing.period, record, Duration(later))
+
+
+def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan]) -> ReviewPlan:
+    """What figures and verdict of a run of the bench depend on.
+
+    ``certified``: of the axes whose controllers have certificates.
+    """
+    axes = tuple(
+        AxisPlan(
+            name,
+            drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2,
+            drive.motor.parameters.rated_torque_nm,
+            certified.get(name),
+        )
+        for name, drive in sorted(config.drive.items())
+    )
+    return ReviewPlan(axes, _limits(config, certified.values()), config.verdict.settling)
+
+
+def recording_plan(
+    config: BenchConfig,
+    world: World,
+    folder: Path | None,
+    seed: int,
+    bus: str,
+    view: bool,
+    certified: Mapping[str, CertifiedPlan],
+) -> RecordingPlan:
+    """What a recording of the bench has to know; ``bus``, ``seed``, ``view``: of this run.
+
+    ``folder``: None if no files are to be kept. ``certified``: of the axes whose controllers have
+    certificates.
+    """
+    return RecordingPlan(
+        folder=folder,
+        name=config.bench.name,
+        seed=seed,
+        bus=bus,
+        real_time=world.real_time,
+        deadline=config.loop.deadline,
+        review=review_plan(config, certified),
+        bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
+        started_at=world.clock.now(),
+        wall_offset=world.wall_offset,
+        frames=config.recording.frames,
+        segments=tuple(segment.name for segment in config.bus.segment),
+        faults=config.faults is not None,
+        period_us=config.loop.period_us,
+        view=view,
+        set_points=_set_points(config),
+        notes=recording_notes(config, bus),
+    )
+
+
+def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:
+    """What is shown beside the verdict; ``bus``: of the run."""
+    first = config.drive[config.axes[0]]
+    return {
+        "motor": first.motor.motor.name,
+        "controller": first.controller.kind,
+        "compensator": first.compensator.kind,
+        "bus": bus,
+    }
+
+
+def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> VerdictLimits:
+    """The bench file's, with what the controllers' files ask of the torque; of several the smallest."""
+    asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
+    return replace(
+        config.verdict.limits,
+        torque_rms_nm_max=min((each for each in asked if each is not None), default=None),
+    )
+
+
+def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
+    """What the bench file plans for each axis, in words."""
+    planned: list[PlannedSetPoint] = []
+    for number, axis in enumerate(config.axes):
+        for segment in config.reference.get(axis, ()):
+            text = f"{axis}: reference {segment.describe()}"
+            planned.append(PlannedSetPoint(duration_s(segment.at_s), number, text))
+        for step in config.load.get(axis, ()):
+            text = f"{axis}: load torque {step.torque_nm:g} N m"
+            planned.append(PlannedSetPoint(duration_s(step.at_s), number, text))
+    return tuple(sorted(planned))

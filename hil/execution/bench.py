@@ -1,0 +1,377 @@
+"""A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from drivers.adapters import parse_bus_spec
+from drivers.dictionary import LoadedDictionary
+from drivers.errors import BadInput, BenchError, PeerFault
+from drivers.network import CanopenNetwork
+from drivers.pdo import DONE
+from drivers.servo import ServoDrive
+from drivers.state_control import FAULTY
+from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
+from hil.configuration.config import BenchConfig
+from hil.configuration.quantities import odd_values
+from hil.control.controllers import Controller
+from hil.execution import assembly
+from hil.execution.bus_guard import BusGuard
+from hil.execution.commissioned_drive import as_the_loop_counts, write_commissioned
+from hil.execution.conclusion import Conclusion
+from hil.execution.connecting import connect
+from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
+from hil.execution.network_guard import Uncertified, certified_plans, uncertified, watched
+from hil.execution.segments import listen_for_syncs, masters, record_frames
+from hil.execution.simulated_drives import simulated_drives
+from hil.execution.stopping_drives import stop_all
+from hil.execution.sync_source import SyncSource, check_sync_source, sync_producer
+from hil.execution.timing_report import distrust, timing_report
+from hil.execution.world import World, check_time, open_world
+from hil.load.load_machines import LoadMachines
+from hil.loop.axis import Axis
+from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
+from hil.loop.samples import CycleRecord
+from hil.loop.syncs import SyncLog
+from hil.machine.progress import Progress
+from hil.machine.realtime import timing_conditions
+from hil.machine.stopping import StopRequest, stop_signals
+from hil.recording.fault_report import write_fault_report
+from hil.recording.recorder import Recorder, start_recording
+from hil.recording.watch import RecordingWatch
+from hil.verdict.summary import Summary
+from virtual_bus.fault_injection.fault_log import FaultLog
+from virtual_bus.servo import SimulatedServo
+
+ENABLE_TIMEOUT_S = 2.0
+RUNS_FOLDER = Path("runs")
+
+
+def run_bench(
+    config: BenchConfig,
+    *,
+    bus_spec: str | None,
+    time: str | None,
+    seed: int | None,
+    record: Path | None,
+    view: bool,
+    progress: Progress,
+    keep: bool = True,
+    controllers: Mapping[str, Controller] | None = None,
+    network: Path | None = None,
+    allow_uncertified: bool = False,
+    privileged: bool = True,
+    stop: StopRequest | None = None,
+    concluded: Callable[[Summary], None] = lambda _summary: None,
+) -> Summary:
+    """Run a bench and review it; from any thread.
+
+    ``bus_spec``, ``time``, ``seed``: what the command line puts in place of the file's. ``record``: folder of
+    the recording, else one under ``runs``; no file is kept unless ``keep``. ``controllers``: by axis, what a
+    caller puts in place of the file's. ``network``: file of one measured before. That network, the run's own
+    and the drives must be what the controllers were made for, unless ``allow_uncertified``. ``privileged``:
+    ask the kernel for real-time priority and locked memory on a bus in real time. ``stop``: by which a caller
+    ends the run from outside, as a stop signal does that comes to the main thread.
+    Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
+    did; in every case the drives are brought to rest and the recording is closed first. ``concluded`` is
+    given the summary then, also of a run that ends in an error.
+    """
+    controllers = controllers or {}
+    _check_axes(config, controllers)
+    sheets = data_sheets(config)
+    spec = parse_bus_spec(bus_spec or config.bus.spec, "--bus" if bus_spec else config.source)
+    replaced = set(controllers)
+    worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
+    paced = check_time(spec, time)
+    check_sync_source(config, spec)
+    seed = config.bench.seed if seed is None else seed
+    log = FaultLog() if config.fault_plan is not None else None
+    world_plan = assembly.world_plan(config, spec, paced, seed, log)
+    devices = simulated_drives(config, seed) if spec.simulated else []
+    with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
+        folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
+        certified = certified_plans(config, replaced, spec.simulated)
+        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
+        recorder = start_recording(plan)
+        if log is not None:
+            log.send_to(recorder.fault_block)
+        planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
+        conclusion = Conclusion(config.axes, config.fault_plan, planned)
+        with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
+            run = _Run(
+                config, world, recorder, conclusion, asked, progress, controllers, worse, devices, sheets
+            )
+        with timing_conditions(world.real_time and privileged) as refused:
+            try:
+                return run.to_the_end(refused, concluded)
+            except PeerFault as error:
+                if folder is not None:
+                    run.write_fault_report(folder, str(error))
+                raise
+
+
+def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> None:
+    """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
+    for name in controllers:
+        if name not in config.axes:
+            source = config.source or "bench"
+            raise BadInput(source, "controllers", name, f"one of the bench's axes: {', '.join(config.axes)}")
+
+
+class _Run:
+    """One run in its world, from connecting to the drives to closing the recording."""
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        world: World,
+        recorder: Recorder,
+        conclusion: Conclusion,
+        stop: StopRequest,
+        progress: Progress,
+        controllers: Mapping[str, Controller],
+        worse: Uncertified,
+        servos: Sequence[SimulatedServo],
+        sheets: Mapping[str, LoadedDictionary],
+    ) -> None:
+        self._config = config
+        self._world = world
+        self._recorder = recorder
+        self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", progress, self._say)
+        self._stop = stop
+        self._progress = progress
+        self._controllers = controllers
+        self._worse = worse
+        self._sheets = sheets
+        self._network = CanopenNetwork(world.link, world.clock, config.host.node)
+        self._networks, self._master = masters(self._network, world)
+        self._sync_source = SyncSource(config.loop.sync)
+        self._axes: list[Axis] = []
+        self._conclusion = conclusion
+        self._enabled_from: Instant | None = None
+        self._zero: Instant | None = None
+        self._syncs: dict[str, SyncLog] = {}
+        self._drives = [
+            ServoDrive(self._networks[config.drive[name].segment], config.drive[name].node, name)
+            for name in config.axes
+        ]
+        self._load = LoadMachines(config, self._network, recorder, servos)
+        self._guard = BusGuard(self._networks, self._drives, config.guard, recorder.event, world.error_frames)
+        if config.recording.frames:
+            record_frames(world, recorder.tap)
+
+    def to_the_end(self, refused: Sequence[str], concluded: Callable[[Summary], None]) -> Summary:
+        """Run, bring the drives to rest, close the recording; errors pass through afterwards.
+
+        ``refused``: what the kernel did not grant, in words.
+        """
+        for request in refused:
+            self._say(f"not granted by the kernel: {request}", "WARN")
+        with self._conclusion.explaining(lambda: self._close(concluded)):
+            self._run_and_release()
+            self._conclusion.came_to_its_end()
+        return self._close(concluded)
+
+    def _close(self, concluded: Callable[[Summary], None]) -> Summary:
+        if self._world.faults is not None:
+            self._world.faults.finish()
+        summary = self._recorder.close(self._conclusion.outcome)
+        concluded(summary)
+        return summary
+
+    def write_fault_report(self, folder: Path, error: str) -> None:
+        """Beside the recording, which is closed: what was seen before the end."""
+        makes = {drive.node_id: drive.control.make for drive in self._drives}
+        told = sorted({e for drive in self._drives for e in drive.network.emergencies}, key=lambda e: e.at)
+        write_fault_report(folder, error, told, makes, self._world.clock.now())
+
+    def _run_and_release(self) -> None:
+        try:
+            self._run()
+        except BenchError as error:
+            self._tell_end(error)
+            raise
+        finally:
+            self._release()
+
+    def _tell_end(self, error: BenchError) -> None:
+        """What ended the run and in what states the drives are, each as of when it showed."""
+        seen_at = error.seen_at if isinstance(error, PeerFault) else None
+        self._recorder.event(seen_at or self._world.clock.now(), "CRITICAL", str(error))
+        for drive in self._drives:
+            self._note_state(drive, drive.control.fault_seen_at if drive.state in FAULTY else None)
+
+    def _run(self) -> None:
+        config, world = self._config, self._world
+        timing = assembly.loop_timing(config)
+        self._prepare(timing)
+        syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
+        self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
+        axes = [
+            assembly.axis(
+                config,
+                number,
+                as_the_loop_counts(drive, config.drive[drive.name].commissioned),
+                drive.reading_bytes,
+                self._load.find(drive, self._say),
+                timing,
+                syncs[config.drive[drive.name].segment],
+                self._recorder.record if own is not None else self._watched(drive.name),
+                self._teller(drive),
+                own,
+            )
+            for number, drive in enumerate(self._drives)
+            for own in [self._controllers.get(drive.name)]
+        ]
+        self._axes = axes
+        self._guard.arm(syncs, own_sync=self._sync_source is SyncSource.OWN)
+        chore = self._guard.attending(self._load.chore)
+        loop = Loop(self._master, world.clock, axes, pace, timing, chore)
+        with sync_producer(self._sync_source, world.link.bus, timing.period):
+            self._calibrate_and_run(loop, timing)
+
+    def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
+        self._enter("calibrating")
+        loop.calibrate()
+        self._stop.check()
+        self._enter("enabling")
+        self._watch.confirm(self._network)
+        self._enabled_from = self._world.clock.now()
+        for drive in self._drives:
+            drive.enable(self._network.deadline_after(duration_s(ENABLE_TIMEOUT_S)))
+            self._note_state(drive)
+            self._tell_guard(drive)
+        self._stop.check()
+        self._enter("running")
+        wall = MonotonicClock()
+        began = wall.now()
+        ended = self._cycles(loop, timing)
+        took = Duration(wall.now() - began)
+        self._note_ended(ended, took)
+        if not ended.interrupted:
+            self._conclusion.look_at(self._drives)
+
+    def _prepare(self, timing: LoopTiming) -> None:
+        host = self._config.host
+        for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
+            self._say(note, "WARN")
+        self._enter("connecting")
+        for drive in self._drives:
+            identity = connect(drive, host.connect_timeout_s, self._stop)
+            self._say(f"{drive.name}: node {drive.node_id} is {identity}")
+            self._recorder.identity(self._world.clock.now(), drive.name, str(identity))
+            if (sheet := self._sheets.get(drive.name)) is not None:
+                for note in identity_notes(identity, sheet, drive.node_id):
+                    self._say(f"{drive.name}: {note}", "WARN")
+            self._stop.check()
+        self._enter("configuring")
+        for drive in self._drives:
+            sheet = self._sheets.get(drive.name)
+            settings = drive_settings(self._config, drive.name, timing, sheet)
+            commissioned = self._config.drive[drive.name].commissioned
+            if commissioned is not None:
+                write_commissioned(drive, commissioned)
+            for note in drive.configure(settings):
+                self._say(f"{drive.name}: {note}", "INFO" if note.endswith(DONE) else "WARN")
+            self._note_state(drive)
+            self._stop.check()
+
+    def _cycles(self, loop: Loop, timing: LoopTiming) -> LoopOutcome:
+        period_s = timing.period / NS_PER_S
+        return loop.run(
+            duration_s(self._config.bench.duration_s),
+            self._stop,
+            self._start,
+            lambda done: self._note_progress(done * period_s),
+        )
+
+    def _note_progress(self, time_s: float) -> None:
+        self._watch.attend(time_s)
+        if self._world.faults is not None:
+            self._world.faults.finish()
+
+    def _start(self, at: Instant) -> None:
+        """The run's time zero: the fault plan and the recording count from here."""
+        self._zero = at
+        self._recorder.begin(at)
+        self._load.begin(at)
+        if self._world.faults is not None:
+            self._world.faults.start(at)
+
+    def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
+        if ended.cycles_missed:
+            own = self._sync_source is SyncSource.OWN
+            why = "the host was too late for it" if own else "it was not heard, or not in time"
+            self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
+        reason = f"ended by {self._stop.asked_by}" if ended.interrupted else ""
+        if reason:
+            self._say(reason, "WARN")
+        doubts = distrust(self._axes, self._config.loop.period)
+        for doubt in doubts:
+            self._say(f"not trustworthy: {doubt}", "ERROR")
+        self._conclusion.ended(
+            ended,
+            reason,
+            self._config.loop,
+            bus_load_percent=self._world.load_percent(ended.started_at, ended.ended_at),
+            realtime_factor=(ended.ended_at - ended.started_at) / max(took, 1),
+            network_notes=self._worse.notes,
+            load_machine=self._load.figures(),
+            timing=timing_report(self._axes, self._syncs, self._guard.counts),
+            distrust=doubts,
+        )
+
+    def _tell_guard(self, drive: ServoDrive) -> None:
+        """From now on somebody notices when the drive does not hear its commands any more."""
+        guard = drive.supervise_commands()
+        level = "INFO" if drive.supervision.active else "WARN"
+        self._say(f"{drive.name}: its commands are watched by {guard}", level)
+
+    def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
+        return lambda text: self._say(f"{drive.name}: {text}", "WARN")
+
+    def _watched(self, axis: str) -> Callable[[CycleRecord], None]:
+        """Where the records of an axis with the bench's own controller go."""
+        tell = partial(self._say, level="WARN")
+        return watched(self._config, axis, self._worse, self._recorder.record, tell, self._stop)
+
+    def _release(self) -> None:
+        """Every way out of a run leads through here."""
+        self._enter("stopping")
+        self._guard.calm()
+        if errors := self._world.error_frames():
+            self._say(f"{errors} error frames on the bus", "WARN")
+        if trouble := self._world.trouble():
+            self._say(trouble, "WARN")
+        if self._world.faults is not None:
+            self._world.faults.stop()
+        stop_all(self._drives)
+        self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
+        for drive in self._drives:
+            release = drive.release()
+            self._note_state(drive)
+            self._conclusion.released(drive, release)
+            if release.unwatched:
+                self._say(f"{drive.name}: {release.unwatched}", "ERROR")
+            if not release.at_rest:
+                self._say(f"{drive.name}: not confirmed at rest: {release.evidence}", "ERROR")
+            elif release.rested_at is not None:
+                self._recorder.event(release.rested_at, "INFO", f"{drive.name}: at rest")
+        if self._enabled_from is not None:
+            for drive in self._drives:
+                self._conclusion.told(drive, self._enabled_from, self._zero)
+        self._guard.end(self._world.clock.now())
+        self._progress("stopped", self._config.bench.duration_s)
+
+    def _enter(self, phase: str) -> None:
+        self._progress(phase, 0.0)
+        self._recorder.state(self._world.clock.now(), "phase", phase)
+
+    def _note_state(self, drive: ServoDrive, seen_at: Instant | None = None) -> None:
+        """``seen_at``: when the state showed; None: with the statusword that tells it."""
+        at = seen_at or drive.control.status_told_at or self._world.clock.now()
+        label = "unknown" if drive.state is None else drive.state.value
+        self._recorder.state(at, f"{drive.name} drive", label)
+
+    def _say(self, text: str, level: str = "INFO") -> None:
+        self._recorder.event(self._world.clock.now(), level, text)

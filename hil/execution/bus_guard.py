@@ -1,0 +1,280 @@
+"""Who else speaks on the bus of a run: what the bench did not send, did not ask for, or does not expect.
+
+    COB-IDs of the bench itself     NMT, SYNC, its heartbeat, SDO requests and RPDOs to its drives
+    more answers than questions     TPDOs beyond the SYNCs, SDO answers beyond the requests
+    nodes that start                boot-up messages
+    errors                          EMCYs of any node, a sudden rise of error frames
+
+Nothing looks at each frame. The guard listens on identifiers on which nothing is expected, or little, and
+compares ten times a second what others count anyway. The first sight of each kind is an event with the
+instant of its frame; further ones are counted, for the summary.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from drivers.errors import PeerFault
+from drivers.frame_pump import SYNC, Handler
+from drivers.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
+from drivers.nmt import Emergency, parse_emergency
+from drivers.owed import Owed
+from drivers.pdo import PdoMap
+from drivers.sdo import SDO_REQUEST, object_name
+from drivers.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.configuration.config import Guard, Rule
+from hil.loop.syncs import REMEMBERED, SyncLog
+from hil.rows.frame_names import frame_name
+
+LOOK_EVERY: Final = Duration(100 * NS_PER_MS)
+"""Far below a second, in which a bench can still be stopped in time; far above a cycle, which it is not to
+cost anything."""
+ERRORS_A_SECOND_MAX: Final = 16
+"""A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
+limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
+_BOOT_UP: Final = b"\x00"
+_NMT: Final = 0x000
+_CONSUMER_HEARTBEAT: Final = 0x1016
+_SDO_WRITE: Final = 1
+"""Client command specifier of initiate download, CiA 301 7.2.4.3.3."""
+_MESSAGE_BYTES: Final = 8
+
+
+class ForeignTraffic(PeerFault):
+    """Somebody else does on the bus what ``[guard]`` of the bench does not bear."""
+
+
+class GuardedSegment(NamedTuple):
+    """What the bench is on one segment."""
+
+    network: CanopenNetwork
+    drives: tuple[ServoDrive, ...]
+
+
+class _TpdoAccount:
+    """TPDOs of one drive, held against the SYNCs of its segment."""
+
+    def __init__(self, drive: ServoDrive, pdo: PdoMap, syncs: SyncLog) -> None:
+        self.title = f"{pdo.name} of node {drive.node_id} ({pdo.cob_id:03X}h)"
+        self._drive, self._cob_id, self._syncs = drive, pdo.cob_id, syncs
+        self._syncs_each = max(1, pdo.transmission_type)
+        self._owed = Owed(REMEMBERED + self._syncs_each)
+        self._owed.expect(2 * self._syncs_each)  # one under way, and the phase of one that comes seldom
+        self._counted, self._taken = syncs.counted, drive.assembler.frames_taken(pdo.cob_id)
+
+    def surplus(self) -> int:
+        """How many more came since the last call than the SYNCs since then ask for."""
+        counted, taken = self._syncs.counted, self._drive.assembler.frames_taken(self._cob_id)
+        self._owed.expect(counted - self._counted)
+        beyond = self._owed.came((taken - self._taken) * self._syncs_each)
+        self._counted, self._taken = counted, taken
+        return -(-beyond // self._syncs_each)
+
+
+class BusGuard:
+    """Of one run, on all its segments.
+
+    :meth:`arm` when the drives are configured, and again whenever they or the SYNCs are others; :meth:`calm`
+    before they are let go, :meth:`end` at last. Where a rule says ``stop``, whatever lets time pass raises
+    ForeignTraffic, once.
+    """
+
+    def __init__(
+        self,
+        networks: Mapping[str | None, CanopenNetwork],
+        drives: Sequence[ServoDrive],
+        rules: Guard,
+        tell: Callable[[Instant, str, str], None],
+        error_frames: Callable[[], int],
+    ) -> None:
+        """``networks``: by the name of their segment. ``tell``: takes instant, level and text of an event.
+        ``error_frames``: on all segments so far."""
+        self.counts: dict[str, int] = {}
+        """How often each was seen."""
+        self._segments = {
+            name: GuardedSegment(network, tuple(drive for drive in drives if drive.network is network))
+            for name, network in networks.items()
+        }
+        self._rules = rules
+        self._tell = tell
+        self._error_frames = error_frames
+        self._ends_run = False
+        self._accounts: list[_TpdoAccount] = []
+        self._errors: deque[int] = deque([error_frames()], maxlen=NS_PER_S // LOOK_EVERY + 1)
+        self._look_at = Instant(0)
+        self._listening: dict[tuple[str | None, int], Handler] = {}
+        """By segment and identifier: what listens there, with whoever was there before."""
+        self._on_emergency = {
+            name: self._emergency_listener(segment) for name, segment in self._segments.items()
+        }
+        for name, segment in self._segments.items():
+            segment.network.on_emergency(self._on_emergency[name])
+
+    def arm(self, syncs: Mapping[str | None, SyncLog], own_sync: bool) -> None:
+        """From now on nobody else has anything to say to the drives, which are configured.
+
+        ``syncs``: by the name of their segment, where readings are held against them. ``own_sync``: the
+        bench alone makes them.
+        """
+        self._ends_run = True
+        self._accounts = []
+        for name, segment in self._segments.items():
+            self._watch_own_identifiers(name, segment, own_sync)
+            self._watch_nodes(name, segment)
+            segment.network.on_surplus_answer = self._on_surplus_answer
+            self._accounts += _accounts(segment, syncs[name]) if name in syncs else []
+
+    def attend(self, now: Instant) -> None:
+        """To be called in each cycle; costs something ten times a second."""
+        if now < self._look_at:
+            return
+        if now - self._look_at > NS_PER_S:
+            self._forget_errors()
+        self._look_at = Instant(now + LOOK_EVERY)
+        for account in self._accounts:
+            surplus = account.surplus()
+            if surplus:
+                what = f"{account.title}: more than the SYNCs ask for"
+                self._note(self._rules.on_foreign, what, now, f"{surplus} within the last 0.1 s", surplus)
+        errors = self._error_frames()
+        rise = errors - self._errors[0]
+        self._errors.append(errors)
+        if rise >= ERRORS_A_SECOND_MAX:
+            self._forget_errors()
+            what = f"{ERRORS_A_SECOND_MAX} and more error frames within a second"
+            self._note(self._rules.on_bus_errors, what, now, f"{rise} now, {errors} in all")
+
+    def attending(self, chore: Callable[[Instant], None] | None) -> Callable[[Instant], None]:
+        """:meth:`attend` and another chore of the loop."""
+        if chore is None:
+            return self.attend
+        other = chore
+
+        def both(now: Instant) -> None:
+            other(now)
+            self.attend(now)
+
+        return both
+
+    def calm(self) -> None:
+        """The run is over: from now on all is only told."""
+        self._ends_run = False
+        self._accounts = []
+
+    def end(self, now: Instant) -> None:
+        """Say what was seen more than once."""
+        for what, count in self.counts.items():
+            if count > 1:
+                self._tell(now, "WARN", f"{what}: {count} times in all")
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _forget_errors(self) -> None:
+        self._errors.clear()
+        self._errors.append(self._error_frames())
+
+    def _note(self, rule: Rule, what: str, at: Instant, detail: str, count: int = 1) -> None:
+        self._count(what, at, f"{what}: {detail}", count)
+        if rule == "stop" and self._ends_run:
+            self._ends_run = False
+            raise ForeignTraffic(what, detail, "find who sends it (hil scan), or set the rule in [guard]")
+
+    def _count(self, what: str, at: Instant, text: str, count: int) -> None:
+        before = self.counts.get(what, 0)
+        self.counts[what] = before + count
+        if not before:
+            self._tell(at, "WARN", text)
+
+    def _watch_own_identifiers(self, name: str | None, segment: GuardedSegment, own_sync: bool) -> None:
+        network = segment.network
+        own = [_NMT, ERROR_CONTROL + network.node_id, *([SYNC] if own_sync else [])]
+        for drive in segment.drives:
+            own += [pdo.cob_id for pdo in drive.plan.rpdos] if drive.plan is not None else []
+            self._listen_too(name, SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))
+        for can_id in own:
+            self._listen_too(name, can_id, self._foreign_watcher(can_id))
+
+    def _watch_nodes(self, name: str | None, segment: GuardedSegment) -> None:
+        own = {drive.node_id for drive in segment.drives}
+        listener = self._on_emergency[name]
+        for node_id in range(1, NODE_ID_MAX + 1):
+            if node_id != segment.network.node_id:
+                self._listen_too(name, ERROR_CONTROL + node_id, self._boot_watcher(node_id))
+            if node_id not in own:
+                self._listen_too(name, EMERGENCY + node_id, _emergency_watcher(node_id, listener))
+
+    def _listen_too(self, name: str | None, can_id: int, handler: Handler) -> None:
+        """Beside whoever listens there already, and after him."""
+        handlers = self._segments[name].network.frame_pump.handlers
+        first = handlers.get(can_id)
+        if first is not None and first is self._listening.get((name, can_id)):
+            return
+
+        def both(data: bytes, at: Instant) -> None:
+            if first is not None:
+                first(data, at)
+            handler(data, at)
+
+        handlers[can_id] = self._listening[name, can_id] = both
+
+    def _foreign_watcher(self, can_id: int) -> Handler:
+        what = f"{frame_name(can_id)} ({can_id:03X}h) that the bench did not send"
+
+        def watch(data: bytes, at: Instant) -> None:
+            self._note(self._rules.on_foreign, what, at, f"data {data.hex(' ').upper() or 'none'}")
+
+        return watch
+
+    def _request_watcher(self, node_id: int) -> Handler:
+        def watch(data: bytes, at: Instant) -> None:
+            writes = len(data) == _MESSAGE_BYTES and data[0] >> 5 == _SDO_WRITE
+            index = int.from_bytes(data[1:3], "little")
+            what = f"SDO request to node {node_id} ({SDO_REQUEST + node_id:03X}h) that the bench did not send"
+            if writes and index == _CONSUMER_HEARTBEAT:
+                what = f"1016h of node {node_id} changed by another: it may watch the bench no more"
+            written = f"writes {object_name(index, data[3])}, " if writes else ""
+            self._note(self._rules.on_foreign, what, at, f"{written}data {data.hex(' ').upper()}")
+
+        return watch
+
+    def _boot_watcher(self, node_id: int) -> Handler:
+        def watch(data: bytes, at: Instant) -> None:
+            if data == _BOOT_UP:
+                self._note(self._rules.on_boot, f"node {node_id} started", at, "a boot-up message")
+
+        return watch
+
+    def _on_surplus_answer(self, node_id: int, at: Instant) -> None:
+        what = f"node {node_id} answers more often than it is asked: two nodes are likely to have its id"
+        self._note(self._rules.on_foreign, what, at, "an SDO answer too many")
+
+    def _emergency_listener(self, segment: GuardedSegment) -> Callable[[Emergency], None]:
+        drives = {drive.node_id: drive for drive in segment.drives}
+
+        def listen(emergency: Emergency) -> None:
+            drive = drives.get(emergency.node_id)
+            who = f"node {emergency.node_id}" if drive is None else drive.name
+            told = emergency.told() if drive is None else emergency.told(*drive.control.make)
+            self._count(f"{who}: EMCY {emergency.code:04X}h", emergency.at, f"{who}: {told}", 1)
+
+        return listen
+
+
+def _accounts(segment: GuardedSegment, syncs: SyncLog) -> list[_TpdoAccount]:
+    return [
+        _TpdoAccount(drive, pdo, syncs)
+        for drive in segment.drives
+        if drive.plan is not None
+        for pdo in drive.plan.tpdos
+        if pdo.synchronous
+    ]
+
+
+def _emergency_watcher(node_id: int, listener: Callable[[Emergency], None]) -> Handler:
+    def watch(data: bytes, at: Instant) -> None:
+        emergency = parse_emergency(node_id, data, at)
+        if emergency is not None:
+            listener(emergency)
+
+    return watch

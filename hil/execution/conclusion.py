@@ -1,0 +1,189 @@
+"""What is to be said of a run beside its rows, gathered from its first step until the last drive rests."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+from drivers.errors import BenchError, DriveInFault
+from drivers.nmt import Emergency
+from drivers.profile402 import State
+from drivers.servo import ServoDrive
+from drivers.supervision import Release
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil.configuration.config import Loop as LoopSettings
+from hil.loop.loop import LoopOutcome
+from hil.recording.logger_process import RecordingFailed
+from hil.verdict.verdict import DriveEnd, Outcome, RunOutcome, outcome_of_status
+from virtual_bus.fault_injection.fault_plan import FaultPlan
+from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.fault_injection.node_fault_plan import DriveFailure, DriveFault
+
+TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
+"""From a drive fault that was noticed to its EMCY: the drive sends it at once, and a full bus or a fault that
+holds frames keeps it for tens of ms."""
+NO_ERROR: Final = 0x0000
+"""The EMCY that says that all errors are gone, CiA 301 7.2.7.1."""
+
+
+class Conclusion:
+    """Of one run. Until it is told otherwise, the run was ended by a defect of the program."""
+
+    def __init__(self, names: Sequence[str], faults: Faults | None, cycles_planned: int) -> None:
+        """``names``: of the axes. ``faults``: that are injected on purpose."""
+        self._ends = {name: DriveEnd(name) for name in names}
+        self._named = list(named_emergencies(faults))
+        self._emergencies: list[str] = []
+        self._outcome = RunOutcome(cycles_planned=cycles_planned)
+        self._explained = False
+
+    @property
+    def outcome(self) -> RunOutcome:
+        """All that was gathered."""
+        found = self._outcome
+        if not self._explained:
+            found = _cut_short(found, "it ended by a defect of this program", Outcome.DEFECT)
+        return replace(found, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
+
+    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopSettings, **found: Any) -> None:
+        """The loop ended as a loop does; ``found``: fields of :class:`RunOutcome`.
+
+        A host that comes back later than readings are waited for has not seen the end of its run.
+        """
+        self._outcome = replace(self._outcome, **found)
+        late = loop.ended_at - loop.last_due_at - settings.period
+        if loop.interrupted:
+            self._outcome = _cut_short(self._outcome, interrupted_by, Outcome.INTERRUPTED)
+        elif late > settings.horizon:
+            reason = (
+                f"the host was away at the end, and came back {late / NS_PER_MS:.0f} ms after the last cycle"
+            )
+            self._outcome = _cut_short(self._outcome, reason, Outcome.CUT_SHORT)
+
+    @contextmanager
+    def explaining(self, close: Callable[[], object]) -> Iterator[None]:
+        """What ends the run in here is noted, and the recording closed, before it passes on."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, BenchError):
+                self.failed(error)
+            with suppress(RecordingFailed):  # what ended the run is to be told
+                close()
+            raise
+
+    def failed(self, error: BenchError) -> None:
+        """An error ended the run."""
+        self._explained = True
+        self._outcome = _cut_short(self._outcome, str(error), outcome_of_status(error.exit_status))
+
+    def came_to_its_end(self) -> None:
+        """Nothing was raised until the last drive was let go."""
+        self._explained = True
+
+    def look_at(self, drives: Sequence[ServoDrive]) -> None:
+        """After the last cycle, before any drive is told to stop: each must be as it was in the loop.
+
+        By what it has told, and by its answer to an SDO. Raises as :meth:`ServoDrive.check`; DriveInFault if
+        it left OPERATION ENABLED, NoAnswer if it does not answer.
+        """
+        for drive in drives:
+            drive.check()
+        for drive in drives:
+            # Commands cease now: what watches for them must not take that for a fault of the host.
+            drive.supervision.end()
+        for drive in drives:
+            state = drive.control.read_state()
+            self._note(drive.name, after_last_cycle=_label(state))
+            if state is not State.OPERATION_ENABLED:
+                raise DriveInFault(
+                    f"{drive.control.title} was not enabled any more after the last cycle",
+                    drive.control.evidence(),
+                )
+
+    def released(self, drive: ServoDrive, release: Release) -> None:
+        """A drive was let go."""
+        if drive.identity is None:
+            self._note(drive.name, evidence=release.evidence)  # nobody answered who could be asked
+            return
+        # A drive that was not configured was not moved by this bench, and nobody knows its unit of speed.
+        at_rest = None if release.at_rest and drive.plan is None else release.at_rest
+        self._note(
+            drive.name,
+            at_the_end=_label(release.state),
+            at_rest=at_rest,
+            evidence=release.evidence,
+            unwatched=release.unwatched,
+        )
+
+    def told(self, drive: ServoDrive, since: Instant, zero: Instant | None) -> None:
+        """Take in the EMCYs of a drive ``since`` an instant; ``zero``: when the run began, if it did."""
+        for emergency in drive.network.emergencies:
+            if emergency.node_id == drive.node_id and emergency.at >= since:
+                self._take(drive, emergency, zero)
+
+    def _take(self, drive: ServoDrive, emergency: Emergency, zero: Instant | None) -> None:
+        if emergency.code == NO_ERROR:
+            return
+        when = ""
+        if zero is not None:
+            elapsed = Duration(emergency.at - zero)
+            if any(named.explains(emergency, elapsed) for named in self._named):
+                return
+            when = f" at {elapsed / NS_PER_S:.3f} s"
+        self._emergencies.append(f"{drive.name}: {emergency.told(*drive.control.make)}{when}")
+
+    def _note(self, name: str, **found: Any) -> None:
+        self._ends[name] = replace(self._ends[name], **found)
+
+
+class NamedEmergency(NamedTuple):
+    """An EMCY that a drive fault of a plan makes a drive send."""
+
+    nodes: tuple[int, ...]
+    """Empty: any."""
+    code: int
+    from_ns: Duration
+    """Since the run began."""
+    until_ns: Duration | None
+
+    def explains(self, emergency: Emergency, elapsed: Duration) -> bool:
+        """Whether it is this one, ``elapsed`` after the run began."""
+        inside = self.from_ns <= elapsed and (self.until_ns is None or elapsed < self.until_ns)
+        mine = not self.nodes or emergency.node_id in self.nodes
+        return inside and mine and emergency.code == self.code
+
+
+def named_emergencies(faults: Faults | None) -> Iterator[NamedEmergency]:
+    """What the drive faults of a plan, or of a recorded run, make drives send, and when."""
+    if faults is None:
+        return
+    if isinstance(faults, FaultPlan):
+        for fault in faults.node_faults:
+            if isinstance(fault, DriveFault):
+                yield _named(fault)
+        return
+    failures = list(DriveFailure)
+    for entry in faults.entries:
+        if entry.kind == DriveFault.kind:
+            first = Duration(entry.at_ns + entry.b)
+            last = Duration(first + TOLD_WITHIN)
+            yield NamedEmergency((entry.link,), failures[entry.a].code, first, last)
+
+
+def _named(fault: DriveFault) -> NamedEmergency:
+    occasion = fault.occasion
+    first, last = occasion.from_ns, occasion.until_ns
+    if occasion.at_ns is not None:
+        first = last = occasion.at_ns
+    later = fault.detected_after_ns + TOLD_WITHIN
+    until = None if last is None else Duration(last + later)
+    return NamedEmergency(fault.nodes, fault.failure.code, Duration(first + fault.detected_after_ns), until)
+
+
+def _cut_short(outcome: RunOutcome, reason: str, cause: Outcome) -> RunOutcome:
+    return replace(outcome, completed=False, reason=reason, cause=cause)
+
+
+def _label(state: State | None) -> str:
+    return "unknown" if state is None else state.value

@@ -1,0 +1,304 @@
+"""Holds network and drive of a run against those that its controller was made for.
+
+A certificate says nothing about a longer delay, more losses in a row, another period, another motor or
+another current loop. What can be known before anything moves is checked then; the rest is watched in
+the cycle records as they are made.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from drivers.errors import BadInput, LimitExceeded
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_axis import Drive, StampCompensator, StateFeedbackController
+from hil.configuration.config_errors import raise_all
+from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
+from hil.configuration.network_file import Network, commands_unknown, load_network
+from hil.configuration.speed_controller_file import MadeFor, Plant
+from hil.execution.pid_current_loop import slow_loops
+from hil.loop.samples import CycleRecord, Sample
+from hil.rows.recording_plan import CertifiedPlan
+
+REMEDY: Final = (
+    "design for this network and drive with hil design speed --network --bench, or run with "
+    "--allow-uncertified, which warns instead"
+)
+_RELATIVE = 1e-6
+
+Record = Callable[[CycleRecord], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """Worst network for which the certificate holds."""
+
+    losses_max: int
+    delay_max: Duration
+    """From sample to actuator."""
+    age_max: Duration
+    """Longest time for which a sample acts, [Ling2012] (2.13)."""
+
+
+def made_for(drive: Drive) -> MadeFor | None:
+    """What the controller of an axis was made for, if its file says so."""
+    controller = drive.controller
+    return controller.made_for if isinstance(controller, StateFeedbackController) else None
+
+
+def allowed(wanted: MadeFor, period: Duration) -> Allowed:
+    """The worst network within ``wanted``; of a constant delay alone losses and delay share the age."""
+    if wanted.losses_in_a_row_max is not None and wanted.delay_max_us is not None:
+        delay = Duration(wanted.delay_max_us * NS_PER_US)
+        losses = wanted.losses_in_a_row_max
+        return Allowed(losses, delay, Duration((losses + 1) * period + delay))
+    age = Duration(wanted.delay_us * NS_PER_US)
+    return Allowed(max(0, age // period - 1), Duration(age - period), age)
+
+
+def certified_axes(config: BenchConfig, replaced: Collection[str]) -> dict[str, MadeFor]:
+    """What the controllers were made for, by axis; ``replaced``: axes whose controller is not the bench's."""
+    return {
+        axis: wanted
+        for axis in config.axes
+        if axis not in replaced and (wanted := made_for(config.drive[axis])) is not None
+    }
+
+
+def static_faults(
+    config: BenchConfig,
+    networks: Mapping[str, Network],
+    replaced: Collection[str] = (),
+    *,
+    simulated: bool = True,
+) -> list[BadInput]:
+    """What is known to be worse before anything moves; ``networks``: measured ones, by who names them.
+
+    ``replaced``: axes whose controller is not the bench's. ``simulated``: the bench makes its drives itself.
+    """
+    held = certified_axes(config, replaced)
+    found: list[BadInput] = []
+    if held:
+        unknown = [commands_unknown(network, source) for source, network in networks.items()]
+        found += [fault for fault in unknown if fault is not None]
+    for axis, wanted in held.items():
+        drive = config.drive[axis]
+        key = f"drive.{axis}.controller.made_for"
+        found += [
+            BadInput(config.source, *fault, REMEDY) for fault in _bench_faults(config, drive, wanted, key)
+        ]
+        loop = current_loop_of(config, axis, simulated=simulated)
+        if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
+            found.append(BadInput(config.source, *outside, REMEDY))
+        for source, network in networks.items():
+            found += [
+                BadInput(source, *fault, REMEDY)
+                for fault in _network_faults(network, wanted, config.loop.period)
+            ]
+    return found
+
+
+_Fault = tuple[str, object, str]
+
+
+def _bench_faults(config: BenchConfig, drive: Drive, wanted: MadeFor, key: str) -> list[_Fault]:
+    faults: list[_Fault] = []
+    period_us = config.loop.period_us
+    if wanted.period_us is not None and wanted.period_us != period_us:
+        faults.append((f"{key}.period_us", wanted.period_us, f"loop.period_us = {period_us}"))
+    if wanted.period_us is None and 2 * period_us > wanted.delay_us:
+        expected = f"at least two periods of {period_us} us: a sample acts that long without any loss"
+        faults.append((f"{key}.delay_us", wanted.delay_us, expected))
+    if wanted.strategy is not None:
+        compensator = drive.compensator
+        agreed = compensator.delay_us if isinstance(compensator, StampCompensator) else None
+        if wanted.strategy != compensator.kind or agreed != wanted.agreed_delay_us:
+            expected = f"the bench's compensator, {compensator.kind}"
+            expected += f" at {agreed} us" if agreed is not None else ""
+            at = f" at {wanted.agreed_delay_us} us" if wanted.agreed_delay_us is not None else ""
+            faults.append((f"{key}.strategy", f"{wanted.strategy}{at}", expected))
+    if wanted.plant is not None:
+        motor = drive.motor.parameters
+        for name in Plant.model_fields:
+            value, real = getattr(wanted.plant, name), getattr(motor, name)
+            if abs(value - real) > _RELATIVE * abs(real):
+                faults.append((f"{key}.plant.{name}", value, f"that of the motor {motor.name}, {real:g}"))
+    return faults
+
+
+def _network_faults(network: Network, wanted: MadeFor, period: Duration) -> list[_Fault]:
+    limits = allowed(wanted, period)
+    delay_us = limits.delay_max // NS_PER_US
+    faults: list[_Fault] = []
+    if network.period_us != period // NS_PER_US:
+        faults.append(("network.period_us", network.period_us, f"the loop's, {period // NS_PER_US}"))
+    if network.losses_max > limits.losses_max:
+        expected = f"at most {limits.losses_max}, for which the controller was made"
+        faults.append(("network.losses_in_a_row_max", network.losses_max, expected))
+    if network.delay_max_us > delay_us:
+        expected = f"at most {delay_us}, for which the controller was made"
+        faults.append(("network.delay_max_us", network.delay_max_us, expected))
+    if not faults and round(network.age_max_s * NS_PER_S) > limits.age_max:
+        expected = f"a sample that acts for at most {limits.age_max // NS_PER_US} us, losses included"
+        faults.append(("network", f"{network.age_max_s * 1e6:.0f} us", expected))
+    return faults
+
+
+class NetworkGuard:
+    """Passes one axis's records on and judges each; what is worse stops the run, or is told once."""
+
+    def __init__(
+        self,
+        axis: str,
+        limits: Allowed,
+        period: Duration,
+        record: Record,
+        refuse: bool,
+        tell: Callable[[str], None],
+        stopping: Callable[[], bool],
+    ) -> None:
+        """``stopping``: whether the run is being cut short, which loses readings by itself."""
+        self._axis = axis
+        self._limits = limits
+        self._period = period
+        self._record = record
+        self._refuse = refuse
+        self._tell = tell
+        self._stopping = stopping
+        self._missing = 0
+        self._told_loss = self._told_delay = False
+
+    def __call__(self, record: CycleRecord) -> None:
+        """Record it. Raises LimitExceeded if the network is worse than the controller was made for."""
+        self._record(record)
+        observation = record.observation
+        if not isinstance(observation, Sample):
+            self._missing += 1
+            if self._missing > self._limits.losses_max and not self._told_loss:
+                self._told_loss = True
+                self._object(
+                    f"{self._missing} readings missing in a row, made for at most {self._limits.losses_max}"
+                )
+            return
+        delay = self._action_delay(record, observation)
+        age = (self._missing + 1) * self._period + delay
+        self._missing = 0
+        if self._told_delay:
+            return
+        if delay > self._limits.delay_max:
+            self._told_delay = True
+            limit_us = self._limits.delay_max / NS_PER_US
+            self._object(
+                f"{delay / NS_PER_US:.1f} us from sample to actuation, made for at most {limit_us:.0f} us"
+            )
+        elif age > self._limits.age_max and not self._told_loss:
+            self._told_delay = True
+            limit_us = self._limits.age_max / NS_PER_US
+            self._object(
+                f"a sample that acts for {age / NS_PER_US:.1f} us, made for at most {limit_us:.0f} us"
+            )
+
+    def _action_delay(self, record: CycleRecord, sample: Sample) -> int:
+        """The least that it certainly was, see :func:`hil.reviewing.network_meter.action_delays_ns`."""
+        sending = record.sending
+        if sending is None:
+            return 0
+        acts_at = sending.acts_after
+        if acts_at is None:
+            acts_at = sending.on_bus_at if sending.on_bus_at is not None else sending.handed_at
+        delay = acts_at - sample.sampled_at
+        late = sample.reading.received_at - sending.handed_at
+        if late > 0:
+            delay += -(-late // self._period) * self._period
+        return delay
+
+    def _object(self, found: str) -> None:
+        text = f"{self._axis}: the network is worse than its controller's: {found}"
+        if self._stopping():
+            return
+        if self._refuse:
+            raise LimitExceeded(text, remedy=REMEDY)
+        self._tell(text)
+
+
+@dataclass(slots=True)
+class Uncertified:
+    """What is done about a run for which a controller's certificate does not hold, and where it does not."""
+
+    refuse: bool
+    notes: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    """What is told at the start and forbids no run."""
+
+
+def watched(
+    config: BenchConfig,
+    axis: str,
+    worse: Uncertified,
+    record: Record,
+    tell: Callable[[str], None],
+    stopping: Callable[[], bool],
+) -> Record:
+    """Where the records of an axis go: past a guard, if its controller was made for a network."""
+    wanted = made_for(config.drive[axis])
+    if wanted is None:
+        return record
+
+    def note(text: str) -> None:
+        worse.notes.append(text)
+        tell(text)
+
+    period = config.loop.period
+    return NetworkGuard(axis, allowed(wanted, period), period, record, worse.refuse, note, stopping)
+
+
+def uncertified(
+    config: BenchConfig, network: Path | None, allow: bool, replaced: Collection[str], simulated: bool
+) -> Uncertified:
+    """Raises BadInput or BadInputs for what is known before the run, unless it is to be let pass."""
+    measured = {} if network is None else {f"--network {network}": load_network(network)}
+    faults = static_faults(config, measured, replaced, simulated=simulated)
+    if faults and not allow:
+        raise_all(faults)
+    doubts = loop_doubts(config, replaced, simulated)
+    return Uncertified(not allow, [str(fault) for fault in faults], doubts)
+
+
+def loop_doubts(config: BenchConfig, replaced: Collection[str], simulated: bool) -> list[str]:
+    """What is to be told of the drives' current loops: unknown ones, and too slow ones for their PID."""
+    unknown = [
+        f"{axis}: the bandwidth of the drive's current loop is not known, its controller is certified for "
+        f"{range_text(certified)}; hil commission measures it"
+        for axis, wanted in certified_axes(config, replaced).items()
+        if (certified := certified_loop(wanted)) is not None
+        and current_loop_of(config, axis, simulated=simulated) is None
+    ]
+    return [*unknown, *slow_loops(config, replaced, simulated)]
+
+
+def certified_plans(
+    config: BenchConfig, replaced: Collection[str], simulated: bool
+) -> dict[str, CertifiedPlan]:
+    """What the run is held against in its figures, by axis with a certified controller."""
+    return {
+        axis: _certified_plan(config, axis, wanted, simulated)
+        for axis, wanted in certified_axes(config, replaced).items()
+    }
+
+
+def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
+    controller = config.drive[axis].controller
+    assert isinstance(controller, StateFeedbackController)
+    limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
+    own = current_loop_of(config, axis, simulated=simulated)
+    return CertifiedPlan(
+        period_us=config.loop.period_us,
+        delay_us=limits.delay_max / NS_PER_US,
+        losses_in_a_row=limits.losses_max,
+        gain=None if controller.certificate is None else controller.certificate.gain,
+        bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
+        bandwidth_hz=None if own is None else own.bandwidth_hz,
+        torque_rms_nm_max=wanted.torque_rms_nm_max,
+    )

@@ -1,0 +1,74 @@
+"""The recording of a run that nobody has ended: what it was to be is in its own bench file."""
+
+import json
+from pathlib import Path
+
+from drivers.adapters import parse_bus_spec
+from drivers.errors import BadInput
+from drivers.timebase import Duration, Instant, duration_s
+from hil.configuration.config import BenchConfig
+from hil.execution import assembly
+from hil.execution.network_guard import certified_plans
+from hil.loop.loop import planned_cycles
+from hil.recording.logger_process import RecordingFailed
+from hil.recording.recovery import recover
+from hil.recording.run_folder import BENCH_FILE, SUMMARY_FILE
+from hil.recording.run_metadata import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import RunOutcome
+
+_UNKNOWN_END = "the end of the run is not known: whoever recorded it was ended before it"
+
+
+def refuse_whole(folder: Path) -> None:
+    """Raises BadInput unless ``folder`` holds a recording without a summary."""
+    if not (folder / BENCH_FILE).is_file():
+        raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {BENCH_FILE}")
+    try:
+        Summary.from_json(json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    raise BadInput("RUN", "", str(folder), "a recording without a summary", "this one is whole")
+
+
+def _stamp_offset(records: Path) -> Duration | None:
+    """Of the stamps in frames.log from the bench clock, by the head of the records; None: it says nothing."""
+    found = read_metadata(records) if records.exists() else {}
+    return Duration(int(found[FIRST_CYCLE_EPOCH]) - int(found[FIRST_CYCLE])) if found else None
+
+
+def _started_at(records: Path) -> Instant:
+    """Start of the recording on the bench clock, by the head of the records; 0 if it says nothing."""
+    found = read_metadata(records) if records.exists() else {}
+    return Instant(int(found[BENCH_START]) + int(found[FIRST_CYCLE])) if found else Instant(0)
+
+
+def recover_run(config: BenchConfig, folder: Path) -> Summary:
+    """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
+    spec = parse_bus_spec(config.bus.spec, config.source)
+    plan = RecordingPlan(
+        folder=folder,
+        name=config.bench.name,
+        seed=config.bench.seed,
+        bus=config.bus.spec,
+        real_time=False,
+        deadline=config.loop.deadline,
+        review=assembly.review_plan(config, certified_plans(config, (), spec.simulated)),
+        bench_toml="",
+        frames=config.recording.frames,
+        segments=tuple(segment.name for segment in config.bus.segment),
+        wall_offset=_stamp_offset(folder / RECORDS_FILE),
+        period_us=config.loop.period_us,
+        started_at=_started_at(folder / RECORDS_FILE),
+        notes=assembly.recording_notes(config, config.bus.spec),
+    )
+    planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
+    outcome = RunOutcome(completed=False, reason=_UNKNOWN_END, cycles_planned=planned)
+    try:
+        return recover(plan, outcome, [_UNKNOWN_END], planned=planned)
+    except BlockingIOError:
+        raise BadInput("RUN", "", str(folder), "a run that has ended", "its logger still writes") from None
+    except OSError as error:
+        raise RecordingFailed(str(error)) from error

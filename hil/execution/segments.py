@@ -1,0 +1,125 @@
+"""Several segments and one loop: a master on each of them, and all are served whoever waits.
+
+    loop ---- SegmentMasters ----+---- FramePump, BusLink ---- segment 1: its drives
+                                 +---- FramePump, BusLink ---- segment 2: its drives
+
+SYNC goes out on every segment at the same instant. What arrives is handled in the order of arrival, and in
+the order of the segments where it arrives at one instant.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from drivers.exchange import Master
+from drivers.frame_port import EchoBasis, FrameTap
+from drivers.frame_pump import SYNC
+from drivers.network import CanopenNetwork
+from drivers.timebase import Clock, Duration, Instant
+from hil.configuration.config import BenchConfig
+from hil.execution.assembly import sync_latency
+from hil.execution.sync_source import SyncSource
+from hil.execution.world import FurtherSegment, World
+from hil.loop.pace import HeardSync, OwnSync, Pace, Stall
+from hil.loop.syncs import SyncLog
+
+
+class SegmentMasters(Master):
+    """The masters of ``networks`` as one.
+
+    From now on a network that waits, for an answer to an SDO or for a state, serves the others too: their
+    heartbeats go out and their drives are heard.
+    """
+
+    def __init__(self, networks: Sequence[CanopenNetwork], wait: Callable[[Instant], object]) -> None:
+        """``wait``: let time pass until a frame is there on any of the segments, or until an instant."""
+        super().__init__()
+        self._pumps = [network.frame_pump for network in networks]
+        self._now = networks[0].clock.now
+        self._wait = wait
+        for network in networks:
+            network.pump, network.pump_one = self.pump, self.pump_one
+
+    def send_sync(self) -> Instant:
+        self.sync_handed_at = [pump.send_sync() for pump in self._pumps]
+        self.sync_count += 1
+        return self.sync_handed_at[0]
+
+    def pump(self, until: Instant) -> None:
+        while self.pump_one(until):
+            pass
+
+    def rest(self, until: Instant) -> None:
+        self.pump(until)
+
+    def pump_one(self, until: Instant) -> bool:
+        while True:
+            now = self._now()
+            for pump in self._pumps:
+                if pump.pump_one(now):
+                    return True
+            if now >= until:
+                return False
+            self._wait(min(until, *[pump.housekeeping_at for pump in self._pumps]))
+
+
+def sync_log(network: CanopenNetwork, latency: Duration, period: Duration) -> SyncLog:
+    """The SYNCs that are sent on a network's segment. It hears their echoes from now on, and others' SYNCs.
+
+    ``latency``: from handing one over until its end on an idle bus.
+    """
+    log = SyncLog(latency, period, network.link.echoes)
+    network.frame_pump.on_sync_echo = log.came
+    network.listen(SYNC, lambda _data, at: log.stray(at))
+    return log
+
+
+def heard_syncs(
+    network: CanopenNetwork, clock: Clock, period: Duration, stall: Stall | None
+) -> tuple[SyncLog, HeardSync]:
+    """The SYNCs that somebody else makes on a network's segment, and the pace that they set from now on.
+
+    SocketCAN's cyclic sender has a socket of its own: what it sends is received here as from another node.
+    """
+    basis = network.link.echoes
+    log = SyncLog(Duration(0), period, EchoBasis.RECEIPT if basis is EchoBasis.NONE else basis)
+    pace = HeardSync(network.frame_pump, clock, period, log, stall)
+    network.frame_pump.on_sync_echo = lambda at, _handed_at: pace.hear(at)
+    network.listen(SYNC, lambda _data, at: pace.hear(at))
+    return log, pace
+
+
+def listen_for_syncs(
+    config: BenchConfig,
+    world: World,
+    networks: Mapping[str | None, CanopenNetwork],
+    master: Master,
+    period: Duration,
+) -> tuple[dict[str | None, SyncLog], Pace]:
+    """The SYNCs of each segment, and what starts the cycles."""
+    stall = None if world.faults is None else world.faults.host_stall
+    if SyncSource(config.loop.sync) is not SyncSource.OWN:
+        log, heard = heard_syncs(networks[None], world.clock, period, stall)
+        return {None: log}, heard
+    syncs = {
+        segment: sync_log(network, sync_latency(config, segment), period)
+        for segment, network in networks.items()
+    }
+    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), stall)
+
+
+def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:
+    """A network on each segment of ``world``, by name, None for the ``first``; and what the loop calls."""
+    networks: dict[str | None, CanopenNetwork] = {None: first}
+    if not world.further:
+        return networks, first.frame_pump
+    for segment in world.further:
+        networks[segment.name] = CanopenNetwork(segment.link, world.clock, first.node_id)
+    return networks, SegmentMasters(list(networks.values()), world.wait)
+
+
+def record_frames(world: World, tap_of: Callable[[int], FrameTap]) -> None:
+    """Let ``tap_of(number)`` of each segment have its frames, error frames among them."""
+    ends: list[World | FurtherSegment] = [world, *world.further]
+    for number, end in enumerate(ends):
+        tap = tap_of(number)
+        end.link.tap(tap)
+        end.tap_errors(tap.frame)

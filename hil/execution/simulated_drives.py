@@ -1,0 +1,141 @@
+"""Simulated drives as a bench or a command line asks for them."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from design.motor import PmsmParameters
+from design.statespace import StateSpace
+from drivers.adapters import BusSpec, parse_bus_spec
+from drivers.bounded_file import NamedBy
+from drivers.errors import BadInput
+from hil.configuration.config import BenchConfig
+from hil.configuration.current_controller_file import CurrentController, read_current_controller
+from hil.execution.device_files import DeviceFiles
+from hil.execution.node_ids_taken import refuse_taken
+from hil.execution.world import WorldPlan, open_world
+from hil.load.simulated_load import SimulatedLoadMachine
+from hil.machine.realtime import realtime_process
+from hil.machine.stopping import stop_signals
+from virtual_bus.background import Stream, background_nodes
+from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
+from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
+from virtual_bus.canopen_device.parameter_store import FileStore
+from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.frame import Device
+from virtual_bus.hosting import serve
+from virtual_bus.servo import SimulatedServo
+from virtual_bus.servo_drive.servo_parameters import DriveParameters
+
+
+def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
+    """The drives of a bench, for its own simulated bus. Raises BadInput for one that cannot be made so."""
+    drives = []
+    for name in config.axes:
+        wanted = config.drive[name]
+        simulation = wanted.simulation
+        parameters = DriveParameters(
+            inner_rate_hz=simulation.inner_rate_hz,
+            encoder_counts_per_revolution=simulation.encoder_counts_per_revolution,
+            current_bandwidth_hz=simulation.current_bandwidth_hz,
+            clock_drift_ppm=simulation.clock_drift_ppm,
+            controller_q=_at_rate(wanted.current_control.controller, simulation.inner_rate_hz),
+            controller_d=_at_rate(wanted.current_control.controller_d, simulation.inner_rate_hz),
+            resistance_factor=simulation.resistance_factor,
+            inductance_factor=simulation.inductance_factor,
+            lacks=simulation.lacks,
+        )
+        try:
+            drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
+        except ValueError as error:
+            key = f"drive.{name}.simulation.lacks"
+            expected = "objects that the simulated drive has and could do without"
+            raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
+    return drives
+
+
+def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace | None:
+    """The controller that the firmware runs. Raises BadInput if it cannot be run at its inner rate."""
+    if controller is None:
+        return None
+    try:
+        return controller.at_rate(rate_hz)
+    except ValueError as error:
+        raise BadInput(
+            "current_control", controller.axis, str(error), f"a controller for an inner rate of {rate_hz} Hz"
+        ) from None
+
+
+def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
+    """Of the drives of ``hil simulate``, with the current controllers in these files. Raises BadInput."""
+    found: dict[str, StateSpace | None] = {"q": None, "d": None}
+    rate_hz = DriveParameters().inner_rate_hz
+    for path in current_control:
+        controller = read_current_controller(path, NamedBy("--current-control", "", str(path)))
+        if found[controller.axis] is not None:
+            raise BadInput(
+                "--current-control", "", str(path), f"one controller for the {controller.axis} axis at most"
+            )
+        found[controller.axis] = _at_rate(controller, rate_hz)
+    return DriveParameters(controller_q=found["q"], controller_d=found["d"])
+
+
+def simulate(
+    *,
+    bus_spec: str,
+    nodes: Sequence[int],
+    motor: PmsmParameters,
+    faults: Faults | None,
+    bitrate_bit_s: int,
+    seed: int,
+    announce: Callable[[str], None],
+    files: DeviceFiles,
+    background: Sequence[Stream] = (),
+    current_control: Sequence[Path] = (),
+    load_machine: SimulatedLoadMachine | None = None,
+    force: bool = False,
+) -> None:
+    """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
+
+    ``announce`` is told once the drives are on the bus. ``force``: also where somebody has their node-IDs.
+    Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
+    somebody has, and BusDown if the bus cannot be opened or goes away.
+    """
+    spec = parse_bus_spec(bus_spec, "--bus")
+    if spec.simulated:
+        raise BadInput(
+            "--bus",
+            "",
+            bus_spec,
+            "a bus that other processes can join",
+            "use hub:NAME, or run the bench itself with --bus simulated",
+        )
+    vendor, store = files.vendor(announce, nodes, bitrate_bit_s), files.memory(nodes)
+    drive = drive_parameters(current_control)
+    devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
+    plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
+    with stop_signals() as stop, open_world(plan, ()) as world:
+        refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
+        hosted: list[Device] = list(devices)
+        if world.faults is not None:
+            hosted = [world.faults.wrap(device) for device in devices]
+            world.faults.start(world.clock.now())
+        hosted += background_nodes(background, seed)
+        with ExitStack() as leaving, realtime_process() as refused:
+            for request in refused:
+                announce(f"not granted by the kernel: {request}")
+            if load_machine is not None:
+                hosted.append(leaving.enter_context(load_machine.coupled_to(devices[0], seed, announce)))
+            announce(_announcement(spec, nodes, motor))
+            serve(hosted, world.link.bus, world.clock, stop)
+
+
+def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:
+    """Which the devices will have: the one that LSS had stored goes before the one that it was made with."""
+    stored = None if store is None else store.load().get(NODE_ID_KEY)
+    return [stored[0]] if stored else list(nodes)
+
+
+def _announcement(spec: BusSpec, nodes: Sequence[int], motor: PmsmParameters) -> str:
+    listed = ", ".join("unconfigured" if node == UNCONFIGURED else str(node) for node in nodes)
+    return f"simulated drive on {spec}: node {listed}, motor {motor.name}; Ctrl-C ends it"

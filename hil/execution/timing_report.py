@@ -1,0 +1,72 @@
+"""What a run's timing rests on, for its summary: clocks, placed readings, SYNCs, and what cannot be."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from drivers.timebase import NS_PER_US, Duration
+from hil.loop.attribution import Health
+from hil.loop.axis import Axis
+from hil.loop.syncs import SyncLog
+
+Report = dict[str, Any]
+
+
+def timing_report(
+    axes: Sequence[Axis], syncs: Mapping[str, SyncLog], others: Mapping[str, int] | None = None
+) -> Report:
+    """``syncs``: by segment. ``others``: what the bus guard saw, and how often. Times in us."""
+    return {
+        "sync": {
+            name: {"basis": log.echoes.value, "surplus": log.surplus, "crowded": log.crowded}
+            for name, log in syncs.items()
+        },
+        "axes": {axis.parts.name: _axis_report(axis) for axis in axes},
+        "others": dict(others or {}),
+    }
+
+
+def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
+    """Why what a run says of its timing is not to be trusted; empty if nothing speaks against it."""
+    reasons: list[str] = []
+    for axis in axes:
+        for health in (axis.parts.by_stamp.health, axis.parts.by_order.health):
+            reasons += [f"{axis.parts.name}: {reason}" for reason in _doubts(health, period)]
+    return tuple(reasons)
+
+
+def _doubts(health: Health, period: Duration) -> list[str]:
+    found = []
+    if health.below_transit:
+        found.append(f"{health.below_transit} readings came sooner than their frame takes on the wire")
+    if health.before_sync:
+        found.append(f"{health.before_sync} readings came before their SYNC")
+    if health.two_stamps:
+        found.append(f"{health.two_stamps} SYNCs have two different stamps")
+    if health.error_ns_max > period // 2:
+        error_us = health.error_ns_max / NS_PER_US
+        found.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
+    return found
+
+
+def _axis_report(axis: Axis) -> Report:
+    parts = axis.parts
+    clock = parts.by_stamp.clock
+    stamped, ordered = parts.by_stamp.health, parts.by_order.health
+    found: Report = {
+        "placed": stamped.placed + ordered.placed,
+        "by_order": ordered.placed,
+        "uncertain": axis.uncertain,
+        "duplicates": stamped.duplicates + ordered.duplicates,
+        "unmatched": stamped.unmatched + ordered.unmatched + parts.meter.unmatched,
+        "error_us_max": max(stamped.error_ns_max, ordered.error_ns_max) / NS_PER_US,
+        "clock_steps": stamped.steps,
+    }
+    if clock.ready:
+        found["clock"] = {
+            "offset_us": clock.offset_ns / NS_PER_US,
+            "error_us": clock.error_ns / NS_PER_US,
+            "drift_ppm": clock.drift_ppm,
+            "drift_error_ppm": clock.drift_error_ppm,
+        }
+    found["commands_unexplained"] = parts.commands.unexplained
+    return found

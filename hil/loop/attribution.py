@@ -1,0 +1,89 @@
+"""What the two ways of placing readings share: what they rest on, what they found, what is still open.
+
+A drive whose stamp comes with the speed is placed by it (:mod:`hil.loop.stamp_attribution`), another one
+by the order of SYNCs and readings on the bus (:mod:`hil.loop.order_attribution`).
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from drivers.record import replaced
+from drivers.timebase import NS_PER_MS
+from hil.loop.samples import Observation, Sample
+
+HELD_MAX: Final = 64
+"""Cycles for which a row waits for the answer to a question: longer than one stays open."""
+HELD_FOR: Final = 150 * NS_PER_MS
+"""The longest that a row waits so: those that wait in this process are gone if it is killed, and at most the
+last 200 ms of a run may be. Rows that were not waited for stay uncertain."""
+
+Tell = Callable[[str], None]
+
+
+class Health:
+    """What was seen that a run must be judged by."""
+
+    __slots__ = (
+        "before_sync",
+        "below_transit",
+        "duplicates",
+        "error_ns_max",
+        "placed",
+        "steps",
+        "two_stamps",
+        "unmatched",
+    )
+
+    def __init__(self) -> None:
+        self.placed = 0
+        """Readings placed."""
+        self.duplicates = 0
+        """Readings that came twice."""
+        self.unmatched = 0
+        """Readings that answer no SYNC of this bench that is remembered."""
+        self.steps = 0
+        """Times that the drive's clock was found to be set."""
+        self.below_transit = 0
+        """Readings, placed for certain, that would have come sooner than their frame takes on the wire."""
+        self.before_sync = 0
+        """Readings, placed for certain, that would have come before their SYNC."""
+        self.two_stamps = 0
+        """SYNCs with two different stamps, in readings that were placed for certain."""
+        self.error_ns_max = 0
+        """Largest error bound of a reading placed for certain."""
+
+
+class Question:
+    """What is held back while it is open which SYNCs the last readings answer.
+
+    A reading that comes meanwhile is marked uncertain at first. With the answer its mark is taken back, or
+    stays; the rows of a run wait for that (:data:`HELD_MAX` cycles, :data:`HELD_FOR` at most).
+    """
+
+    __slots__ = ("_amended", "cleared", "open")
+
+    def __init__(self) -> None:
+        self.open = False
+        self.cleared = False
+        """Whether a question ended without leaving a reading uncertain, since this was last set back."""
+        self._amended: dict[int, tuple[bool, int]] = {}
+
+    def amend(self, sequence: int, certain: bool, error_ns: int) -> None:
+        """What the row of a cycle is to say after all."""
+        self._amended[sequence] = (certain, error_ns)
+
+    def withdraw(self, sequence: int) -> None:
+        """The row stays as it is."""
+        self._amended.pop(sequence, None)
+
+    def applied(self, observation: Observation) -> Observation:
+        """The observation with what became known since; it is then forgotten."""
+        if not self._amended:
+            return observation
+        amended = self._amended.pop(observation.sequence, None)
+        if amended is None:
+            return observation
+        certain, error_ns = amended
+        if isinstance(observation, Sample):
+            return replaced(observation, certain=certain, sampled_at_error_ns=error_ns)
+        return replaced(observation, certain=certain)

@@ -1,0 +1,364 @@
+"""One axis of the loop: from its drive's readings to its next command, and the record of both."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from drivers.errors import LimitExceeded
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.record import replaced
+from drivers.timebase import Duration, Instant
+from hil.control.compensation import Compensator
+from hil.control.controllers import Controller
+from hil.loop.attribution import HELD_FOR, HELD_MAX
+from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import DelayMeter, Fate
+from hil.loop.order_attribution import OrderAttribution
+from hil.loop.safety import SafetyGuard
+from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
+from hil.loop.scenario import LoadProfile, SpeedProfile
+from hil.loop.stamp_attribution import REVOKED, StampAttribution
+from hil.loop.syncs import SyncLog, SyncMark
+
+READINGS_REMEMBERED: Final = 64
+"""Readings that a read-back may come after."""
+
+
+class LoadMachine(Protocol):
+    """What puts a load on the shaft."""
+
+    def set_torque(self, torque_nm: float) -> None:
+        """Ask for a load torque, N m; positive opposes positive speed. Does not block."""
+        ...
+
+
+class Tick:
+    """What all axes of a cycle share."""
+
+    __slots__ = ("due_at", "sequence", "time_s", "woke_at")
+
+    def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
+        """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
+        self.sequence = sequence
+        self.due_at = due_at
+        self.woke_at = woke_at
+        self.time_s = time_s
+
+
+class Decision:
+    """What was done in one cycle, while the fates of its reading and of its command may still be open."""
+
+    __slots__ = (
+        "command",
+        "estimate",
+        "fate",
+        "load_torque_nm",
+        "mark",
+        "reference_rad_s",
+        "sent",
+        "tick",
+    )
+
+    def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
+        self.tick = tick
+        self.reference_rad_s = reference_rad_s
+        self.load_torque_nm = load_torque_nm
+        self.mark: SyncMark | None = None
+        self.estimate: StateEstimate | None = None
+        self.command: Command | None = None
+        self.sent: SentCommand | None = None
+        self.fate: Fate | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AxisParts:
+    """What an axis is put together from."""
+
+    name: str
+    drive: Drive
+    controller: Controller
+    compensator: Compensator
+    guard: SafetyGuard
+    reference: SpeedProfile
+    load: LoadProfile
+    load_machine: LoadMachine | None
+    syncs: SyncLog
+    """Of the axis's segment."""
+    by_stamp: StampAttribution
+    by_order: OrderAttribution
+    """For readings without a stamp."""
+    meter: DelayMeter
+    commands: CommandMeter
+
+
+class Axis:
+    """State of one axis from cycle to cycle."""
+
+    def __init__(
+        self,
+        number: int,
+        parts: AxisParts,
+        period: Duration,
+        record: Callable[[CycleRecord], None],
+        acts_later: Duration = Duration(0),  # noqa: B008 - an int
+    ) -> None:
+        """``acts_later``: a command takes so much longer on this axis's segment than the loop reckons."""
+        self.parts = parts
+        self.meter = parts.meter
+        self._number = number
+        self._period = period
+        self._half_period = period // 2
+        self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
+        self._record = record
+        self._acts_later = acts_later
+        self._drive = parts.drive
+        self._output = parts.controller.output
+        self._update = parts.controller.update
+        self._receive = parts.compensator.receive
+        self._estimate = parts.compensator.estimate
+        self._by_stamp = parts.by_stamp
+        self._by_order = parts.by_order
+        self._commands = parts.commands
+        self.uncertain = 0
+        """Rows marked uncertain."""
+        self.learned = 0
+        """Readings that were learned from while calibrating."""
+        self._alone = True
+        """Whether the last SYNC while calibrating had one reading."""
+        self._decisions: list[Decision] = []
+        """Of the cycles whose readings' fates are open, the oldest first."""
+        self._settled: list[Decision] = []
+        """Of those whose commands' fates still are."""
+        self._fresh = False
+        self._load_nm = 0.0
+        self._readings = 0
+        self._kept: list[Reading] = []
+        """Readings that came and are not taken in yet, in their order."""
+        self._placed: list[tuple[Instant, Instant] | None] = [None] * READINGS_REMEMBERED
+        """Of the last readings, by their count: their SYNC's instant and their own; None if uncertain."""
+
+    @property
+    def wants_probe(self) -> bool:
+        """Whether the next SYNC should go out a quarter of a period late, see :class:`OrderAttribution`."""
+        return self._by_order.wants_probe
+
+    def probed(self) -> None:
+        """The last SYNC has gone out late."""
+        if self._by_order.wants_probe:
+            self._by_order.probed(self.parts.syncs.marks[-1])
+
+    def calibrate(self) -> bool:
+        """Take what has come since the last SYNC, and learn from it if it can only answer that one; whether a
+        reading came.
+
+        A drive or a bus that stood still gives back several at once, and those of SYNCs before. So a reading
+        must have come alone, and the SYNC before must have had its own.
+        """
+        mark = self.parts.syncs.marks[-1]
+        readings = self._drive.take_readings()
+        self._drive.take_readbacks()
+        self._drive.take_demand_changes()
+        self._readings += len(readings)
+        alone = len({reading.device_time_ns or reading.received_at for reading in readings}) == 1
+        if alone and self._alone and mark.on_bus_at is not None:
+            self._learn(readings[0], mark)
+        self._alone = alone
+        return bool(readings)
+
+    def _learn(self, reading: Reading, mark: SyncMark) -> None:
+        assert mark.on_bus_at is not None
+        self.learned += 1
+        if reading.device_time_ns is not None:
+            self._by_stamp.learn(reading, mark)
+        else:
+            self._by_order.learn(reading, mark)
+        self.meter.learn(Duration(reading.received_at - mark.on_bus_at))
+
+    def discard(self) -> None:
+        """Let go of what has come: it answers SYNCs from before."""
+        self._readings += len(self._drive.take_readings()) + len(self._kept)
+        self._kept.clear()
+        self._drive.take_readbacks()
+        self._drive.take_demand_changes()
+
+    def begin(self, tick: Tick) -> None:
+        """A SYNC has gone out, or was heard."""
+        decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
+        decision.mark = self.parts.syncs.last_of(tick.sequence)
+        self._decisions.append(decision)
+        self.meter.sync_sent(tick.sequence, tick.due_at)
+
+    def miss(self, tick: Tick) -> str | None:
+        """A planned cycle goes without SYNC; why the run must stop after it, or None."""
+        self._decisions.append(Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm))
+        self.meter.missed(tick.sequence, tick.due_at)
+        reason = self.parts.guard.miss_cycle()
+        return None if reason is None else f"{self.parts.name}: {reason}"
+
+    def collect(self) -> None:
+        """Take in what has arrived."""
+        if self._kept:
+            kept, self._kept = self._kept, []
+            for reading in kept:
+                self._take(reading)
+        for reading in self._drive.take_readings():
+            self._take(reading)
+
+    def collect_before(self, at: Instant) -> None:
+        """Take in what had arrived by ``at``: what came later may answer a SYNC whose cycle is to begin."""
+        kept = self._kept
+        kept.extend(self._drive.take_readings())
+        while kept and kept[0].received_at < at:
+            self._take(kept.pop(0))
+
+    def _collect_demands(self) -> None:
+        """Take in what the drive told of its torque demand."""
+        readbacks = self._drive.take_readbacks()
+        for change in self._drive.take_demand_changes():
+            while readbacks and readbacks[0].received_at < change.received_at:
+                self._take_readback(readbacks.pop(0))
+            self._take_change(change)
+        for readback in readbacks:
+            self._take_readback(readback)
+
+    def has_expected(self, sequence: int, decide_after: Duration) -> bool:
+        """Whether nothing more is to be expected before the decision of this cycle.
+
+        A reading that usually takes longer than until the decision is awaited in a later cycle.
+        """
+        overdue = self.meter.typical_delay - decide_after
+        behind = -(-overdue // self._period) if overdue > 0 else 0
+        return self.meter.newest >= sequence - behind
+
+    def decide(self, tick: Tick, apply_at: Instant) -> None:
+        """Compute, limit and send the command of this cycle."""
+        parts = self.parts
+        apply_at = Instant(apply_at + self._acts_later)
+        decision = self._decisions[-1]
+        self._apply_load(parts.load.value(tick.time_s))
+        decision.load_torque_nm = self._load_nm
+        estimate = self._estimate(apply_at)
+        demand_nm = self._output(estimate, decision.reference_rad_s)
+        torque_nm = parts.guard.limit(demand_nm)
+        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
+        self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
+        self._fresh = False
+        self._drive.check()
+        sent = self._drive.write(command)
+        if sent is not None:
+            self._commands.sent(sent)
+        self._update(estimate, command)
+        decision.estimate = estimate
+        decision.command = command
+        decision.sent = sent
+
+    def settle(self, now: int) -> None:
+        """Record the cycles of which everything is known in cycle ``now``."""
+        self._collect_demands()
+        for fate in self.meter.settle():
+            self._hold(fate)
+        settled = self._settled
+        while settled:
+            decision = settled[0]
+            if now - decision.tick.sequence <= self._hold_cycles():
+                return
+            sending = None
+            if decision.sent is not None:
+                sending = self._commands.outcome(decision.tick.sequence, now)
+                if sending is None:
+                    return
+            del settled[0]
+            self._finish(decision, sending)
+
+    def settle_all(self, now: int) -> None:
+        """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
+        for fate in self.meter.settle_all():
+            if self._decisions:
+                self._hold(fate)
+        self.settle(now)
+
+    def _take(self, reading: Reading) -> None:
+        self._readings += 1
+        by_stamp = reading.device_time_ns is not None
+        sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
+        place = (self._readings - 1) % READINGS_REMEMBERED
+        self._placed[place] = None
+        question = self._by_stamp.question if by_stamp else self._by_order.question
+        if question.cleared:
+            question.cleared = False
+            self.meter.forget_doubt()
+        if sample is None or not self.meter.arrived(sample):
+            return
+        if sample.certain:
+            self._placed[place] = (sample.sampled_at, reading.received_at)
+        self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
+        self._receive(sample)
+        self._fresh = True
+
+    def _take_readback(self, readback: Readback) -> None:
+        """The torque demand at a SYNC: it goes with the last reading, if it came within half a period of it.
+
+        Later it would be that of the next SYNC, whose reading was lost.
+        """
+        behind = self._readings - readback.readings
+        placed = self._placed[(readback.readings - 1) % READINGS_REMEMBERED]
+        if placed is not None and 0 <= behind < READINGS_REMEMBERED:
+            sync_at, received_at = placed
+            if 0 <= readback.received_at - received_at < self._half_period:
+                self._commands.told(readback.demand_raw, sync_at)
+
+    def _take_change(self, change: DemandChange) -> None:
+        """The torque demand when it changed."""
+        clock = self._by_stamp.clock
+        if clock.ready:
+            at = clock.place(change.device_time_ns)
+            self._commands.changed(change.demand_raw, at, Duration(clock.error_ns))
+
+    def _hold_cycles(self) -> int:
+        """How long a row waits, in cycles, for what may still become known of its reading."""
+        if self._by_stamp.question.open or self._by_order.question.open:
+            return self._held_max
+        return REVOKED if self._by_stamp.spread else 0
+
+    def _hold(self, fate: Fate) -> None:
+        decision = self._decisions.pop(0)
+        decision.fate = fate
+        self._settled.append(decision)
+
+    def _finish(self, decision: Decision, sending: Sending | None) -> None:
+        tick, fate, mark = decision.tick, decision.fate, decision.mark
+        assert fate is not None
+        clock = self._by_stamp.clock
+        observation = self._by_order.question.applied(self._by_stamp.question.applied(fate.observation))
+        lost = isinstance(observation, Dropout) and observation.cause is DropoutCause.LOST
+        if (mark is not None and not mark.sure) or (lost and self.meter.doubts(tick.sequence)):
+            observation = replaced(observation, certain=False)
+        self.uncertain += not observation.certain
+        self._record(
+            CycleRecord(
+                tick.sequence,
+                self._number,
+                tick.due_at,
+                tick.woke_at,
+                None if mark is None else mark.handed_at,
+                None if mark is None else mark.on_bus_at,
+                observation,
+                fate.delay,
+                decision.estimate,
+                decision.reference_rad_s,
+                decision.load_torque_nm,
+                decision.command,
+                sending,
+                clock.offset_ns if clock.ready else None,
+                clock.error_ns if clock.ready else None,
+            )
+        )
+
+    def _apply_load(self, torque_nm: float) -> None:
+        if torque_nm != self._load_nm and self.parts.load_machine is not None:
+            self.parts.load_machine.set_torque(torque_nm)
+            self._load_nm = torque_nm
+
+    def _check(self, reason: str | None) -> None:
+        if reason is not None:
+            raise LimitExceeded(f"{self.parts.name}: {reason}", remedy="the drive is being brought to rest")

@@ -1,0 +1,117 @@
+"""The map between a drive's clock and the host's.
+
+A drive latches its actual values when a SYNC ends, and stamps them with its own clock; the end of that SYNC
+is known on the host's clock, from its echo:
+
+    host    --- b(k) ------------------- b(k+1) ---------------->   end of SYNC k on the bus
+    drive   --- d(k) ------------------- d(k+1) ---------------->   stamp: other origin, other rate
+
+The map is a straight line that is followed by a Kalman filter of two states, offset and rate. Which SYNC a
+stamp belongs to, and whether a stamp that lies off the line may move it, is decided elsewhere
+(:mod:`hil.loop.attribution`). No rate is too large to be followed.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from drivers.timebase import NS_PER_S, NS_PER_US, Instant
+
+STAMP_RESOLUTION: Final = NS_PER_US
+"""1013h counts whole microseconds, rounded down (CiA 301 7.5.2.16)."""
+_ROUNDING_VARIANCE: Final = STAMP_RESOLUTION**2 / 12.0
+"""Of a value that is equally likely anywhere in a microsecond, ns^2."""
+_RATE_WALK: Final = 1e-11
+"""How fast the rate of a quartz clock wanders, (ns/ns)^2 per s: 3 ppm in a second, faster than that of a
+clock being warmed, so that the filter never falls asleep."""
+_FIRST_RATE_VARIANCE: Final = (2e-3) ** 2
+"""Before anything is known of the rate: 2000 ppm, ten times a poor quartz."""
+
+
+class ClockMap:
+    """Host instant = ``offset`` + (1 + ``rate``) * stamp, both followed from stamp to stamp."""
+
+    def __init__(self) -> None:
+        self.ready = False
+        """Whether at least one stamp with its SYNC has been seen."""
+        self._device_ns = 0
+        self._host_ns = 0
+        self._part_ns = 0.0
+        """What ``_host_ns``, a whole number, lacks."""
+        self._rate = 0.0
+        self._offset_var = 0.0
+        self._cross = 0.0
+        self._rate_var = 0.0
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster the drive's clock runs than the host's (negative: slower), parts per million."""
+        return (1.0 / (1.0 + self._rate) - 1.0) * 1e6
+
+    @property
+    def rate(self) -> float:
+        """By how much more than a nanosecond of the host passes in one of the drive's, ns/ns."""
+        return self._rate
+
+    @property
+    def drift_error_ppm(self) -> float:
+        """Two standard deviations of it."""
+        return 2.0 * math.sqrt(self._rate_var) * 1e6
+
+    @property
+    def offset_ns(self) -> int:
+        """Host minus device, at the last stamp."""
+        return self._host_ns - self._device_ns
+
+    @property
+    def error_ns(self) -> int:
+        """Of a placed instant: the resolution of a stamp and four standard deviations of the line."""
+        return STAMP_RESOLUTION + int(4.0 * math.sqrt(self._offset_var))
+
+    def place(self, device_ns: int) -> Instant:
+        """The host's instant of a device stamp. Needs :attr:`ready`."""
+        passed = device_ns - self._device_ns
+        return Instant(self._host_ns + passed + round(self._part_ns + self._rate * passed))
+
+    def observe(self, device_ns: int, host_ns: Instant, variance_ns2: float) -> None:
+        """A stamp whose host instant is known; ``variance_ns2``: of that instant, beside a stamp's rounding.
+
+        A stamp older than the last one teaches nothing, as the line has passed it.
+        """
+        if not self.ready:
+            self.ready = True
+            self._device_ns, self._host_ns, self._part_ns, self._rate = device_ns, int(host_ns), 0.0, 0.0
+            self._offset_var = _ROUNDING_VARIANCE + variance_ns2
+            self._cross, self._rate_var = 0.0, _FIRST_RATE_VARIANCE
+            return
+        passed = device_ns - self._device_ns
+        if passed <= 0:
+            return
+        dt = float(passed)
+        moved = self._part_ns + self._rate * dt
+        # P <- A P A' + Q with A = [1 dt; 0 1]; the rate's wandering enters through itself alone.
+        offset_var = self._offset_var + dt * (2.0 * self._cross + dt * self._rate_var)
+        cross = self._cross + dt * self._rate_var
+        rate_var = self._rate_var + _RATE_WALK * dt / NS_PER_S
+        innovation = float(host_ns - self._host_ns - passed) - moved
+        spread = offset_var + _ROUNDING_VARIANCE + variance_ns2
+        gain, rate_gain = offset_var / spread, cross / spread
+        part = moved + gain * innovation
+        whole = math.floor(part)
+        self._device_ns = device_ns
+        self._host_ns += passed + whole
+        self._part_ns = part - whole
+        self._rate += rate_gain * innovation
+        self._offset_var = (1.0 - gain) * offset_var
+        self._cross = (1.0 - gain) * cross
+        self._rate_var = rate_var - rate_gain * cross
+
+    def shift(self, by_ns: int) -> None:
+        """Move the line: placed instants are later by ``by_ns`` from now on."""
+        self._host_ns += by_ns
+
+    def start_anew(self, pairs: Sequence[tuple[int, Instant]], variance_ns2: float) -> None:
+        """Forget the line, and learn it from (stamp, host instant) pairs in order of their stamps."""
+        self.ready = False
+        for device_ns, host_ns in pairs:
+            self.observe(device_ns, host_ns, variance_ns2)

@@ -1,0 +1,167 @@
+"""What became of each SYNC's reading, and how long it took.
+
+    SYNC        1      2      3      4      5
+    reading     |--1   |------:---2  |--4   |--5
+    fate        used   late   lost   used   used       ':' is the deadline
+
+A sequence keeps its place until its reading has come or the horizon has passed;
+fates are handed out in order of sequence. A cycle without SYNC has its fate at once.
+"""
+
+from typing import Final
+
+from drivers.timebase import Duration, Instant
+from hil.loop.samples import Dropout, DropoutCause, Observation, Sample
+
+MEDIAN_STEP: Final = 20.0
+"""The running median moves by this part of itself: it follows a change within some twenty readings, and one
+outlier hardly moves it."""
+
+
+class Fate:
+    """The end of one sequence."""
+
+    __slots__ = ("delay", "observation", "sequence")
+
+    def __init__(self, sequence: int, observation: Observation, delay: Duration | None) -> None:
+        """``delay``: sampled to received; None if it never came."""
+        self.sequence = sequence
+        self.observation = observation
+        self.delay = delay
+
+
+class _Outstanding:
+    """A SYNC whose reading is still awaited, or has come but waits for earlier ones."""
+
+    __slots__ = ("doubtful", "due_at", "fate", "sequence")
+
+    def __init__(self, sequence: int, due_at: Instant) -> None:
+        self.sequence = sequence
+        self.due_at = due_at
+        self.fate: Fate | None = None
+        self.doubtful = False
+        """Whether the fate rests on a reading of uncertain place."""
+
+
+class DelayMeter:
+    """Follows the readings of one axis from SYNC to fate."""
+
+    def __init__(self, deadline: Duration, horizon: int) -> None:
+        """``deadline``: oldest usable age on arrival; ``horizon``: SYNCs after which one is lost."""
+        self._deadline = deadline
+        self._horizon = horizon
+        self._outstanding: list[_Outstanding] = []
+        self._newest = 0
+        self._newest_certain = 0
+        """As ``newest``, of readings whose place was certain: only to them another is certainly stale."""
+        self._typical_ns = 0.0
+        self._doubt_first = self._doubt_last = -2 * horizon
+        """First and last cycle of the latest readings in a row whose place is uncertain."""
+        self.unmatched = 0
+        """Readings whose cycle had its fate already: later than the horizon, or the second of their SYNC."""
+
+    @property
+    def typical_delay(self) -> Duration:
+        """Running median of the delay, ns; 0 before the first reading."""
+        return Duration(int(self._typical_ns))
+
+    @property
+    def newest(self) -> int:
+        """Largest sequence of which a reading has come; 0 before the first."""
+        return self._newest
+
+    def sync_sent(self, sequence: int, due_at: Instant) -> None:
+        """A SYNC has gone out; sequences must rise."""
+        self._outstanding.append(_Outstanding(sequence, due_at))
+
+    def missed(self, sequence: int, due_at: Instant) -> None:
+        """A cycle goes without SYNC."""
+        place = _Outstanding(sequence, due_at)
+        place.fate = Fate(sequence, Dropout(sequence, due_at, DropoutCause.MISSED, True), None)
+        self._outstanding.append(place)
+
+    def arrived(self, sample: Sample) -> bool:
+        """A reading has come; whether the loop may use it."""
+        sequence, certain = sample.sequence, sample.certain
+        place = self._find(sequence)
+        if place is None or (place.fate is not None and not (certain and place.doubtful)):
+            self.unmatched += 1
+            return False
+        place.doubtful = not certain
+        if not certain:
+            self._note_doubt(sequence)
+        delay = Duration(sample.reading.received_at - sample.sampled_at)
+        if certain:
+            self.learn(delay)
+        cause = None
+        if delay > self._deadline:
+            cause = DropoutCause.LATE
+        elif sequence < self._newest:
+            cause = DropoutCause.STALE
+        observation: Observation = sample
+        if cause is not None:
+            overtaken_for_sure = sequence < self._newest_certain
+            sure = certain and (cause is DropoutCause.LATE or overtaken_for_sure)
+            observation = Dropout(sequence, place.due_at, cause, sure)
+        self._newest = max(self._newest, sequence)
+        if certain:
+            self._newest_certain = max(self._newest_certain, sequence)
+        place.fate = Fate(sequence, observation, delay)
+        return cause is None
+
+    def settle(self) -> list[Fate]:
+        """The fates that have become final since the last call, in order of sequence."""
+        outstanding = self._outstanding
+        fates: list[Fate] = []
+        while outstanding:
+            fate = outstanding[0].fate
+            if fate is None:
+                if len(outstanding) <= self._horizon:
+                    break
+                fate = self._lost(outstanding[0])
+            fates.append(fate)
+            outstanding.pop(0)
+        return fates
+
+    def settle_all(self) -> list[Fate]:
+        """End of the run: what has not come by now is lost."""
+        fates = [place.fate or self._lost(place) for place in self._outstanding]
+        self._outstanding.clear()
+        return fates
+
+    def _find(self, sequence: int) -> _Outstanding | None:
+        if not self._outstanding:
+            return None
+        index = sequence - self._outstanding[0].sequence
+        if 0 <= index < len(self._outstanding):
+            return self._outstanding[index]
+        return None
+
+    def _lost(self, place: _Outstanding) -> Fate:
+        return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, True), None)
+
+    def doubts(self, sequence: int) -> bool:
+        """Whether a reading of uncertain place may have been that of cycle ``sequence``."""
+        near = self._horizon
+        return self._doubt_first - near <= sequence <= self._doubt_last + near
+
+    def forget_doubt(self) -> None:
+        """The last readings of uncertain place were where they had been placed."""
+        self._doubt_first = self._doubt_last = -2 * self._horizon
+
+    def _note_doubt(self, sequence: int) -> None:
+        if sequence > self._doubt_last + self._horizon:
+            self._doubt_first = sequence
+        self._doubt_last = max(self._doubt_last, sequence)
+
+    def learn(self, delay: Duration) -> None:
+        """Take a delay into :attr:`typical_delay`.
+
+        Median by stochastic approximation: a step up or down of a fixed part of the value.
+        """
+        if self._typical_ns == 0.0:
+            self._typical_ns = float(delay)
+            return
+        step = abs(self._typical_ns) / MEDIAN_STEP
+        difference = delay - self._typical_ns
+        self._typical_ns += min(max(difference, -step), step)

@@ -1,0 +1,124 @@
+"""Which SYNC a reading without a stamp answers: by the order in which they passed the bus."""
+
+from typing import Final
+
+from drivers.exchange import Reading
+from drivers.timebase import Duration, Instant
+from hil.loop.attribution import Health, Question, Tell
+from hil.loop.samples import Sample
+from hil.loop.syncs import ECHO_ERROR, SURPLUS, SyncLog, SyncMark
+
+PROBE_AGAIN_AFTER: Final = 100
+"""SYNCs from a probe that failed until the next one."""
+
+
+class OrderAttribution:
+    """Places readings by the order in which SYNCs and readings passed the bus.
+
+        SYNC ends      1       2       3          4                 5
+        readings         |r      |r                 |r       |?
+        placed           1       2                  4        not in order: 4 was answered already
+
+    A reading answers the SYNC before it, as long as the drive answers before the next one. That cannot be
+    seen from readings that come regularly: one period more of delay, which begins with a gap, looks like one
+    lost reading. So after a gap readings are uncertain until a *probe*: one SYNC goes out a quarter of a
+    period late. A drive that answers in time answers that one as late as itself; a delayed stream stays.
+    """
+
+    def __init__(self, syncs: SyncLog, period: Duration, transit: Duration, tell: Tell) -> None:
+        self.health = Health()
+        self.question = Question()
+        self.wants_probe = False
+        """Whether the next SYNC is to go out a quarter of a period late."""
+        self._syncs = syncs
+        self._period = period
+        self._transit = transit
+        self._tell = tell
+        self._error_ns = ECHO_ERROR[syncs.echoes]
+        self._answered = 0
+        """Number of the last SYNC that has its reading."""
+        self._probe = 0
+        """Number of the SYNC that went out late; 0: none is out."""
+        self._sure = True
+        self._beyond = False
+        self._usual_ns = 0.0
+        self._next_probe = 0
+        self._unsure: list[int] = []
+        """Cycles whose readings wait for the end of the probe."""
+
+    def learn(self, reading: Reading, mark: SyncMark) -> None:
+        """Take a reading that can only answer the SYNC of ``mark``."""
+        if mark.on_bus_at is not None:
+            self._usual_ns = float(reading.received_at - mark.on_bus_at)
+            self._answered = mark.number
+
+    def probed(self, mark: SyncMark) -> None:
+        """The SYNC of ``mark`` has gone out late."""
+        self._probe = mark.number
+        self.wants_probe = False
+
+    def place(self, reading: Reading) -> Sample | None:
+        received_at = reading.received_at
+        mark = self._syncs.newest_before(received_at)
+        if mark is None or mark.on_bus_at is None or mark.sequence == SURPLUS:
+            self.health.unmatched += 1
+            return None
+        age = received_at - mark.on_bus_at
+        if mark.number <= self._answered:
+            # The second answer to a SYNC: this one, or the one before, was late by a period or more.
+            self._find_beyond(mark.number)
+            self.health.unmatched += 1
+            return None
+        if mark.number > self._answered + 1:
+            self._sure = False
+        self._answered = mark.number
+        if mark.number == self._probe:
+            self._conclude(age)
+        elif not self._sure and self._probe < mark.number and mark.number >= self._next_probe:
+            self.wants_probe = True
+        self._usual_ns += (age - self._usual_ns) / 4.0
+        self.question.open = not (self._sure or self._beyond)
+        health = self.health
+        health.placed += 1
+        if not self._sure:
+            if not self._beyond:
+                self._unsure.append(mark.sequence)
+            error_ns = self._error_ns + received_at - self._oldest_at(mark)
+        else:
+            error_ns = self._error_ns
+            health.error_ns_max = error_ns
+            if age < self._transit - error_ns:
+                health.below_transit += 1
+        return Sample(mark.sequence, reading, mark.on_bus_at, error_ns, self._sure)
+
+    def _oldest_at(self, mark: SyncMark) -> Instant:
+        first = self._syncs.marks[0].on_bus_at
+        return first if first is not None else mark.handed_at
+
+    def _conclude(self, age: int) -> None:
+        """The SYNC that went out late was answered after ``age``; usual is what the readings before had."""
+        if abs(age - self._usual_ns) >= self._period / 8.0:
+            self._find_beyond(self._probe)
+            return
+        self._sure = True
+        for sequence in self._unsure:
+            self.question.amend(sequence, True, self._error_ns)
+        self._unsure.clear()
+        self.question.cleared = not self._beyond
+        if self._beyond:
+            self._beyond = False
+            self._tell("its readings answer the SYNC before them again")
+
+    def _find_beyond(self, number: int) -> None:
+        """A reading has come later than the SYNC after its own; ``number``: of the SYNC of now."""
+        self._sure = False
+        self.question.open = False
+        self._unsure.clear()
+        self.wants_probe = False
+        self._next_probe = number + PROBE_AGAIN_AFTER
+        if not self._beyond:
+            self._beyond = True
+            self._tell(
+                "its readings come later than the next SYNC; without a stamp of the drive's clock beside the"
+                " speed it cannot be told which SYNC they answer: they are marked uncertain"
+            )

@@ -1,0 +1,231 @@
+"""What the network did to the readings of a run, from its records: ``network.toml`` in the run's folder."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import NS_PER_US
+from hil.configuration.network_file import (
+    NETWORK_FILE,
+    ClockHealth,
+    DelayHistogram,
+    Delays,
+    Network,
+    network_text,
+)
+from hil.loop.samples import CommandFate, DropoutCause
+from hil.reviewing.histogram import TimeHistogram
+from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
+from hil.rows.side_rows import RunEvent
+from hil.verdict.summary import Summary
+
+_BARS = 100
+_ACTING, _LOST, _NOT_IDENTIFIABLE = (
+    COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
+)
+_RUN_MAX = 1000
+"""Losses in a row that are counted apart; more count as so many."""
+
+
+class NetworkMeter:
+    """Feed it rows in the order of recording; any division into chunks gives the same network."""
+
+    def __init__(self, period_us: int, axes: int) -> None:
+        self._period_us = period_us
+        self._reading, self._command = TimeHistogram(), TimeHistogram()
+        self._action_least, self._action = TimeHistogram(), TimeHistogram()
+        self._stamped_least, self._stamped = TimeHistogram(), TimeHistogram()
+        """The same of the commands whose acting the drive has stamped."""
+        self._unstamped = np.zeros(axes, np.int64)
+        """Acting commands without such a stamp less those with one, by axis."""
+        self._command_fates = np.zeros(len(COMMAND_FATES), np.int64)
+        self._command_runs = np.zeros(_RUN_MAX + 1, np.int64)
+        self._commands_open = [0] * axes
+        self._uncertain = 0
+        self._fates = np.zeros(len(CAUSES) + 1, np.int64)
+        self._runs = np.zeros(_RUN_MAX + 1, np.int64)
+        self._open = [0] * axes
+        """Losses in a row that have not ended yet, by axis."""
+
+    def add(self, rows: Rows) -> None:
+        """Take in ``rows``: (n,) of ROW_DTYPE, each axis in order of sequence."""
+        if not rows.size:
+            return
+        self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
+        self._uncertain += int(np.count_nonzero(rows["certain"] == 0))
+        came = rows[rows["fate"] == FATE_SAMPLE]
+        self._reading.add(came["received_at"] - came["sampled_at"])
+        on_bus = rows[rows["command_on_bus_at"] != NOTHING]
+        self._command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
+        acting = came[came["command_fate"] == _ACTING]
+        least, most = action_delays_ns(acting, self._period_us * NS_PER_US)
+        self._action_least.add(least)
+        self._action.add(most)
+        stamped = _stamped(acting)
+        self._stamped_least.add(least[stamped])
+        self._stamped.add(most[stamped])
+        np.add.at(self._unstamped, acting["axis"], np.where(stamped, -1, 1))
+        fates = rows["command_fate"]
+        self._command_fates += np.bincount(fates[fates != NOTHING], minlength=len(COMMAND_FATES))
+        for axis in range(len(self._open)):
+            mine = rows[rows["axis"] == axis]
+            _count_runs(self._runs, self._open, axis, mine["fate"] != FATE_SAMPLE)
+            told = mine["command_fate"]
+            told = told[(told == _ACTING) | (told == _LOST)]
+            _count_runs(self._command_runs, self._commands_open, axis, told == _LOST)
+
+    def network(self) -> Network | None:
+        """The network so far; None before the first reading."""
+        runs, longest = _closed(self._runs, self._open)
+        _, command_longest = _closed(self._command_runs, self._commands_open)
+        reading = delays_of(self._reading)
+        if reading is None:
+            return None
+        stamped = bool((self._unstamped <= 0).all())
+        action = delays_of(self._stamped if stamped else self._action)
+        acting, lost = (int(self._command_fates[place]) for place in (_ACTING, _LOST))
+        count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
+        total = int(self._fates.sum())
+        return Network(
+            period_us=self._period_us,
+            losses_in_a_row_max=longest,
+            delay_max_us=math.ceil(reading.max if action is None else action.max),
+            commands="not measured" if action is None else "measured",
+            command_losses_in_a_row_max=command_longest,
+            cycles=total,
+            lost=count[DropoutCause.LOST],
+            late=count[DropoutCause.LATE],
+            stale=count[DropoutCause.STALE],
+            missed=count[DropoutCause.MISSED],
+            uncertain_percent=100.0 * self._uncertain / total,
+            loss_percent=100.0 * sum(count.values()) / total,
+            losses_in_a_row=tuple(runs[1 : longest + 1].tolist()),
+            reading_delay_us=reading,
+            action_delay_us=action,
+            action_delay_least_us=delays_of(self._stamped_least if stamped else self._action_least),
+            command_delay_us=delays_of(self._command),
+            commands_acting=acting,
+            commands_lost=lost,
+            commands_not_identifiable=int(self._command_fates[_NOT_IDENTIFIABLE]),
+            command_loss_percent=100.0 * lost / (acting + lost) if acting + lost else None,
+            histogram=histogram_of(self._reading),
+        )
+
+
+def _count_runs(runs: NDArray[np.int64], still_open: list[int], axis: int, lost: NDArray[np.bool_]) -> None:
+    """Take the runs of ``lost`` into ``runs``; what has not ended stays in ``still_open``, by axis."""
+    if not lost.size:
+        return
+    kept = np.flatnonzero(~lost)
+    if not kept.size:
+        still_open[axis] += lost.size
+        return
+    lengths = np.diff(np.concatenate([[-1], kept])) - 1
+    lengths[0] += still_open[axis]
+    runs += np.bincount(np.minimum(lengths[lengths > 0], _RUN_MAX), minlength=_RUN_MAX + 1)
+    still_open[axis] = int(lost.size - 1 - kept[-1])
+
+
+def _closed(runs: NDArray[np.int64], still_open: list[int]) -> tuple[NDArray[np.int64], int]:
+    """The runs with those that have not ended, and the longest."""
+    closed = runs.copy()
+    for length in still_open:
+        closed[min(length, _RUN_MAX)] += 1 if length else 0
+    return closed, int(np.flatnonzero(closed)[-1]) if closed.any() else 0
+
+
+STAMPED_WITHIN: Final = 4
+"""Errors of the drive's clock: the interval in which a stamped command began to act is two of them long, and
+the error may have halved until the row was written."""
+
+
+def _stamped(acting: Rows) -> NDArray[np.bool_]:
+    """Which commands are known to act from then on because the drive has stamped it, (n,).
+
+    Of the others it is known between which SYNCs: that bounds a delay by a period, however short it was.
+    Where most were stamped, the others are those whose frame was lost: of their delay that tells nothing, and
+    they are left out.
+    """
+    error_ns = np.maximum(acting["clock_error_ns"], 0)
+    fine: NDArray[np.bool_] = (
+        acting["command_acts_by"] - acting["command_acts_after"] <= STAMPED_WITHIN * error_ns
+    )
+    return fine
+
+
+def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """From the sample to the actuation that can first rest on it: the least and the most that it may be.
+
+    That actuation is by the command of the sample's own cycle, or of a later one if the reading came after
+    it. A drive that tells its torque demand tells it at SYNCs: the command acts after one and by the next.
+    ``came``: (n,) of ROW_DTYPE with usable readings only; (m,) ns each, of the commands known to act.
+    """
+    acting = came[came["command_fate"] == _ACTING]
+    late = acting["received_at"] - acting["command_handed_at"]
+    behind = np.where(late > 0, -(-late // period_ns), 0) * period_ns - acting["sampled_at"]
+    least: NDArray[np.int64] = acting["command_acts_after"] + behind
+    most: NDArray[np.int64] = acting["command_acts_by"] + behind
+    return least, most
+
+
+class NetworkKeeper:
+    """network.toml."""
+
+    name = NETWORK_FILE
+
+    def __init__(self, folder: Path, period_us: int, axes: int) -> None:
+        self._path = folder / NETWORK_FILE
+        self._meter = NetworkMeter(period_us, axes)
+
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+        self._meter.add(rows)
+
+    def flush(self) -> None:
+        """Written at the end."""
+
+    def finish(self, summary: Summary) -> None:
+        found = self._meter.network()
+        if found is not None:
+            told = found.model_copy(update={"clocks": clocks_of(summary)})
+            self._path.write_text(network_text(told), encoding="utf-8")
+
+
+def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
+    """Of each axis, from what the timing of the run rests on."""
+    clocks = {}
+    for name, told in (summary.timing or {}).get("axes", {}).items():
+        clock = told.get("clock", {})
+        clocks[name] = ClockHealth(
+            drift_ppm=clock.get("drift_ppm"),
+            drift_error_ppm=clock.get("drift_error_ppm"),
+            error_us=told["error_us_max"],
+            steps=told["clock_steps"],
+        )
+    return clocks
+
+
+def delays_of(times: TimeHistogram) -> Delays | None:
+    """Quantiles, us; None of no times."""
+    quantiles = [times.quantile_ns(share) for share in (0.5, 0.99, 0.999)]
+    p50, p99, p999 = (None if value is None else value / NS_PER_US for value in quantiles)
+    largest = times.largest_ns
+    if p50 is None or p99 is None or p999 is None or largest is None:
+        return None
+    return Delays(p50=p50, p99=p99, p999=p999, max=largest / NS_PER_US)
+
+
+def histogram_of(times: TimeHistogram) -> DelayHistogram | None:
+    """A hundred bars from 0 up, without empty ones at the ends; None of no times."""
+    largest = times.largest_ns
+    if largest is None:
+        return None
+    width_us = max(1, math.ceil(largest / NS_PER_US / _BARS))
+    counts = times.bars(width_us * NS_PER_US, _BARS)
+    filled = np.flatnonzero(counts)
+    first, last = int(filled[0]), int(filled[-1])
+    edges = tuple(float(width_us * place) for place in range(first, last + 2))
+    return DelayHistogram(edges_us=edges, counts=tuple(counts[first : last + 1].tolist()))

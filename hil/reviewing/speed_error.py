@@ -1,0 +1,122 @@
+"""The speed error of one axis over a run, and which cycles count for it.
+
+The error of a cycle is its reference minus the speed that the drive measured at that
+cycle's SYNC. It counts if a reading came (a dropout says nothing about the motor) and
+the axis had time to settle:
+
+    reference  ____/~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~
+    load       _______________________/~~~~~~~~~~~~
+    counts     ----|  settling  |-----------------    peak, rms
+    after load                        |-----------    peak in percent of the reference
+
+A reference step is a change between two cycles that the axis cannot follow: faster than
+its torque limit and inertia allow. A ramp or a sine within that opens no window.
+After a change of load the error is also taken in percent of the reference, until the
+reference changes.
+"""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import NS_PER_S
+from hil.rows.recording_plan import AxisPlan
+from hil.rows.records import FATE_SAMPLE, Rows
+from hil.verdict.summary import SpeedError
+
+_NEVER = -(2**62)
+_ROUNDING = 1.0 + 1e-9
+
+
+class SpeedErrorMeter:
+    """Streaming; any division of the rows into chunks gives the same figures, bit by bit."""
+
+    def __init__(self, axis: AxisPlan, settling_ns: int) -> None:
+        self._acceleration_max = axis.acceleration_max_rad_s2
+        self._settling_ns = settling_ns
+        self._rows = 0
+        self._last_reference, self._last_load, self._last_due_at = 0.0, 0.0, 0
+        self._step_at = _NEVER
+        self._reference_changed_row = self._load_changed_row = -1
+        self._counted = 0
+        self._square_sum = 0.0
+        self._peak = self._reference_peak = self._after_load_peak = 0.0
+        self._after_load_counted = 0
+
+    def add(self, rows: Rows) -> None:
+        """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
+        if not rows.size:
+            return
+        reference = rows["reference_rad_s"]
+        error = np.abs(reference - rows["velocity_rad_s"])
+        counts, after_load = self._windows(rows)
+        self._reference_peak = max(self._reference_peak, float(np.abs(reference).max()))
+        self._take_counted(error[counts])
+        relative = counts & after_load & (reference != 0.0)
+        if relative.any():
+            self._after_load_counted += int(relative.sum())
+            share = error[relative] / np.abs(reference[relative])
+            self._after_load_peak = max(self._after_load_peak, float(share.max()))
+
+    def figures(self) -> SpeedError:
+        """Of all rows so far."""
+        if not self._counted:
+            return SpeedError(None, None, None, None)
+        return SpeedError(
+            peak_rad_s=self._peak,
+            peak_percent=100.0 * self._peak / self._reference_peak if self._reference_peak else None,
+            rms_rad_s=math.sqrt(self._square_sum / self._counted),
+            after_load_percent=100.0 * self._after_load_peak if self._after_load_counted else None,
+        )
+
+    def _take_counted(self, error: NDArray[np.float64]) -> None:
+        if not error.size:
+            return
+        self._counted += error.size
+        self._peak = max(self._peak, float(error.max()))
+        # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
+        self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], error * error)))[-1])
+
+    def _windows(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which rows count, and which lie after a change of load under an unchanged reference."""
+        reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]
+        if self._rows == 0:
+            # The axis starts at rest; its first load is no change.
+            self._last_load, self._last_due_at = float(load[0]), int(due_at[0])
+        reference_change = np.diff(reference, prepend=self._last_reference)
+        elapsed_s = np.diff(due_at, prepend=self._last_due_at) / NS_PER_S
+        stepped = np.abs(reference_change) > self._acceleration_max * elapsed_s * _ROUNDING
+        step_at = np.maximum.accumulate(np.where(stepped, due_at, self._step_at))
+        numbers = np.arange(self._rows, self._rows + rows.size)
+        reference_row = _last_marked(reference_change != 0.0, numbers, self._reference_changed_row)
+        load_row = _last_marked(
+            np.diff(load, prepend=self._last_load) != 0.0, numbers, self._load_changed_row
+        )
+        self._rows += rows.size
+        self._last_reference, self._last_load = float(reference[-1]), float(load[-1])
+        self._last_due_at, self._step_at = int(due_at[-1]), int(step_at[-1])
+        self._reference_changed_row, self._load_changed_row = int(reference_row[-1]), int(load_row[-1])
+        counts = (rows["fate"] == FATE_SAMPLE) & (due_at - step_at >= self._settling_ns)
+        return counts, load_row > reference_row
+
+
+def _last_marked(marks: NDArray[np.bool_], numbers: NDArray[np.int64], before: int) -> NDArray[np.int64]:
+    """For each row the number of the last marked row up to it; ``before`` if there is none."""
+    return np.maximum.accumulate(np.where(marks, numbers, before))
+
+
+def worst(figures: list[SpeedError]) -> SpeedError:
+    """The largest of each figure over the axes."""
+    return SpeedError(
+        largest(f.peak_rad_s for f in figures),
+        largest(f.peak_percent for f in figures),
+        largest(f.rms_rad_s for f in figures),
+        largest(f.after_load_percent for f in figures),
+    )
+
+
+def largest(values: Iterable[float | None]) -> float | None:
+    """Of those that were measured; None: none was."""
+    return max((value for value in values if value is not None), default=None)

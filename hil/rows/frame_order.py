@@ -1,0 +1,78 @@
+"""Frames in the order of their instants.
+
+The ring holds them as the host came to them: what it sends bears the instant of sending, what it receives
+that of the bus. A host that was kept away, by its own waiting or by a stop of its process, sends first and
+then fetches what has piled up:
+
+    pushed      sent 5.000   received 2.001   received 2.002 ...    on one segment, seconds
+    written                  received 2.001   received 2.002 ...   sent 5.000
+
+What was received on a segment comes in its order, up to the jitter of its stamps. So a frame may be written
+as soon as every segment has brought one that is later, or brings nothing any more.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame_port import ERROR_FLAG
+from drivers.timebase import NS_PER_MS
+from hil.rows.side_rows import FRAME_DTYPE
+
+JITTER_NS: Final = 20 * NS_PER_MS
+"""By how much a stamp may be older than the one before it on its segment: twice a frame at 10 kbit/s, whose
+end an adapter may stamp ahead, and what a wall clock that is being set wanders between two looks at it."""
+SILENCE_NS: Final = 200 * NS_PER_MS
+"""A segment that brought nothing since the last look is not waited for, once others went on for so long: as
+much as a recording may lack that is cut off."""
+_EARLIEST: Final = -(2**62)
+
+
+class FrameOrder:
+    """Holds frames back until none that is earlier can come."""
+
+    def __init__(self, segments: int) -> None:
+        """``segments``: how many there are."""
+        self.late = 0
+        """Frames that came after a later one had been let go."""
+        self._held: NDArray[np.void] = np.empty(0, FRAME_DTYPE)
+        self._received_until = [_EARLIEST] * segments
+        self._newest = self._let_go_until = _EARLIEST
+
+    def take(self, frames: NDArray[np.void]) -> NDArray[np.void]:
+        """What may be written now, in order, of all so far; frames of one instant as they came.
+
+        ``frames``: (n,) of FRAME_DTYPE, what came since the last call.
+        """
+        if not frames.size:
+            return frames
+        self.late += int(np.count_nonzero(frames["at"] < self._let_go_until))
+        self._newest = max(self._newest, int(frames["at"].max()))
+        limit = min(self._limit(segment, frames) for segment in range(len(self._received_until)))
+        held = np.concatenate((self._held, frames))
+        held = held[np.argsort(held["at"], kind="stable")]
+        count = int(np.searchsorted(held["at"], limit, side="right"))
+        ready, self._held = held[:count], held[count:].copy()
+        if count:
+            self._let_go_until = max(self._let_go_until, int(ready["at"][-1]))
+        return ready
+
+    @property
+    def held(self) -> NDArray[np.void]:
+        """What may not be written yet, in order."""
+        return self._held
+
+    def rest(self) -> NDArray[np.void]:
+        """All that is held, in order: nothing comes any more."""
+        rest, self._held = self._held, self._held[:0]
+        return rest
+
+    def _limit(self, segment: int, frames: NDArray[np.void]) -> int:
+        """Until when a segment can bring no frame any more, ns."""
+        # Simulated error frames are told at their instant, past what waits to be received.
+        received = frames[(frames["sent"] == 2 * segment) & (frames["can_id"] & ERROR_FLAG == 0)]
+        if received.size:
+            self._received_until[segment] = max(self._received_until[segment], int(received["at"].max()))
+            return self._received_until[segment] - JITTER_NS
+        return max(self._received_until[segment] - JITTER_NS, self._newest - SILENCE_NS)

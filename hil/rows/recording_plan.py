@@ -1,0 +1,143 @@
+"""What a recording needs to know before the first cycle; plain values that can be sent to another process."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from drivers.timebase import NS_PER_S, Duration, Instant
+from hil.verdict.verdict import VerdictLimits
+
+SETTLING = Duration(250_000_000)
+"""Default of ``verdict.settling_ms``."""
+SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
+"""Where the first cycle of a simulated run lies in frames.log, ns since 1970: in September 2001, so that no
+stamp is taken for a real one, and run times can be read off at sight."""
+
+
+@dataclass(frozen=True, slots=True)
+class CertifiedPlan:
+    """For what an axis' controller is certified; None: its file does not say."""
+
+    period_us: int
+    delay_us: float | None = None
+    """From sample to actuator, at most."""
+    losses_in_a_row: int | None = None
+    gain: float | None = None
+    """From load torque to speed error, rad/s per N m, at most."""
+    bandwidths_hz: tuple[float, float] | None = None
+    """Of the drive's current loop, least and largest."""
+    bandwidth_hz: float | None = None
+    """That of the drive; None: not known."""
+    torque_rms_nm_max: float | None = None
+    """About its mean at steady reference and load; None: not asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisPlan:
+    """One axis, as the review sees it."""
+
+    name: str
+    acceleration_max_rad_s2: float
+    """What its torque limit and inertia allow; a reference that changes faster opens a settling window."""
+    rated_torque_nm: float | None = None
+    """Of the motor; None: how much its torque swings is not judged."""
+    certified: CertifiedPlan | None = None
+    """None: its controller has no certificate."""
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "AxisPlan":
+        """Inverse of asdict, by way of JSON."""
+        certified = found["certified"]
+        if certified is not None:
+            bandwidths_hz = certified["bandwidths_hz"]
+            held = bandwidths_hz if bandwidths_hz is None else tuple(bandwidths_hz)
+            certified = CertifiedPlan(**{**certified, "bandwidths_hz": held})
+        return cls(**{**found, "certified": certified})
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewPlan:
+    """What the figures and the verdict depend on, beside the records."""
+
+    axes: tuple[AxisPlan, ...]
+    """By axis number of the records."""
+    limits: VerdictLimits = field(default_factory=VerdictLimits)
+    settling: Duration = SETTLING
+    """How long after a reference step the speed error is not counted."""
+
+
+class PlannedSetPoint(NamedTuple):
+    """A reference or a load that an axis is to be asked for."""
+
+    after: Duration
+    """The first cycle."""
+    axis: int
+    text: str
+    """It, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingPlan:
+    """One run's recording."""
+
+    folder: Path | None
+    """Made by the recorder; holds everything of the run. None: there are to be figures, and no files."""
+    name: str
+    """Of the bench, for titles."""
+    seed: int
+    bus: str
+    """Bus spec; its last part is the interface name of frames.log."""
+    real_time: bool
+    """True: a full ring loses rows and counts them. False: a full ring makes the writer wait."""
+    deadline: Duration
+    """Age at which a reading counts as late; drawn beside the delay."""
+    review: ReviewPlan
+    bench_toml: str
+    """The resolved bench file."""
+    started_at: Instant = Instant(0)  # noqa: RUF009 - an int
+    """When the recording began; the time zero of a run that comes to no cycle."""
+    wall_offset: Duration | None = None
+    """Wall clock minus bench clock, for frames.log; None in simulated time."""
+    frames: bool = True
+    """Whether frames.log is kept."""
+    segments: tuple[str, ...] = ()
+    """Names of the bus's further segments, in frames.log in the place of the interface."""
+    set_points: tuple[PlannedSetPoint, ...] = ()
+    """What the axes are to be asked for; told as it is acted upon."""
+    faults: bool = False
+    """Whether faults.jsonl is kept: what was injected."""
+    view: bool = False
+    """Whether a Rerun viewer shows the run while it goes on."""
+    period_us: int = 0
+    """Of the loop, for network.toml; 0: none is written."""
+    notes: Mapping[str, str] = field(default_factory=dict)
+    """Shown beside the verdict, e.g. {"controller": "pid"}."""
+
+    def stamp_offset(self, zero: Instant) -> Duration:
+        """Epoch stamp minus bench clock, ns; ``zero``: the first cycle on the bench clock."""
+        return Duration(SIMULATED_EPOCH - zero) if self.wall_offset is None else self.wall_offset
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        found = asdict(self)
+        found["folder"] = None if self.folder is None else str(self.folder)
+        return found
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "RecordingPlan":
+        """Inverse of :meth:`as_json`."""
+        review = found["review"]
+        return cls(
+            **{
+                **found,
+                "folder": None if found["folder"] is None else Path(found["folder"]),
+                "segments": tuple(found["segments"]),
+                "set_points": tuple(PlannedSetPoint(*each) for each in found["set_points"]),
+                "review": ReviewPlan(
+                    tuple(AxisPlan.from_json(axis) for axis in review["axes"]),
+                    VerdictLimits(**review["limits"]),
+                    review["settling"],
+                ),
+            }
+        )

@@ -1,0 +1,164 @@
+"""The cycle records on disk, by column: an Arrow IPC file (Feather version 2) with zstd.
+
+Every program that knows Arrow opens it as it is. Its batches are written as they come, one about each second,
+and what names their places, the footer, at the end: what lies before that is an IPC stream behind the file's
+first eight bytes, by which a file that was cut off is read, and finished (:func:`finish_records`).
+
+Instants are in run time, ns since the first cycle; what is not known is null.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from drivers.timebase import Instant
+from hil.rows.record_columns import COLUMNS, FORMAT, PHASE_COLUMN, PHASES, RUN, Column
+from hil.rows.records import NOTHING, ROW_DTYPE, Rows
+
+RECORDS_FILE = "records.arrow"
+MAGIC = b"ARROW1\0\0"
+_MAGIC_END = b"ARROW1"
+_OPTIONS = pa.ipc.IpcWriteOptions(compression="zstd")
+
+
+class RecordsWriter:
+    """Appends batches of rows to a new file."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = pa.OSFile(str(path), "wb")
+        self._schema: pa.Schema | None = None
+        self._writer: pa.RecordBatchFileWriter | None = None
+        self._zero = Instant(0)
+
+    def begin(self, metadata: Mapping[str, str], zero: Instant) -> None:
+        """Write the head. ``zero``: the first cycle on the bench clock. Error: OSError."""
+        self._zero = zero
+        self._schema = records_schema(metadata)
+        self._writer = pa.ipc.new_file(self._file, self._schema, options=_OPTIONS)
+        self.write(np.empty(0, ROW_DTYPE))  # nothing is on disk before the first batch
+
+    def write(self, rows: Rows) -> None:
+        """Append one batch: (n,) of ROW_DTYPE, on the bench clock. Error: OSError if the disk is full."""
+        assert self._writer is not None
+        self._writer.write_batch(_batch(rows, self._schema, self._zero))
+
+    def close(self) -> None:
+        """Write the footer."""
+        if self._writer is not None:
+            self._writer.close()
+        self._file.close()
+
+    def drop(self) -> None:
+        """Close the file as it is."""
+        self._file.close()
+
+
+def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
+    """Columns with their units and codes; ``metadata``: of the run."""
+    fields = [
+        *[pa.field(each.name, pa.type_for_alias(each.kind), metadata=each.metadata) for each in COLUMNS],
+        pa.field(PHASE_COLUMN.name, pa.dictionary(pa.int8(), pa.string()), metadata=PHASE_COLUMN.metadata),
+    ]
+    return pa.schema(fields, metadata={"format": FORMAT, **metadata})
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """What the file says of the run; empty if it was cut off before its head."""
+    schema = _schema_of(path)
+    found = {} if schema is None else schema.metadata or {}
+    return {key.decode(): value.decode() for key, value in found.items()}
+
+
+def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
+    """The batches of a file in order, each (n,) of ROW_DTYPE. A batch that was cut off ends it.
+
+    ``first_cycle``: what their instants are to count it as; the metadata have it on the bench clock, too.
+    """
+    for batch in _batches(path):
+        yield _rows_of(batch, first_cycle)
+
+
+def finish_records(path: Path) -> int:
+    """Give a file that was cut off its footer, and return its number of rows; a whole one is left as it is.
+
+    What was not written whole is left out. It needs room for the footer alone. Error: OSError.
+    """
+    count: int = sum(batch.num_rows for batch in _batches(path))
+    if _is_whole(path):
+        return count
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_file(sink, _schema_of(path) or records_schema({}), options=_OPTIONS) as writer:
+        for batch in _batches(path):
+            writer.write_batch(batch)
+        end = sink.tell()
+    whole = sink.getvalue().to_pybytes()
+    with path.open("r+b") as file:
+        kept = end if file.read(end) == whole[:end] else 0
+        file.seek(kept)
+        file.write(whole[kept:])
+        file.truncate()
+    return count
+
+
+def _schema_of(path: Path) -> pa.Schema | None:
+    """None if the file was cut off before its head."""
+    with pa.OSFile(str(path), "rb") as source:
+        try:
+            return _stream(source).schema
+        except (pa.ArrowInvalid, OSError):
+            return None
+
+
+def _is_whole(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - len(_MAGIC_END)))
+        return file.read() == _MAGIC_END
+
+
+def _stream(source: pa.NativeFile) -> pa.RecordBatchStreamReader:
+    """What lies between the file's first bytes and its footer."""
+    source.seek(len(MAGIC))
+    return pa.ipc.open_stream(source)
+
+
+def _batches(path: Path) -> Iterator[pa.RecordBatch]:
+    """Those that are whole."""
+    with pa.OSFile(str(path), "rb") as source:
+        try:
+            reader = _stream(source)
+            while True:
+                yield reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
+            return
+
+
+def _batch(rows: Rows, schema: pa.Schema, zero: Instant) -> pa.RecordBatch:
+    columns = [_column(rows[each.name], each, zero) for each in COLUMNS]
+    phases = pa.DictionaryArray.from_arrays(np.full(rows.size, PHASES.index(RUN), np.int8), list(PHASES))
+    return pa.record_batch([*columns, phases], schema=schema)
+
+
+def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
+    """Of one batch, with nulls and in run time."""
+    if column.kind == "float64":
+        return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
+    nothing = (values == NOTHING) | (values == column.none)
+    moved = values - zero if column.is_instant else values
+    return pa.array(np.where(nothing, 0, moved), mask=nothing).cast(column.kind)
+
+
+def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
+    rows = np.empty(batch.num_rows, ROW_DTYPE)
+    for column in COLUMNS:
+        found = batch.column(column.name)
+        if column.kind != "float64":
+            found = found.cast("int64").fill_null(NOTHING)
+        rows[column.name] = found.to_numpy(zero_copy_only=False)
+        if column.is_instant and first_cycle:
+            rows[column.name][rows[column.name] != NOTHING] += first_cycle
+    return rows

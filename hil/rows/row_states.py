@@ -1,0 +1,90 @@
+"""States that follow from the records alone: the drive's from its statusword, the link's from dropouts, the
+host's from the cycles that went without SYNC."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.profile402 import state_of
+from drivers.readings import NEVER_TOLD
+from hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
+
+LINK_WINDOW_CYCLES = 20
+LINK_DEGRADED_DROPOUTS = 5
+LINK_OK, LINK_DEGRADED, LINK_DOWN = "OK", "DEGRADED", "DOWN"
+_LINK_LABELS = (LINK_OK, LINK_DEGRADED, LINK_DOWN)
+HOST_IN_TIME, HOST_MISSED = "In time", "MISSED"
+
+_STATE_BITS = 0x6F
+"""The bits of 0x6041 that name the state (CiA 402-2, statusword)."""
+
+
+class Change(NamedTuple):
+    """From an instant on, ``label`` holds."""
+
+    at: int
+    label: str
+
+
+class DriveStates:
+    """Changes of one axis' CiA 402 state, as its readings tell them."""
+
+    def __init__(self) -> None:
+        self._last = -1
+
+    def changes(self, rows: Rows) -> list[Change]:
+        """In rows of one axis, in order."""
+        read = rows[rows["fate"] == FATE_SAMPLE]
+        words = (read["statusword"] & _STATE_BITS).astype(np.int64)
+        changed = np.flatnonzero(np.diff(words, prepend=self._last))
+        if words.size:
+            self._last = int(words[-1])
+        told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
+        return [Change(int(told_at[place]), drive_label(int(words[place]))) for place in changed]
+
+
+class LinkStates:
+    """Quality of one axis' link: DOWN when a whole window was dropped, DEGRADED when a quarter of it was.
+
+    A cycle without SYNC says nothing of the link.
+    """
+
+    def __init__(self) -> None:
+        self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
+        self._last = -1
+
+    def changes(self, rows: Rows) -> list[Change]:
+        """In rows of one axis, in order."""
+        rows = rows[rows["fate"] != FATE_MISSED]
+        dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
+        self._window = dropped[-LINK_WINDOW_CYCLES:]
+        total = np.cumsum(dropped)
+        in_window = total[LINK_WINDOW_CYCLES:] - total[:-LINK_WINDOW_CYCLES]
+        levels = (in_window >= LINK_DEGRADED_DROPOUTS).astype(np.int64) + (in_window >= LINK_WINDOW_CYCLES)
+        changed = np.flatnonzero(np.diff(levels, prepend=self._last))
+        if levels.size:
+            self._last = int(levels[-1])
+        return [Change(int(rows["due_at"][place]), _LINK_LABELS[int(levels[place])]) for place in changed]
+
+
+class HostStates:
+    """Whether the host sent its SYNCs: changes from one cycle to the next."""
+
+    def __init__(self) -> None:
+        self._last = -1
+
+    def changes(self, rows: Rows) -> list[Change]:
+        """In rows of one axis, in order."""
+        missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
+        changed = np.flatnonzero(np.diff(missed, prepend=self._last))
+        if missed.size:
+            self._last = int(missed[-1])
+        labels = (HOST_IN_TIME, HOST_MISSED)
+        return [Change(int(rows["due_at"][place]), labels[int(missed[place])]) for place in changed]
+
+
+def drive_label(statusword: int) -> str:
+    """The state's name for a reader."""
+    state = state_of(statusword)
+    return state.value.capitalize() if state is not None else f"undefined 0x{statusword:02X}"

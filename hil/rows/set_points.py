@@ -1,0 +1,35 @@
+"""References and loads as they are acted upon, told by the rows of the cycles that did."""
+
+import numpy as np
+
+from drivers.timebase import Instant
+from hil.rows.recording_plan import PlannedSetPoint
+from hil.rows.records import NOTHING, Rows
+from hil.rows.side_rows import TextEvent
+
+
+class SetPointTeller:
+    """A set-point is told with the first command that was sent at its time or later.
+
+    Never, in a run that ended before.
+    """
+
+    def __init__(self, planned: tuple[PlannedSetPoint, ...]) -> None:
+        """``planned``: in order of time."""
+        self._planned = planned
+
+    def take(self, rows: Rows, zero: Instant) -> list[TextEvent]:
+        """What ``rows``, (n,) of ROW_DTYPE, acted upon; ``zero``: the first cycle."""
+        if not self._planned or not rows.size:
+            return []
+        sent = rows[rows["command_handed_at"] != NOTHING]
+        told: list[TextEvent] = []
+        waiting: list[PlannedSetPoint] = []
+        for each in self._planned:
+            acted = np.flatnonzero((sent["axis"] == each.axis) & (sent["due_at"] >= zero + each.after))
+            if acted.size:
+                told.append(TextEvent(Instant(int(sent["command_handed_at"][acted[0]])), "INFO", each.text))
+            else:
+                waiting.append(each)
+        self._planned = tuple(waiting)
+        return sorted(told, key=lambda event: event.at)

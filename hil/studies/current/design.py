@@ -1,0 +1,133 @@
+"""``hil design current``: from a motor and weights to a controller file, with every figure on the way."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from design.current_design import (
+    AxisDesign,
+    describe,
+    design_axis,
+    design_figures,
+    reduced_design,
+    roots,
+    rule_weights,
+)
+from design.fixed_structure import Structure, tune
+from design.hinf import gamma_min
+from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.motor import PmsmParameters
+from design.reduction import Method
+from design.statespace import StateSpace, zpk
+from drivers.errors import BadInput
+from hil.configuration.toml_text import toml_text
+from hil.studies.current.figures import robust_figures, sampled_design
+from hil.studies.current.request import CurrentRequest, OtherAxis
+
+GAMMA = 1.0
+"""The demand (40), if nothing else is asked for."""
+FACTOR_MIN = 1.0005
+"""How far gamma must be above gamma_min for a controller that can be run."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurrentResult:
+    """What came of it: the designs, the controller to run, and the figures for ``--json``."""
+
+    full: AxisDesign
+    chosen: AxisDesign
+    sampled: StateSpace | None
+    figures: dict[str, Any]
+
+
+def design_current(request: CurrentRequest) -> CurrentResult:
+    """Synthesis, reduction, discretisation and the figures of all. Raises DesignError and BadInput."""
+    motor, axis = request.motor, request.axis
+    weights = request.weights or rule_weights(motor, axis)
+    plant = axis_plant(motor.resistance_ohm, motor.inductance_d_h if axis == "d" else motor.inductance_q_h)
+    least = gamma_min(mixed_sensitivity(plant, weights))
+    gamma = _gamma(request, least)
+    full = design_axis(motor, axis, weights, gamma)
+    chosen = full
+    if request.structure != "full":
+        tuned = tune(plant, weights, Structure(request.structure), full.margins.phase_margin_rad_s)
+        chosen = describe(plant, weights, tuned.controller, least)
+    reduced = _reduced(chosen, request)
+    figures = design_figures(chosen, reduced)
+    figures["axis"], figures["structure"], figures["gamma"] = axis, request.structure, gamma
+    figures["gamma_full_order"] = full.closed_loop_norm
+    chosen = reduced or chosen
+    speed = motor.rated_speed_rad_s if request.speed_max_rad_s is None else request.speed_max_rad_s
+    other = request.other or _by_rules(motor, "d" if axis == "q" else "q")
+    figures["robust"] = robust_figures(motor, axis, chosen, other, speed)
+    sampled = None
+    if request.rate_hz is not None:
+        sampled, figures["sampled"] = sampled_design(request, gamma, chosen, other, speed)
+    return CurrentResult(full, chosen, sampled, figures)
+
+
+def _gamma(request: CurrentRequest, least: float) -> float:
+    """The norm to stay below. Raises BadInput next to gamma_min, where one pole runs to infinity."""
+    gamma, option = GAMMA, "--gamma"
+    if request.gamma_factor is not None:
+        gamma, option = request.gamma_factor * least, "--gamma-factor"
+    elif request.gamma is not None:
+        gamma = request.gamma
+    if least <= gamma < FACTOR_MIN * least:
+        raise BadInput(
+            option,
+            "",
+            gamma if option == "--gamma" else request.gamma_factor,
+            f"at least {FACTOR_MIN:g} times gamma_min = {least:.9g}",
+            "at gamma_min itself a pole of the controller runs to infinity",
+        )
+    return gamma
+
+
+def _reduced(design: AxisDesign, request: CurrentRequest) -> AxisDesign | None:
+    if request.order is None:
+        return None
+    try:
+        return reduced_design(design, request.order, request.method)
+    except ValueError as error:
+        raise BadInput("--reduce", "", request.order, str(error)) from None
+
+
+def _by_rules(motor: PmsmParameters, axis: str) -> OtherAxis:
+    """The other axis with the rules' weights, in the paper's third order."""
+    design = reduced_design(design_axis(motor, axis, rule_weights(motor, axis), GAMMA), 3, Method.PAPER)
+    return OtherAxis(design.controller, design.margins.phase_margin_rad_s)
+
+
+def write_controller(path: Path, result: CurrentResult, axis: str) -> None:
+    """The controller as a file for ``current_control`` of a bench: sampled if it was, else continuous."""
+    if result.sampled is not None and result.sampled.period_s is not None:
+        form = zpk(result.sampled)
+        table: dict[str, Any] = {
+            "kind": "sampled",
+            "axis": axis,
+            "sample_rate_hz": round(1.0 / result.sampled.period_s),
+            "gain": form.gain,
+            "zeros_z": roots(form.zeros),
+            "poles_z": roots(form.poles),
+        }
+    else:
+        design = result.chosen
+        table = {
+            "kind": "continuous",
+            "axis": axis,
+            "gain": design.form.gain,
+            "zeros_rad_s": roots(design.form.zeros),
+            "poles_rad_s": roots(design.form.poles),
+            "prewarp_rad_s": design.margins.phase_margin_rad_s,
+        }
+    write_text(path, toml_text({"current_controller": table}))
+
+
+def write_text(path: Path, text: str) -> None:
+    """``text`` into the file that ``--out`` names. Raises BadInput where that is not possible."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or "it cannot be written"
+        raise BadInput("--out", "", str(path), f"a file that can be written ({reason})") from None

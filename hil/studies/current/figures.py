@@ -1,0 +1,208 @@
+"""What ``hil design current`` says about a controller beyond its own axis: sampled, coupled, over a box."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from design.coupled_robustness import coupled_robustness, worst_motor
+from design.current_design import AxisDesign, axis_inductance_h
+from design.current_loop import (
+    SampledFigures,
+    discrete_design,
+    discrete_plant,
+    gamma_min_over_rates,
+    lowest_rate_hz,
+    sampled_figures,
+    to_bilinear,
+    tustin,
+)
+from design.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
+from design.hinf import verified_norm
+from design.motor import PmsmParameters
+from design.robustness import axis_robustness
+from design.statespace import StateSpace
+from drivers.errors import BadInput
+from hil.studies.current.request import CurrentRequest, OtherAxis
+
+FACTOR = 1.05
+"""Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""
+RATE_FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25)
+"""Times the rate: where gamma_min is told."""
+SPEEDS = 11
+MARGIN_KEPT = 0.9
+"""Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
+
+
+def robust_figures(
+    motor: PmsmParameters, axis: str, design: AxisDesign, other: OtherAxis, speed_rad_s: float
+) -> dict[str, Any]:
+    """Over +-50 % of r and L: one axis exactly, both axes at a speed."""
+    found = axis_robustness(
+        motor.resistance_ohm, axis_inductance_h(motor, axis), design.controller, design.weights
+    )
+    pair = other.pair(axis, design.controller)
+    coupled = coupled_robustness(motor, *pair, speed_rad_s)
+    worst = worst_motor(motor, *pair, speed_rad_s)
+    return {
+        "stable": found.stable,
+        "real_mu_peak": found.real_mu_peak,
+        "worst_modulus_margin": found.worst_modulus_margin,
+        "modulus_margin_bound": 1.0 / found.sensitivity.bound,
+        "worst_weighted_sensitivity": finite(found.weighted.reached) if found.stable else None,
+        "weighted_sensitivity_bound": finite(found.weighted.bound) if found.stable else None,
+        "worst_resistance_ohm": found.weighted.resistance_ohm,
+        "worst_inductance_h": found.weighted.inductance_h,
+        "coupled": {
+            "speed_rad_s": speed_rad_s,
+            "certified": coupled.certified,
+            "real_mu_bound": coupled.real_mu_bound,
+            "real_mu_rad_s": coupled.real_mu_rad_s,
+            "stable_up_to_percent": 50.0 / coupled.real_mu_bound,
+            "rightmost_pole_per_s": worst.rightmost_pole_per_s,
+            "worst_resistance_ohm": worst.resistance_ohm,
+            "worst_inductance_d_h": worst.inductance_d_h,
+            "worst_inductance_q_h": worst.inductance_q_h,
+        },
+    }
+
+
+def sampled_design(
+    request: CurrentRequest, gamma: float, design: AxisDesign, other: OtherAxis, speed_rad_s: float
+) -> tuple[StateSpace, dict[str, Any]]:
+    """The sampled controller and its figures. Raises BadInput for a rate that is too low."""
+    assert request.rate_hz is not None
+    made: StateSpace | None = None
+    discrete: dict[str, Any] = {}
+    try:
+        beside = OtherAxis(tustin(other.controller, request.rate_hz, other.crossover_rad_s), 0.0)
+        if request.discrete:
+            made, discrete = _discrete(request, gamma, design)
+        controller = _tustin(request, design) if made is None else made
+    except ValueError as error:
+        raise BadInput("--sample-rate-hz", "", request.rate_hz, str(error)) from None
+    found = sampled_figures(design.plant, controller, request.delay_samples)
+    if found.spectral_radius >= 1.0:
+        raise BadInput(
+            "--sample-rate-hz",
+            "",
+            request.rate_hz,
+            f"a rate at which the loop is stable; its spectral radius is {found.spectral_radius:.4f}",
+            "sample faster, shorten the delay, lower the crossing of w1, or design with --discrete",
+        )
+    figures: dict[str, Any] = {
+        "rate_hz": request.rate_hz,
+        "delay_samples": request.delay_samples,
+        "method": "discrete" if request.discrete else "tustin",
+        **_loop_figures(found),
+        **discrete,
+        "lowest_rate": _lowest_rate(request, design, other, speed_rad_s),
+        "coupled": _coupled(request, beside.pair(request.axis, controller), speed_rad_s),
+    }
+    return controller, figures
+
+
+def _tustin(request: CurrentRequest, design: AxisDesign) -> StateSpace:
+    assert request.rate_hz is not None
+    return tustin(design.controller, request.rate_hz, design.margins.phase_margin_rad_s)
+
+
+def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tuple[StateSpace, dict[str, Any]]:
+    """The controller for the sampled plant, and its figures beside those of the sampled continuous one."""
+    assert request.rate_hz is not None
+    plant, weights, delay = design.plant, design.weights, request.delay_samples
+    wanted = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
+    found = discrete_design(plant, weights, wanted, request.gamma_factor or FACTOR, request.rate_hz, delay)
+    if request.gamma is not None and found.gamma > request.gamma:
+        raise BadInput(
+            "--gamma",
+            "",
+            request.gamma,
+            f"more than gamma_min = {found.gamma_min:.9g} of the plant sampled at {request.rate_hz:g} Hz",
+            "sample faster, shorten the delay, or lower the crossing of w1",
+        )
+    rates = [request.rate_hz * factor for factor in RATE_FACTORS]
+    table = zip(rates, gamma_min_over_rates(plant, weights, rates, delay), strict=True)
+    return found.controller, {
+        "gamma": found.gamma,
+        "gamma_min": found.gamma_min,
+        "closed_loop_norm": found.norm,
+        "gamma_min_by_rate": [{"rate_hz": rate, "gamma_min": least} for rate, least in table],
+        "continuous_sampled": _beside(request, design),
+    }
+
+
+def _beside(request: CurrentRequest, design: AxisDesign) -> dict[str, Any]:
+    """The continuous controller by Tustin's rule at the same rate."""
+    assert request.rate_hz is not None
+    delay = request.delay_samples
+    try:
+        controller = _tustin(request, design)
+    except ValueError:
+        return {"spectral_radius": None}
+    found = sampled_figures(design.plant, controller, delay)
+    plant = discrete_plant(design.plant, design.weights, request.rate_hz, delay)
+    return {**_loop_figures(found), "closed_loop_norm": finite(verified_norm(plant, to_bilinear(controller)))}
+
+
+def _loop_figures(found: SampledFigures) -> dict[str, float | None]:
+    return {
+        "phase_margin_deg": finite(found.margins.phase_margin_deg),
+        "gain_margin_db": finite(found.margins.gain_margin_db),
+        "modulus_margin": finite(found.margins.modulus_margin),
+        "spectral_radius": found.spectral_radius,
+    }
+
+
+def _lowest_rate(
+    request: CurrentRequest, design: AxisDesign, other: OtherAxis, speed_rad_s: float
+) -> dict[str, float | None]:
+    """The inner rates that hold the margin of this axis, and both axes stable at speed, by Tustin's rule."""
+    wanted = request.modulus_margin or MARGIN_KEPT * design.margins.modulus_margin
+    crossover, delay = design.margins.phase_margin_rad_s, request.delay_samples
+    for_margin = lowest_rate_hz(design.plant, design.controller, crossover, wanted, delay)
+    crossovers = (crossover, other.crossover_rad_s)
+    coupled = lowest_coupled_rate_hz(
+        request.motor,
+        *other.pair(request.axis, design.controller),
+        crossovers if request.axis == "d" else crossovers[::-1],
+        speed_rad_s,
+        delay,
+    )
+    return {
+        "modulus_margin": wanted,
+        "margin_rate_hz": for_margin,
+        "coupled_rate_hz": coupled,
+        "rate_hz": None if coupled is None else max(for_margin, coupled),
+    }
+
+
+def _coupled(
+    request: CurrentRequest, pair: tuple[StateSpace, StateSpace], speed_rad_s: float
+) -> dict[str, Any]:
+    """Spectral radius of both axes together over speed, with right and wrong decoupling."""
+    motor, delay = request.motor, request.delay_samples
+    speeds = np.linspace(0.0, speed_rad_s, SPEEDS)
+    right = nominal_decoupling(motor, delay)
+    advance = right.advance_periods if request.advance_periods is None else request.advance_periods
+    factor = request.decoupling_factor
+    asked = Decoupling(motor.inductance_d_h * factor, motor.inductance_q_h * factor, advance)
+    unturned = Decoupling(motor.inductance_d_h, motor.inductance_q_h, 0.0)
+
+    def radii(decoupling: Decoupling | None) -> list[float]:
+        return [float(x) for x in spectral_radius(motor, *pair, speeds, decoupling, delay)]
+
+    found = {
+        "speed_rad_s": speeds.tolist(),
+        "decoupled": radii(right),
+        "not_decoupled": radii(None),
+        "without_advance": radii(unturned),
+    }
+    if asked != right:
+        found["as_asked"] = radii(asked)
+    return {**found, "decoupling_factor": factor, "advance_periods": advance}
+
+
+def finite(value: float) -> float | None:
+    """``value``; None if it is not finite, which JSON has no word for."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,139 @@
+"""The file of a speed controller: its gain, what it was made for, and what is proved of it."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from design.held_loop import SampledNetwork, Strategy
+from design.lmi import SOLVER
+from design.motor import PmsmParameters
+from drivers.errors import BadInput
+from hil.configuration.config_axis import StateFeedbackController
+from hil.configuration.speed_controller_file import (
+    Certificate,
+    CurrentLoop,
+    MadeFor,
+    Plant,
+    SequenceProof,
+)
+from hil.configuration.toml_text import toml_text
+from hil.studies.speed.analysis import finite
+from hil.studies.speed.synthesis import DesignResult
+
+_US_PER_S = 1e6
+
+
+def whole_us(time_s: float) -> int:
+    """Up to the next whole microsecond; what is one up to rounding stays."""
+    return math.ceil(time_s * _US_PER_S - 1e-6)
+
+
+def plant_of(motor: PmsmParameters) -> Plant:
+    """What a design depends on."""
+    return Plant(
+        resistance_ohm=motor.resistance_ohm,
+        inductance_q_h=motor.inductance_q_h,
+        inertia_kg_m2=motor.inertia_kg_m2,
+        viscous_friction_nm_s=motor.viscous_friction_nm_s,
+        torque_constant_nm_a=motor.torque_constant_nm_a,
+    )
+
+
+def controller_of(result: DesignResult) -> StateFeedbackController:
+    """The table [controller] of a design."""
+    return StateFeedbackController(
+        kind="state_feedback",
+        gain=tuple(result.K.tolist()),
+        made_for=_made_for(result),
+        certificate=Certificate.model_validate(
+            {
+                "method": result.request.method,
+                "target": "sampled" if result.request.for_sampled else "constant",
+                "gamma_exact": finite(result.gamma_exact),
+                "sequences": _sequences(result),
+                **_constant(result),
+            }
+        ),
+    )
+
+
+def _constant(result: DesignResult) -> dict[str, object]:
+    """What is certified of the loop with the constant delay."""
+    certified = result.certified
+    if certified is None:
+        return {"solver": SOLVER, "status": "see sequences"}
+    proof = certified.proof
+    covered = result.bandwidths if result.sampled is None else None
+    return {
+        "gamma": certified.gain,
+        "gamma_all_bandwidths": None if covered is None else covered.gain,
+        "order": certified.order,
+        "solver": proof.solver,
+        "status": proof.status,
+        "min_margin": proof.min_margin,
+    }
+
+
+def write_controller(path: Path, result: DesignResult) -> None:
+    """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
+    text = toml_text({"controller": controller_of(result).model_dump(mode="json", exclude_none=True)})
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
+
+
+def _made_for(result: DesignResult) -> MadeFor:
+    network = result.request.network
+    found = MadeFor(
+        delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6),
+        plant=plant_of(result.request.motor),
+        current_loop=_current_loop(result),
+    )
+    return found if network is None else found.model_copy(update=_network(network))
+
+
+def _network(network: SampledNetwork) -> dict[str, object]:
+    waits = network.strategy is not Strategy.ARRIVAL
+    return {
+        "strategy": network.strategy.value,
+        "period_us": whole_us(network.period_s),
+        "losses_in_a_row_max": network.losses_max,
+        "delay_max_us": math.floor(network.delay_max_s * _US_PER_S + 1e-6),
+        "agreed_delay_us": whole_us(network.agreed_delay_s) if waits else None,
+    }
+
+
+def _sequences(result: DesignResult) -> SequenceProof | None:
+    sampled = result.sampled
+    if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
+        return None
+    gain, decay = sampled.gain_proof, sampled.decay_proof
+    assert gain.gain is not None
+    assert decay.decay_per_s is not None
+    return SequenceProof(
+        gain_certified=gain.gain,
+        gain_certified_all_bandwidths=result.bandwidths.gain if result.bandwidths else None,
+        gain_found=sampled.gain_found,
+        step_peak_certified_rad_s=sampled.peak_certified,
+        step_peak_found_rad_s=finite(sampled.peak_found),
+        decay_certified_per_s=decay.decay_per_s,
+        decay_certified_all_bandwidths_per_s=result.bandwidths.decay_per_s if result.bandwidths else None,
+        decay_found_per_s=sampled.decay_found_per_s,
+        min_margin=min(gain.min_margin, decay.min_margin),
+        gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),
+        decay_matrices=tuple(np.asarray(matrix).tolist() for matrix in decay.P),
+    )
+
+
+def _current_loop(result: DesignResult) -> CurrentLoop | None:
+    bandwidth_hz = result.request.current_bandwidth_hz
+    if bandwidth_hz is None:
+        return None
+    covered = result.bandwidths
+    return CurrentLoop(
+        bandwidth_hz=bandwidth_hz,
+        bandwidth_min_hz=bandwidth_hz if covered is None else covered.min_hz,
+        bandwidth_max_hz=bandwidth_hz if covered is None else covered.max_hz,
+    )

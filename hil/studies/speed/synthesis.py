@@ -1,0 +1,376 @@
+"""What ``hil design speed`` answers: the best speed feedback for a delay, a network, or a wanted gain."""
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from design.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
+from design.certificate import CertifiedGain, certified_gain, certified_gain_auto
+from design.cone_complementarity import largest_ccl_delay
+from design.delay_loop import Array
+from design.delay_norm import hinf_norm
+from design.errors import DesignError, NoSolution
+from design.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.lmi import SOLVER
+from design.lmi_design import largest_certified_delay, least_certified_gain
+from design.motor import PmsmParameters
+from design.sampled import SampledAnalysis, analyse_sampled, with_peak
+from design.sampled_design import least_sampled_gain
+from design.speed_design import largest_delay, least_gain
+from design.speed_loop import (
+    Feedback,
+    SpeedModel,
+    current_rate_rad_s,
+    peak_floor_rad_s,
+    percent_of_speed,
+    speed_model,
+)
+from design.speed_robustness import Changed, speed_robustness
+from hil.studies.speed.analysis import finite, sequence_figures
+
+_CCL_BISECTIONS = 12
+_CCL_SPAN = 1.5
+"""Over the least certified gain: where the bisection for Algorithm 4.2 begins."""
+_NO_DELAY_S = 1e-6
+"""As good as none for a loop that is sampled; without any the least gain is not attained."""
+_KEPT = 1.0 + 1e-6
+"""Share of the wanted gain that still counts as keeping it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignRequest:
+    """What is known, and what is wanted; ``gamma`` or the delay may be open, not both."""
+
+    motor: PmsmParameters
+    gamma: float | None
+    """Wanted gain from load torque to speed error, rad/s per N m; None: the least."""
+    delay_s: float | None
+    """The constant delay; None: the largest."""
+    network: SampledNetwork | None
+    """The network behind the delay, for the figures of the sampled loop."""
+    method: str
+    """exact, lmi or ccl."""
+    feedback: Feedback
+    integral: bool
+    load_nm: float
+    speed_rad_s: float
+    """For figures in percent."""
+    integral_time_s: float | None = None
+    current_bandwidth_hz: float | None = None
+    """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
+    for_sampled: bool = False
+    """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignResult:
+    """A feedback and what is proved of it."""
+
+    request: DesignRequest
+    K: Array
+    delay_s: float
+    gamma: float
+    """That the method vouches for at the delay; of the sampled loop, if that was made best."""
+    gamma_exact: float
+    """Of the loop with the constant delay; inf: unstable, though the sampled loop may not be."""
+    certified: CertifiedGain | None
+    """Of the loop with the constant delay; None if the sampled loop was made best."""
+    sampled: SampledAnalysis | None
+    bandwidths: BandwidthRange | None = None
+    """Of the current loop, for which the certificates hold: those of the sampled loop, if there is one; None:
+    not looked at."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """For JSON."""
+        request = self.request
+        percent = percent_of_speed(self.gamma, request.load_nm, request.speed_rad_s)
+        floor = peak_floor_rad_s(request.motor, self.delay_s)
+        found: dict[str, Any] = {
+            "feasible": True,
+            "gain": self.K.tolist(),
+            "current_bandwidth_hz": request.current_bandwidth_hz,
+            "gamma": self.gamma,
+            "delay_s": self.delay_s,
+            "method": request.method,
+            "feedback": request.feedback.value,
+            "integral": request.integral,
+            "target": "sampled" if request.for_sampled else "constant",
+            "certificate": self._certificate(),
+            "gamma_exact": finite(self.gamma_exact),
+            "error_percent": percent,
+            "load_nm": request.load_nm,
+            "speed_rad_s": request.speed_rad_s,
+            "peak_floor_percent": percent_of_speed(floor, request.load_nm, request.speed_rad_s),
+        }
+        if self.sampled is not None and request.network is not None:
+            share = 100.0 * request.load_nm / request.speed_rad_s
+            found["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
+        if self.bandwidths is not None:
+            found["current_bandwidths"] = asdict(self.bandwidths)
+        found["robustness"] = _robustness(self)
+        return found
+
+    def _certificate(self) -> dict[str, Any]:
+        if self.certified is None:
+            assert self.sampled is not None
+            return {"solver": SOLVER, "status": "see sampled"}
+        return {
+            "gamma": self.certified.gain,
+            "order": self.certified.order,
+            "solver": self.certified.proof.solver,
+            "status": self.certified.proof.status,
+            "min_margin": self.certified.proof.min_margin,
+        }
+
+
+def _robustness(result: DesignResult) -> dict[str, Any]:
+    """For JSON."""
+    request, sampled = result.request, result.sampled
+
+    def plant(motor: PmsmParameters, share: float) -> SpeedModel:
+        rate = current_rate_rad_s(request.motor, request.current_bandwidth_hz) * share
+        return speed_model(motor, request.integral, rate / math.tau)
+
+    model = plant(request.motor, 1.0)
+    held = None if request.network is None else HeldLoop(model, result.K, request.network)
+    patterns = [] if sampled is None else [sampled.worst.pattern, sampled.slowest, *sampled.regular]
+    loop = model.loop(result.K, result.delay_s)
+    found = speed_robustness(plant, request.motor, loop, held, patterns)
+
+    def changed(other: Changed) -> dict[str, float | None]:
+        found_gain = None if other.gain_found is None else finite(other.gain_found)
+        return {"gamma_exact": finite(other.gain), "gain_found": found_gain}
+
+    return {
+        "peak_over_floor": finite(found.peak_over_floor),
+        "gain_margin_db": finite(found.margins.gain_margin_db),
+        "phase_margin_deg": finite(found.margins.phase_margin_deg),
+        "modulus_margin": finite(found.margins.modulus_margin),
+        "delay_margin_s": finite(found.delay_margin_s),
+        "inertia_70_percent": changed(found.inertia_less),
+        "inertia_130_percent": changed(found.inertia_more),
+        "current_bandwidth_50_percent": changed(found.current_loop_slower),
+        "noise_to_torque_nm_s_rad": finite(found.noise_nm_s_rad),
+    }
+
+
+def with_bandwidths(result: DesignResult) -> DesignResult:
+    """The same with the range of current bandwidths that its certificates cover."""
+    request, sampled = result.request, result.sampled
+    bandwidth_hz = request.current_bandwidth_hz
+    if bandwidth_hz is None:
+        return result
+
+    def model_at(hz: float) -> SpeedModel:
+        return speed_model(request.motor, request.integral, hz)
+
+    if sampled is None:
+        assert result.certified is not None
+        nominal = BandwidthRange(bandwidth_hz, bandwidth_hz, result.certified.gain)
+        found = constant_bandwidth_range(model_at, result.K, result.delay_s, nominal)
+    elif sampled.gain_certified is None or sampled.decay_certified_per_s is None:
+        return result
+    else:
+        nominal = BandwidthRange(
+            bandwidth_hz, bandwidth_hz, sampled.gain_certified, sampled.decay_certified_per_s
+        )
+        patterns = [sampled.worst.pattern, sampled.slowest, *sampled.regular]
+        found = bandwidth_range(model_at, result.K, sampled.network, patterns, nominal)
+    return replace(result, bandwidths=found)
+
+
+def _network_figures(network: SampledNetwork) -> dict[str, Any]:
+    return {
+        "strategy": network.strategy.value,
+        "period_s": network.period_s,
+        "loss_max": network.losses_max,
+        "tau_max_s": network.delay_max_s,
+        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
+    }
+
+
+@dataclass(eq=False)
+class Unreachable(DesignError):
+    """The wanted gain is beyond reach at the delay; what is not, and what would bring it within reach."""
+
+    request: DesignRequest
+    delay_s: float
+    best: "_Found"
+    delay_needed_s: float | None
+    """At which the wanted gain could just be kept; None if at none that was found."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """For JSON: what was asked, the best there is, and each single change that would do."""
+        request = self.request
+        gamma = request.gamma or math.nan
+        return {
+            "feasible": False,
+            "method": request.method,
+            "demand": {
+                "gamma": gamma,
+                "delay_s": self.delay_s,
+                "error_percent": percent_of_speed(gamma, request.load_nm, request.speed_rad_s),
+            },
+            "best": {
+                "gain": self.best.K.tolist(),
+                "gamma": self.best.gamma,
+                "delay_s": self.delay_s,
+                "error_percent": percent_of_speed(self.best.gamma, request.load_nm, request.speed_rad_s),
+            },
+            "would_do": {
+                "load_nm": request.load_nm * gamma / self.best.gamma,
+                "delay_s": self.delay_needed_s,
+                **self._network_changes(),
+            },
+        }
+
+    def _network_changes(self) -> dict[str, Any]:
+        network, needed_s = self.request.network, self.delay_needed_s
+        if network is None or needed_s is None:
+            return {}
+        room_s = needed_s - network.delay_max_s
+        period_s = room_s / (network.losses_max + 1)
+        losses = math.floor(room_s / network.period_s * (1.0 + 1e-9)) - 1
+        return {
+            "period_s": period_s if period_s > 0.0 else None,
+            "loss_max": losses if losses >= 0 else None,
+        }
+
+    def __str__(self) -> str:
+        request, found = self.request, self.figures
+        demand, best, do = found["demand"], found["best"], found["would_do"]
+        ways = [f"a load step of at most {do['load_nm']:.4g} N m instead of {request.load_nm:g}"]
+        if do["delay_s"] is not None:
+            ways.append(f"a delay of at most {1e3 * do['delay_s']:.4g} ms")
+        if do.get("period_s") is not None:
+            ways.append(f"a period of at most {1e3 * do['period_s']:.4g} ms with the same losses")
+        if do.get("loss_max") is not None:
+            ways.append(f"at most {do['loss_max']} losses in a row at the same period")
+        if request.network is not None and not request.for_sampled:
+            ways.append("perhaps --target sampled, which makes the loop best that really runs")
+        return (
+            f"{_amount(demand)} is out of reach at a delay of {1e3 * self.delay_s:.4g} ms by the method "
+            f"{request.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
+        )
+
+
+def _amount(figures: dict[str, Any]) -> str:
+    return f"{figures['error_percent']:.4g} % of the speed ({figures['gamma']:.5g} rad/s per N m)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What a method ends with."""
+
+    K: Array
+    delay_s: float
+    gamma: float
+
+
+def design_speed(request: DesignRequest) -> DesignResult:
+    """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
+    model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
+    result = _for_sampled(model, request) if request.for_sampled else _for_constant(model, request)
+    return result if result.sampled is None else replace(result, sampled=with_peak(result.sampled))
+
+
+def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
+    if request.delay_s is None:
+        assert request.gamma is not None
+        try:
+            found = _largest(model, request, request.gamma)
+        except NoSolution:
+            # not even without delay: what can be had there is the answer
+            raise Unreachable(request, _NO_DELAY_S, _least(model, request, _NO_DELAY_S), None) from None
+    else:
+        found = _least(model, request, request.delay_s)
+        if request.gamma is not None and found.gamma > request.gamma * _KEPT:
+            raise Unreachable(request, request.delay_s, found, _needed(model, request))
+    loop = model.loop(found.K, found.delay_s)
+    exact = request.method == "exact"
+    certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
+    sampled = analyse_sampled(model, found.K, request.network) if request.network else None
+    if request.gamma is not None and sampled is not None:
+        _demand_sampled(request, found, sampled, request.gamma)
+    return DesignResult(request, found.K, found.delay_s, found.gamma, hinf_norm(loop), certified, sampled)
+
+
+def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
+    network, delay_s = request.network, request.delay_s
+    assert network is not None
+    assert delay_s is not None
+    best = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
+    sampled = analyse_sampled(model, best.K, network)
+    gain = sampled.gain_certified
+    if gain is None:
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
+    if request.gamma is not None:
+        _demand_sampled(request, _Found(best.K, delay_s, gain), sampled, request.gamma)
+    exact = hinf_norm(model.loop(best.K, delay_s))
+    return DesignResult(request, best.K, delay_s, gain, exact, None, sampled)
+
+
+def _demand_sampled(request: DesignRequest, found: "_Found", sampled: SampledAnalysis, gamma: float) -> None:
+    """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
+    certified = sampled.gain_certified
+    if certified is None:
+        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
+    if certified > gamma * _KEPT:
+        raise Unreachable(request, found.delay_s, _Found(found.K, found.delay_s, certified), None)
+
+
+def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:
+    if request.method == "exact":
+        exact = largest_delay(model, gamma, request.feedback, request.integral_time_s)
+        return _Found(exact.K, exact.delay_s, exact.gain)
+    if request.method == "lmi":
+        certified = largest_certified_delay(model, gamma, request.feedback)
+        return _Found(certified.K, certified.delay_s, certified.certified.gain)
+    linearised = largest_ccl_delay(model, gamma)
+    return _Found(linearised.K, linearised.delay_s, linearised.certified.gain)
+
+
+def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> _Found:
+    if request.method == "exact":
+        exact = least_gain(model, delay_s, request.feedback, request.integral_time_s)
+        return _Found(exact.K, delay_s, exact.gain)
+    certified = least_certified_gain(model, delay_s, request.feedback)
+    if request.method == "lmi":
+        return _Found(certified.K, delay_s, certified.certified.gain)
+    return _least_by_ccl(model, delay_s, certified.certified.gain)
+
+
+def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Found:
+    """Algorithm 4.2 asked for the delay: bisection over gamma, which lies above the least ``certified``."""
+    low, high = certified, certified * _CCL_SPAN
+    best: _Found | None = None
+    for _ in range(_CCL_BISECTIONS):
+        gamma = high if best is None else 0.5 * (low + high)
+        try:
+            found = largest_ccl_delay(model, gamma)
+        except NoSolution:
+            found = None
+        if found is not None and found.delay_s >= delay_s:
+            gain = certified_gain(model, model.loop(found.K, delay_s), 0).gain
+            high = min(gamma, gain)
+            if best is None or gain < best.gamma:
+                best = _Found(found.K, delay_s, gain)
+        elif best is None:
+            low, high = high, high * _CCL_SPAN
+        else:
+            low = gamma
+        if best is not None and high - low < 1e-3 * high:
+            break
+    if best is None:
+        raise NoSolution(f"Algorithm 4.2 for a delay of {delay_s * 1e3:g} ms", "no gain was found")
+    return best
+
+
+def _needed(model: SpeedModel, request: DesignRequest) -> float | None:
+    assert request.gamma is not None
+    try:
+        return _largest(model, request, request.gamma).delay_s
+    except NoSolution:
+        return None

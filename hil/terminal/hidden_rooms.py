@@ -1,0 +1,38 @@
+"""Whether the packages of servobench are those that Python finds under their names.
+
+``drivers`` and ``design`` are names that a user's folder may well bear; on the path in front of ours it is
+imported instead. Nothing of these packages is imported here, before that is known.
+"""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from hil.terminal.run_object import not_begun
+from hil.verdict.verdict import ExitStatus
+
+ROOMS = ("design", "drivers", "virtual_bus")
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def hidden_room(root: Path = ROOT) -> str | None:
+    """What to tell the user of a folder or file that hides a package below ``root``; None: nothing does."""
+    for room in ROOMS:
+        spec = find_spec(room)
+        places = [*(spec.submodule_search_locations or ()), spec.origin] if spec else [None]
+        found = places[0]
+        if found is None or Path(found).resolve() != root / room:
+            return (
+                f"{found}: hides the package {room!r} of servobench, expected {root / room}; rename it, "
+                "or take its folder off Python's path (PYTHONPATH, the current folder of python -m, or that "
+                "of a test module)"
+            )
+    return None
+
+
+def refuse_hidden_rooms() -> None:
+    """Leave with one line on stderr, and the object of ``hil run --json``, if a package is hidden."""
+    if (trouble := hidden_room()) is not None:
+        print(f"hil: error: {trouble}", file=sys.stderr)
+        not_begun(ExitStatus.BAD_INPUT, trouble)
+        sys.exit(ExitStatus.BAD_INPUT)

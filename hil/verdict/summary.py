@@ -1,0 +1,223 @@
+"""The whole of a run: its figures, its verdict, and what it rests on.
+
+The figures rest on the cycle records alone (see :mod:`hil.reviewing.review`), never on the telemetry.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from hil.verdict.verdict import (
+    CycleCount,
+    DriveEnd,
+    Finding,
+    Outcome,
+    RunOutcome,
+    Verdict,
+    VerdictLimits,
+    judge,
+    not_run,
+)
+
+_METRICS = {
+    "speed_error_peak_percent_max": "speed error, peak [%]",
+    "after_load_percent_max": "speed error after load step [%]",
+    "speed_error_rms_rad_s_max": "speed error, RMS [rad/s]",
+    "dropouts_percent_max": "dropouts [%]",
+    "delay_p99_us_max": "delay p99 [us]",
+    "bus_load_percent_max": "bus load [%]",
+    "missed_percent_max": "cycles without SYNC [%]",
+    "lateness_us_max": "lateness, largest [us]",
+    "torque_rms_nm_max": "torque about its mean, rms [N m]",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Of a time, us; None where nothing was measured. The resolution is 0.1 %, ``max`` is exact."""
+
+    p50: float | None
+    p99: float | None
+    max: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class DropoutCounts:
+    """Cycles without a usable reading, over all axes, by cause."""
+
+    lost: int
+    late: int
+    stale: int
+    missed: int
+    """Cycles without SYNC."""
+
+    @property
+    def total(self) -> int:
+        return self.lost + self.late + self.stale + self.missed
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedError:
+    """Reference minus measured speed, worst axis; None: no cycle counts.
+
+    Which cycles count: :mod:`hil.reviewing.speed_error`.
+    """
+
+    peak_rad_s: float | None
+    peak_percent: float | None
+    rms_rad_s: float | None
+    after_load_percent: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the records alone tell."""
+
+    cycles: int
+    """Control cycles: the rows of the axis that has most."""
+    rows: int
+    """Records over all axes; the base of ``dropouts_percent``."""
+    dense: int
+    """Cycles up to the first that is missing or double in an axis."""
+    dropouts: DropoutCounts
+    delay_us: Percentiles
+    """Sampled to received, of every reading that came, late ones included."""
+    speed_error: SpeedError
+    lateness_us: Percentiles
+    """Woke minus due, of every cycle."""
+    digest: str
+    """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.rows.records`)."""
+    torque_rms_nm: float | None = None
+    """About its mean at steady reference and load, worst axis and block (:mod:`hil.reviewing.torque_swing`);
+    None: there was no such block."""
+    certificates: Mapping[str, Any] = field(default_factory=dict)
+    """By axis with a certified controller: certified and seen (:mod:`hil.reviewing.certificate_meter`)."""
+
+    @property
+    def dropouts_percent(self) -> float | None:
+        return 100.0 * self.dropouts.total / self.rows if self.rows else None
+
+    @property
+    def missed_percent(self) -> float | None:
+        return 100.0 * self.dropouts.missed / self.rows if self.rows else None
+
+
+def metric_title(key: str) -> str:
+    """A limit's key in the words of a reader, with its unit."""
+    return _METRICS[key]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """``as_json`` is what ``hil run --json`` prints, at every exit."""
+
+    cycles: int
+    dropouts: DropoutCounts
+    delay_us: Percentiles
+    speed_error: SpeedError
+    bus_load_percent: float | None
+    realtime_factor: float | None
+    lateness_us: Percentiles
+    verdict: Verdict
+    recording: str
+    """The folder of the run; empty if nothing was kept."""
+    seed: int | None
+    digest: str
+    drives: tuple[DriveEnd, ...] = ()
+    """How each was found when the cycles were over."""
+    torque_rms_nm: float | None = None
+    certificates: Mapping[str, Any] = field(default_factory=dict)
+    recording_faults: tuple[str, ...] = ()
+    """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
+    network_notes: tuple[str, ...] = ()
+    """In what the network was worse than a controller was made for."""
+    load_machine: Mapping[str, Any] | None = None
+    """Identity, tally, and for each load step torque asked for and measured (:mod:`hil.load.instrument`)."""
+    timing: Mapping[str, Any] | None = None
+    """What the timing rests on (:mod:`hil.execution.timing_report`)."""
+
+    def also(self, finding: Finding) -> "Summary":
+        """With something that was found after the end."""
+        return replace(self, verdict=self.verdict.also(finding))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
+        found = asdict(self)
+        for name in ("certificates", "recording_faults", "network_notes", "load_machine", "timing"):
+            if not found[name]:
+                del found[name]
+        return found
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "Summary":
+        """Inverse of :meth:`as_json`."""
+        values = dict(found)
+        values["dropouts"] = DropoutCounts(**values["dropouts"])
+        values["delay_us"] = Percentiles(**values["delay_us"])
+        values["lateness_us"] = Percentiles(**values["lateness_us"])
+        values["speed_error"] = SpeedError(**values["speed_error"])
+        values["verdict"] = Verdict.from_json(values["verdict"])
+        values["drives"] = tuple(DriveEnd(**drive) for drive in values["drives"])
+        for name in ("recording_faults", "network_notes"):
+            values[name] = tuple(values.get(name, ()))
+        return cls(**values)
+
+
+def summarise(
+    figures: Figures,
+    outcome: RunOutcome,
+    limits: VerdictLimits,
+    recording: str,
+    seed: int,
+    recording_faults: tuple[str, ...] = (),
+) -> Summary:
+    """Figures, outcome and verdict in one."""
+    shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
+    count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
+    values = _limited_values(figures, outcome)
+    return Summary(
+        **{name: getattr(figures, name) for name in shared},
+        bus_load_percent=outcome.bus_load_percent,
+        realtime_factor=outcome.realtime_factor,
+        verdict=judge(outcome, count, values, limits, recording_lacks="; ".join(recording_faults)),
+        recording=recording,
+        seed=seed,
+        drives=tuple(outcome.drives),
+        recording_faults=recording_faults,
+        network_notes=tuple(outcome.network_notes),
+        load_machine=outcome.load_machine,
+        timing=outcome.timing,
+    )
+
+
+def summary_without_run(outcome: Outcome, reason: str) -> Summary:
+    """Of what ended before there was a run: no cycle, and nothing measured."""
+    none = Percentiles(None, None, None)
+    return Summary(
+        cycles=0,
+        dropouts=DropoutCounts(0, 0, 0, 0),
+        delay_us=none,
+        speed_error=SpeedError(None, None, None, None),
+        bus_load_percent=None,
+        realtime_factor=None,
+        lateness_us=none,
+        verdict=not_run(outcome, reason),
+        recording="",
+        seed=None,
+        digest="",
+    )
+
+
+def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | None]:
+    """What the limits speak of, by their names; None: not measured."""
+    return {
+        "speed_error_peak_percent_max": figures.speed_error.peak_percent,
+        "after_load_percent_max": figures.speed_error.after_load_percent,
+        "speed_error_rms_rad_s_max": figures.speed_error.rms_rad_s,
+        "dropouts_percent_max": figures.dropouts_percent,
+        "delay_p99_us_max": figures.delay_us.p99,
+        "bus_load_percent_max": outcome.bus_load_percent,
+        "missed_percent_max": figures.missed_percent,
+        "lateness_us_max": figures.lateness_us.max,
+        "torque_rms_nm_max": figures.torque_rms_nm,
+    }

@@ -1,0 +1,319 @@
+"""What a run came to: the one definition of a valid run, and the exit status that tells it.
+
+docs/verdict.md says the same to a reader. The figures that limits speak of come from the cycle records
+(:mod:`hil.reviewing.review`); what those cannot tell is handed over when the run ends (:class:`RunOutcome`).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import IntEnum, StrEnum
+from typing import Any
+
+
+class ExitStatus(IntEnum):
+    """Exit statuses of ``hil``."""
+
+    PASSED = 0
+    FAILED = 1
+    """A limit was not kept."""
+    BAD_INPUT = 2
+    """A file or an option cannot be used; nothing was moved."""
+    PEER_FAULT = 3
+    """The bus or a drive failed, or a safety limit stopped the run."""
+    NOT_TRUSTWORTHY = 4
+    """What the run says of its timing cannot be."""
+    NOT_RECORDED = 5
+    """The recording is not whole."""
+    INCOMPLETE = 6
+    """Not all that was planned was run, or not all that was asked was measured."""
+    DEFECT = 70
+    """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
+    INTERRUPTED = 130
+    """Ctrl-C, SIGTERM, SIGHUP or the caller: whatever was found until then is no verdict (128 + SIGINT)."""
+
+
+class Outcome(StrEnum):
+    """What a run came to. Where several hold, the first of this list is told."""
+
+    DEFECT = "defect of the program"
+    PEER_FAULT = "bus, drive or safety"
+    INTERRUPTED = "interrupted"
+    BAD_INPUT = "bad input"
+    NOT_TRUSTWORTHY = "not trustworthy"
+    NOT_RECORDED = "not recorded"
+    CUT_SHORT = "cut short"
+    NOT_MEASURED = "not measured"
+    NOT_PASSED = "not passed"
+    NOTHING_ASKED = "completed, nothing was asked"
+    PASSED = "passed"
+
+    @property
+    def exit_status(self) -> ExitStatus:
+        """How a process tells it."""
+        return _EXIT_STATUS[self]
+
+
+_EXIT_STATUS = {
+    Outcome.DEFECT: ExitStatus.DEFECT,
+    Outcome.PEER_FAULT: ExitStatus.PEER_FAULT,
+    Outcome.INTERRUPTED: ExitStatus.INTERRUPTED,
+    Outcome.BAD_INPUT: ExitStatus.BAD_INPUT,
+    Outcome.NOT_TRUSTWORTHY: ExitStatus.NOT_TRUSTWORTHY,
+    Outcome.NOT_RECORDED: ExitStatus.NOT_RECORDED,
+    Outcome.CUT_SHORT: ExitStatus.INCOMPLETE,
+    Outcome.NOT_MEASURED: ExitStatus.INCOMPLETE,
+    Outcome.NOT_PASSED: ExitStatus.FAILED,
+    Outcome.NOTHING_ASKED: ExitStatus.PASSED,
+    Outcome.PASSED: ExitStatus.PASSED,
+}
+_GRAVITY = list(Outcome)
+
+
+def outcome_of_status(status: int) -> Outcome:
+    """What an error comes to that leaves with ``status``; a defect for a status that no error has."""
+    for outcome in (Outcome.PEER_FAULT, Outcome.INTERRUPTED, Outcome.BAD_INPUT, Outcome.NOT_RECORDED):
+        if outcome.exit_status == status:
+            return outcome
+    return Outcome.DEFECT
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictLimits:
+    """Upper limits that a run must keep; None: not asked for. The names are those of the bench file."""
+
+    speed_error_peak_percent_max: float | None = None
+    after_load_percent_max: float | None = None
+    speed_error_rms_rad_s_max: float | None = None
+    dropouts_percent_max: float | None = None
+    delay_p99_us_max: float | None = None
+    bus_load_percent_max: float | None = None
+    missed_percent_max: float | None = None
+    lateness_us_max: float | None = None
+    torque_rms_nm_max: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DriveEnd:
+    """How one drive was found when the cycles were over, by what it answered then."""
+
+    name: str
+    after_last_cycle: str | None = None
+    """Its state by SDO after the last cycle, before it was told to stop; None: not asked."""
+    at_the_end: str | None = None
+    """Its state when it was let go."""
+    at_rest: bool | None = None
+    """Whether its shaft was read to be at rest then (606Ch); None: not asked."""
+    evidence: str = ""
+    """What went wrong while it was stopped."""
+    unwatched: str = ""
+    """If its 1016h held something else at the end than was written into it, what."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """What the records cannot tell; handed over when the run ends. Plain values, for another process."""
+
+    bus_load_percent: float | None = None
+    """None: not measured."""
+    realtime_factor: float | None = None
+    """Bench time over wall time."""
+    completed: bool = True
+    """The loop came to its end."""
+    reason: str = ""
+    """Why it did not."""
+    cause: Outcome = Outcome.CUT_SHORT
+    """What that comes to; of no meaning where it did."""
+    cycles_planned: int | None = None
+    """Of each axis."""
+    drives: Sequence[DriveEnd] = ()
+    """One for each axis."""
+    emergencies: Sequence[str] = ()
+    """EMCYs of the drives that no drive fault of the plan names."""
+    network_notes: Sequence[str] = ()
+    """In what the network was worse than a controller was made for; only where the run was to go on."""
+    load_machine: Mapping[str, Any] | None = None
+    """What the instrument that made the load came to, if there was one."""
+    timing: Mapping[str, Any] | None = None
+    """What the timing rests on (:mod:`hil.execution.timing_report`)."""
+    distrust: Sequence[str] = ()
+    """Why what the run says of its timing is not to be trusted."""
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "RunOutcome":
+        """Inverse of ``asdict`` and JSON."""
+        drives = tuple(DriveEnd(**drive) for drive in found["drives"])
+        return cls(**{**found, "cause": Outcome(found["cause"]), "drives": drives})
+
+
+@dataclass(frozen=True, slots=True)
+class CycleCount:
+    """What became of the planned cycles, by the rows that were recorded."""
+
+    dense: int
+    """So many cycles have their row in each axis, in order from 1 on, none missing and none double."""
+    rows: int
+    """Over all axes."""
+    missed: int
+    """Of these, cycles without SYNC."""
+
+
+class LimitResult(StrEnum):
+    """What became of a limit."""
+
+    KEPT = "kept"
+    BROKEN = "broken"
+    NOT_MEASURED = "not measured"
+    """There is no value, or it is not one of the whole run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One limit and what was found."""
+
+    metric: str
+    value: float | None
+    """In a run that was cut short, of the part that was run."""
+    limit: float
+    result: LimitResult
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that keeps a run from being passed."""
+
+    outcome: Outcome
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The gravest of what was found, and all of it."""
+
+    outcome: Outcome
+    exit_status: int
+    passed: bool
+    """Something was asked, and all of it was kept in a valid run."""
+    completed: bool
+    """Each planned cycle has its row, and after the last one each drive was still enabled."""
+    reason: str
+    """The findings of ``outcome`` in words; empty where there are none."""
+    limits: tuple[Check, ...]
+    findings: tuple[Finding, ...]
+    """The gravest first."""
+
+    def also(self, finding: Finding) -> "Verdict":
+        """With something that was found afterwards; such a run is not passed."""
+        return _conclude(self.completed, self.limits, [*self.findings, finding])
+
+    def of(self, outcome: Outcome) -> tuple[str, ...]:
+        """The findings of one kind, in words."""
+        return tuple(finding.text for finding in self.findings if finding.outcome is outcome)
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "Verdict":
+        """Inverse of ``asdict`` and JSON."""
+        checks = [Check(**{**check, "result": LimitResult(check["result"])}) for check in found["limits"]]
+        findings = [Finding(Outcome(each["outcome"]), each["text"]) for each in found["findings"]]
+        plain = {**found, "outcome": Outcome(found["outcome"])}
+        return cls(**{**plain, "limits": tuple(checks), "findings": tuple(findings)})
+
+
+def judge(
+    outcome: RunOutcome,
+    count: CycleCount,
+    values: Mapping[str, float | None],
+    limits: VerdictLimits,
+    recording_lacks: str = "",
+) -> Verdict:
+    """The verdict on a run.
+
+    ``values``: by the names of :class:`VerdictLimits`; None, or left out, if not measured.
+    ``recording_lacks``: why the recording is not whole; empty if it is.
+    """
+    undone = _undone(outcome, count)
+    completed = not undone
+    checks = tuple(
+        Check(key, value, limit, _held_against(value, limit, completed))
+        for key, limit in asdict(limits).items()
+        if limit is not None
+        for value in [values.get(key)]
+    )
+    found = [*undone, *_doubted(outcome, recording_lacks), *_broken(checks, completed)]
+    if not checks and count.missed:
+        text = f"{count.missed} cycles went without SYNC, and no limit says how many may"
+        found.append(Finding(Outcome.NOT_MEASURED, text))
+    return _conclude(completed, checks, found)
+
+
+def not_run(outcome: Outcome, reason: str) -> Verdict:
+    """Of what ended before there was a run."""
+    return _conclude(False, (), [Finding(outcome, reason)])
+
+
+def _undone(outcome: RunOutcome, count: CycleCount) -> list[Finding]:
+    """Why not everything that was planned was run."""
+    if not outcome.completed:
+        return [Finding(outcome.cause, outcome.reason)]
+    return [Finding(Outcome.CUT_SHORT, text) for text in _gaps(outcome, count)]
+
+
+def _gaps(outcome: RunOutcome, count: CycleCount) -> Iterator[str]:
+    if not outcome.drives:
+        yield "no drive was looked at after the last cycle"
+        return
+    planned = outcome.cycles_planned
+    if planned is None:
+        yield "how many cycles were planned is not known"
+    elif count.rows != (expected := planned * len(outcome.drives)):
+        yield f"{count.rows} cycles are accounted for, of {expected} that were planned"
+    elif count.dense != planned:
+        yield f"rows are missing or double behind cycle {count.dense}"
+    for drive in outcome.drives:
+        if drive.after_last_cycle is None:
+            yield f"{drive.name} was not looked at after the last cycle"
+
+
+def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
+    """What speaks against a run whatever its figures are."""
+    for drive in outcome.drives:
+        if drive.at_rest is False or (drive.at_rest is None and outcome.completed):
+            text = f"{drive.name} is not confirmed at rest: {drive.evidence}".removesuffix(": ")
+            yield Finding(Outcome.PEER_FAULT, text)
+        if drive.unwatched:
+            yield Finding(Outcome.PEER_FAULT, f"{drive.name}: {drive.unwatched}")
+    for emergency in outcome.emergencies:
+        yield Finding(Outcome.PEER_FAULT, emergency)
+    for doubt in outcome.distrust:
+        yield Finding(Outcome.NOT_TRUSTWORTHY, doubt)
+    if recording_lacks:
+        yield Finding(Outcome.NOT_RECORDED, recording_lacks)
+
+
+def _held_against(value: float | None, limit: float, completed: bool) -> LimitResult:
+    if value is None or not completed:
+        return LimitResult.NOT_MEASURED
+    return LimitResult.KEPT if value <= limit else LimitResult.BROKEN
+
+
+def _broken(checks: Sequence[Check], completed: bool) -> Iterator[Finding]:
+    for check in checks:
+        if check.result is LimitResult.BROKEN:
+            text = f"{check.metric} = {check.limit:g}, found {check.value:.4g}"
+            yield Finding(Outcome.NOT_PASSED, text)
+        elif check.result is LimitResult.NOT_MEASURED and completed:
+            yield Finding(Outcome.NOT_MEASURED, f"{check.metric} = {check.limit:g}, and nothing was measured")
+
+
+def _conclude(completed: bool, checks: tuple[Check, ...], found: Sequence[Finding]) -> Verdict:
+    findings = tuple(sorted(found, key=lambda finding: _GRAVITY.index(finding.outcome)))
+    fair = Outcome.PASSED if checks else Outcome.NOTHING_ASKED
+    outcome = findings[0].outcome if findings else fair
+    verdict = Verdict(
+        outcome, int(outcome.exit_status), outcome is Outcome.PASSED, completed, "", checks, findings
+    )
+    return replace(verdict, reason="; ".join(verdict.of(outcome)))
+
+
+def verdict_title(verdict: Verdict) -> str:
+    """The verdict in capitals, as a reader sees it first."""
+    return verdict.outcome.upper()
