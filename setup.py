@@ -30,7 +30,7 @@ HOT_MODULES = [
     ),
     *_below("drivers", "record servo setpoint supervision timebase"),
     *_below("hil/control", "compensation controllers"),
-    *_below("hil/loop", "attribution axis clock_map clock_question command_meter delay loop"),
+    *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter delay loop"),
     *_below("hil/loop", "order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
     *_below("hil/recording", "ring row_writer"),
     *_below("hil/rows", "records side_rows"),

@@ -15,10 +15,10 @@ from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.commissioning.drive_port import DrivePort, Quantity
 from hil.commissioning.request import MotionLimits
 from hil.control.compensation import Arrival
-from hil.control.controllers import Controller
 from hil.execution.bus_guard import BusGuard
 from hil.execution.segments import sync_log
 from hil.loop.axis import Axis, AxisParts
+from hil.loop.axis_roles import Controller
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter

@@ -7,25 +7,13 @@ stamp        use the sample that is exactly the agreed delay old when the comman
 """
 
 from collections import deque
-from typing import Final, Protocol
+from typing import Final
 
 from drivers.timebase import Duration, Instant
 from hil.loop.samples import Sample, StateEstimate
 
 AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
 """What is assumed before the first sample: the loop starts with the drive at rest."""
-
-
-class Compensator(Protocol):
-    """Turns samples of varying age, some missing, into the state that a command is based on."""
-
-    def receive(self, sample: Sample) -> None:
-        """A usable sample has come; called for each, in order of arrival."""
-        ...
-
-    def estimate(self, apply_at: Instant) -> StateEstimate:
-        """The state to base a command on that will act at ``apply_at``."""
-        ...
 
 
 def _as_estimate(sample: Sample) -> StateEstimate:

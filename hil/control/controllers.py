@@ -1,28 +1,13 @@
 """Speed controllers: a state estimate and a reference in, a torque out.
 
-``output`` is called first and its torque is sent at once; ``update`` does the
-bookkeeping afterwards, with the command that the safety limits let through.
-Neither reads a clock: time comes from the estimate and from the loop's period.
+What the loop asks of each is :class:`hil.loop.axis_roles.Controller`.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S
 from hil.loop.samples import StateEstimate
-
-
-class Controller(Protocol):
-    """A speed controller of one axis."""
-
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
-        """The torque to apply, N m, before any limit. Changes nothing."""
-        ...
-
-    def update(self, estimate: StateEstimate, command: Command) -> None:
-        """Advance the controller's states by one period, knowing what was really sent."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

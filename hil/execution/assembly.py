@@ -16,10 +16,11 @@ from hil.configuration.config_axis import (
     StampCompensator,
     StepReference,
 )
-from hil.control.compensation import Arrival, Compensator, Stamp
-from hil.control.controllers import Controller, Pid, PidGains, StateFeedback
+from hil.control.compensation import Arrival, Stamp
+from hil.control.controllers import Pid, PidGains, StateFeedback
 from hil.execution.world import SegmentPlan, World, WorldPlan
-from hil.loop.axis import Axis, AxisParts, LoadMachine
+from hil.loop.axis import Axis, AxisParts
+from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter

@@ -14,7 +14,6 @@ from drivers.state_control import FAULTY
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
-from hil.control.controllers import Controller
 from hil.execution import assembly
 from hil.execution.bus_guard import BusGuard
 from hil.execution.commissioned_drive import as_the_loop_counts, write_commissioned
@@ -30,6 +29,7 @@ from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, check_time, open_world
 from hil.load.load_machines import LoadMachines
 from hil.loop.axis import Axis
+from hil.loop.axis_roles import Controller
 from hil.loop.loop import Loop, LoopOutcome, LoopTiming, planned_cycles
 from hil.loop.samples import CycleRecord
 from hil.loop.syncs import SyncLog

@@ -11,7 +11,7 @@ from drivers.timebase import Instant
 from hil.configuration.config import BenchConfig
 from hil.load.instrument import InstrumentLoadMachine, Wait, instrument_line
 from hil.load.load_machine import ObjectLoadMachine, find_load_machine
-from hil.loop.axis import LoadMachine
+from hil.loop.axis_roles import LoadMachine
 from hil.recording.recorder import Recorder
 from virtual_bus.servo import SimulatedServo
 

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.record import replaced
 from drivers.timebase import Duration, Instant
-from hil.control.compensation import Compensator
-from hil.control.controllers import Controller
 from hil.loop.attribution import HELD_FOR, HELD_MAX
+from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
@@ -22,14 +21,6 @@ from hil.loop.syncs import SyncLog, SyncMark
 
 READINGS_REMEMBERED: Final = 64
 """Readings that a read-back may come after."""
-
-
-class LoadMachine(Protocol):
-    """What puts a load on the shaft."""
-
-    def set_torque(self, torque_nm: float) -> None:
-        """Ask for a load torque, N m; positive opposes positive speed. Does not block."""
-        ...
 
 
 class Tick:

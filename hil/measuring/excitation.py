@@ -41,7 +41,7 @@ class Excitation:
     """Torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
 
     The sign alternates, so that the speed stays where it was; where it has wandered off by more than
-    :data:`CALM_SHARE` of its limit the torque brakes. A :class:`hil.control.controllers.Controller`.
+    :data:`CALM_SHARE` of its limit the torque brakes. A :class:`hil.loop.axis_roles.Controller`.
     """
 
     def __init__(self, steps: int, unit_nm: float, speed_max_rad_s: float, seed: int) -> None:

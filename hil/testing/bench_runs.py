@@ -13,8 +13,8 @@ from drivers.errors import BenchError
 from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile
-from hil.control.controllers import Controller
 from hil.execution.bench import run_bench
+from hil.loop.axis_roles import Controller
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.testing.hosted import DriveHost

@@ -13,8 +13,8 @@ import pytest
 from drivers.exchange import Command
 from drivers.profile402 import State
 from hil.configuration.bench_file import load_bench
-from hil.control.controllers import Controller
 from hil.execution.bench import run_bench
+from hil.loop.axis_roles import Controller
 from hil.loop.samples import StateEstimate
 from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest

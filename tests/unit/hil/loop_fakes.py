@@ -9,8 +9,9 @@ from drivers.errors import DriveInFault
 from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
 from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.control.compensation import Arrival, Compensator
+from hil.control.compensation import Arrival
 from hil.loop.axis import Axis, AxisParts
+from hil.loop.axis_roles import Compensator
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter

@@ -6,7 +6,8 @@ import pytest
 
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Instant
-from hil.control.controllers import Controller, Pid, PidGains, StateFeedback
+from hil.control.controllers import Pid, PidGains, StateFeedback
+from hil.loop.axis_roles import Controller
 from hil.loop.samples import StateEstimate
 
 PERIOD_S = 0.001
