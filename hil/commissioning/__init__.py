@@ -1,0 +1,1 @@
+"""Getting to know a drive in guided steps: ``hil commission``, ``hil restore``."""

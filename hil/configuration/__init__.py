@@ -1,0 +1,1 @@
+"""Bench files and all others that a user writes: their models, and their errors in words."""

@@ -1,0 +1,1 @@
+"""Controllers and compensators: what the loop computes its commands with."""

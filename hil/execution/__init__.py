@@ -1,0 +1,1 @@
+"""A run from a checked bench file to drives at rest: world, axes, guards, simulated drives."""

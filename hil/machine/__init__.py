@@ -1,0 +1,1 @@
+"""This process and its machine: Ctrl-C, real time, progress, compiled modules, ``hil doctor``."""

@@ -1,0 +1,1 @@
+"""The rows of a record: their layout, the plan that they go by, and what they tell of a run."""

@@ -1,0 +1,1 @@
+"""The commands of ``hil``: options, and what is printed."""

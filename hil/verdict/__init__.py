@@ -1,0 +1,1 @@
+"""What a run came to: verdict, exit status, summary, and both in lines for a reader."""

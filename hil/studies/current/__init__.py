@@ -1,0 +1,1 @@
+"""H-infinity current controllers: ``hil design current``."""

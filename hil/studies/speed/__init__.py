@@ -1,0 +1,1 @@
+"""Speed loops with delay, sampling and loss: ``hil analyse speed``, ``hil design speed``, its PID."""
