@@ -25,31 +25,27 @@ def _below(folder: str, names: str) -> list[str]:
 
 
 HOT_MODULES = [
-    *_below(
-        "drivers", "command_watch drive_watch exchange frame_port frame_pump link message_port nmt readings"
-    ),
-    *_below("drivers", "record servo setpoint supervision timebase"),
+    *_below("drivers", "exchange record timebase"),
+    *_below("drivers/canopen", "frame_pump nmt"),
+    *_below("drivers/cia402", "command_watch drive_watch readings servo setpoint supervision"),
+    *_below("drivers/wire", "frame_port link message_port"),
     *_below("hil/control", "compensation controllers"),
     *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter delay loop"),
     *_below("hil/loop", "order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
     *_below("hil/recording", "ring row_writer"),
     *_below("hil/rows", "records side_rows"),
-    *_below("virtual_bus", "device event_heap faults frame hosting pacing segment servo timeline"),
-    *_below("virtual_bus/can_bus", "arbitration bit_length bus_load controller error_frame error_handling"),
-    *_below(
-        "virtual_bus/can_bus", "error_state filters frame_image host_port hub_broker hub_port hub_protocol"
-    ),
-    *_below("virtual_bus/can_bus", "inbox listener trial"),
-    *_below("virtual_bus/canopen_device", "application device_clock heartbeat object_dictionary"),
-    *_below(
-        "virtual_bus/canopen_device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"
-    ),
-    *_below("virtual_bus/fault_injection", "fates fault_log fault_streams special_faults strikes"),
-    *_below("virtual_bus/servo_drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),
-    *_below("virtual_bus/servo_drive", "homing_methods machine operation_mode operation_modes power_state"),
-    *_below("virtual_bus/servo_drive", "profile_position profile_torque profile_velocity"),
-    *_below("virtual_bus/servo_drive", "servo_parameters slow_values"),
-    *_below("virtual_bus/servo_drive", "trajectory user_units"),
+    *_below("virtual_bus", "event_heap frame pacing timeline"),
+    *_below("virtual_bus/bus", "arbitration bit_length bus_load controller error_frame error_handling"),
+    *_below("virtual_bus/bus", "error_state filters frame_image host_port hub_broker hub_port hub_protocol"),
+    *_below("virtual_bus/bus", "inbox listener segment trial"),
+    *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
+    *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
+    *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),
+    *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
+    *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo servo_parameters"),
+    *_below("virtual_bus/drive", "slow_values trajectory user_units"),
+    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams special_faults strikes"),
+    *_below("virtual_bus/hosting", "devices"),
 ]
 """What runs in every cycle of the loop or of a simulated drive."""
 

@@ -8,9 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from drivers.adapters import parse_bus_spec
-from drivers.objects402 import Object
+from drivers.cia402.objects402 import Object
 from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
 from hil.commissioning.outcome import Outcome
@@ -20,11 +20,11 @@ from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
-from virtual_bus.fault_injection.faulty_device import SimulatedNode
+from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.unknown_drive import Truth, unknown_drive
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.motor_kernel import S_TORQUE_MEASURED
-from virtual_bus.unknown_drive import Truth, unknown_drive
+from virtual_bus.hosting.faulty_device import SimulatedNode
 
 LOSS = {
     "loss": [

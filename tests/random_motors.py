@@ -20,7 +20,7 @@ from hil.machine.progress import no_progress
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
 from tests.truth.tapped_run import RowsRecorder
-from virtual_bus.servo_drive.firmware import FirmwareParameters
+from virtual_bus.drive.firmware import FirmwareParameters
 
 PERIOD_S = 0.001
 NETWORK = SampledNetwork(Strategy.ARRIVAL, PERIOD_S, 0, PERIOD_S, 0.0)

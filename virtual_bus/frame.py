@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from drivers.frame_port import WireFrame
 from drivers.timebase import Instant
+from drivers.wire.frame_port import WireFrame
 
 Frame = WireFrame
 """One class on both sides of the wire."""

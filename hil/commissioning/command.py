@@ -6,13 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import parse_bus_spec
-from drivers.dictionary import load_dictionary
-from drivers.drive_setup import read_identity
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import read_identity
 from drivers.errors import BadInput, PeerFault
-from drivers.network import CanopenNetwork
-from drivers.objects import RemoteObjects
+from drivers.sheets.dictionary import load_dictionary
 from drivers.timebase import NS_PER_S, Duration
+from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
 from hil.commissioning.outcome import Verdict
@@ -23,8 +23,8 @@ from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
-from virtual_bus.fault_injection.faulty_device import SimulatedNode
-from virtual_bus.unknown_drive import unknown_drive
+from virtual_bus.drive.unknown_drive import unknown_drive
+from virtual_bus.hosting.faulty_device import SimulatedNode
 
 _ANSWER_LIMIT = Duration(5 * NS_PER_S)
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from drivers.dictionary import LoadedDictionary
 from drivers.errors import BenchError, PeerFault
+from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files

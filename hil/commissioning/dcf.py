@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-from drivers.drive_setup import Identity
+from drivers.cia402.drive_setup import Identity
 from hil.restoring.journal import ObjectKey
 
 _UNSIGNED: Final = {1: 0x05, 2: 0x06, 4: 0x07, 8: 0x1B}

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final
 
+from drivers.cia402.profile import Mode
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
-from drivers.profile402 import Mode
 from drivers.record import replaced
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Instant
 
 

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command
-from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.commissioning.drive_port import DrivePort, Quantity
 from hil.commissioning.request import MotionLimits

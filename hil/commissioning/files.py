@@ -3,7 +3,7 @@
 import math
 from typing import Any, Final
 
-from drivers.objects402 import Object
+from drivers.cia402.objects402 import Object
 from hil.commissioning.dcf import dcf_text
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import suggestion

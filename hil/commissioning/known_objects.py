@@ -5,9 +5,9 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.objects402 import Object
 from drivers.errors import TransferAborted
-from drivers.network import CanopenNetwork
-from drivers.objects402 import Object
 
 Dump = dict[tuple[int, int], bytes]
 

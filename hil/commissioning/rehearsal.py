@@ -5,17 +5,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.toml_text import toml_text
 from hil.execution.node_ids_taken import refuse_taken
 from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
-from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.drive.unknown_drive import Truth, unknown_drive
 from virtual_bus.frame import Device
-from virtual_bus.hosting import serve
-from virtual_bus.unknown_drive import Truth, unknown_drive
+from virtual_bus.hosting.devices import serve
+from virtual_bus.hosting.injection import Faults
 
 
 def rehearse(

@@ -8,15 +8,15 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.dictionary import LoadedDictionary
-from drivers.drive_setup import DriveSettings, Identity
+from drivers.canopen.pdo import PdoPlan, bus_load_percent_max
+from drivers.canopen.pdo_capability import capability_of
+from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.profile import Mode
+from drivers.cia402.scaling import ScaleOverride, Scaling
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown, PeerFault
-from drivers.pdo import PdoPlan, bus_load_percent_max
-from drivers.pdo_capability import capability_of
-from drivers.pdo_plans import mode_plan
-from drivers.profile402 import Mode
-from drivers.scaling import ScaleOverride, Scaling
-from drivers.servo import ServoDrive
+from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
@@ -32,7 +32,7 @@ from hil.loop.loop import Actuation, LoopTiming
 from hil.machine.stopping import Interrupted
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import JournaledNetwork
-from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
+from virtual_bus.bus.bit_length import bits_duration, frame_bits
 
 ENABLE_LIMIT_S: Final = 3.0
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)

@@ -7,16 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from drivers.drive_setup import write_optional
+from drivers.canopen.objects import SettingRefused
+from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.profile import Mode
+from drivers.cia402.scaling import RAD_S_PER_RPM
+from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
-from drivers.objects import SettingRefused
-from drivers.objects402 import Object
-from drivers.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
-from drivers.pdo_plans import mode_plan
-from drivers.profile402 import Mode
-from drivers.scaling import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
-from drivers.unit_factors import TORQUE_SLIPS, likely_slip
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
 from hil.commissioning.exercise import Recording

@@ -3,11 +3,11 @@
 import math
 from typing import Final
 
-from drivers.drive_setup import write_optional
+from drivers.canopen.pdo import bus_load_percent_max
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import HaltOption, Mode, State, state_of
 from drivers.errors import PeerFault
-from drivers.objects402 import Object
-from drivers.pdo import bus_load_percent_max
-from drivers.profile402 import HaltOption, Mode, State, state_of
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.commissioning.excitation import Profile
 from hil.commissioning.outcome import Outcome, StepFailed

@@ -4,11 +4,11 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from drivers.drive_setup import write_optional
-from drivers.objects402 import Object
-from drivers.scaling import Scaling
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.scaling import Scaling
+from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
-from drivers.unit_factors import likely_slip
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Pulse, SpeedCommand
 from hil.commissioning.exercise import Exerciser, Recording

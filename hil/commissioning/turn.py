@@ -12,11 +12,11 @@ one turn is worth.
 import math
 from typing import Final, NamedTuple
 
-from drivers.drive_setup import write_optional
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State, Status, state_of, supported_mode_bit
 from drivers.errors import PeerFault
 from drivers.exchange import Reading
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State, Status, state_of, supported_mode_bit
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.session import Session
 from hil.machine.stopping import Interrupted

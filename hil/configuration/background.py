@@ -9,7 +9,7 @@ from drivers.bounded_file import NamedBy, read_toml
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
-from virtual_bus.background import Stream
+from virtual_bus.device.background import Stream
 
 
 class Background(Section):

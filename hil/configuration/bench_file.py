@@ -16,9 +16,9 @@ from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
-from virtual_bus.fault_injection.fault_log import FAULTS_FILE
-from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, read_fault_plan
-from virtual_bus.fault_injection.replay import read_recorded
+from virtual_bus.faults.fault_log import FAULTS_FILE
+from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, read_fault_plan
+from virtual_bus.faults.replay import read_recorded
 
 
 def load_bench(path: Path) -> BenchConfig:

@@ -17,7 +17,7 @@ from hil.configuration.config_load_machine import LoadMachine
 from hil.configuration.quantities import HeartbeatTimeout
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
-from virtual_bus.fault_injection.injection import Faults as InjectedFaults
+from virtual_bus.hosting.injection import Faults as InjectedFaults
 
 BitRate = Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000]
 """The bit rates of CiA 301 5.1, and 100 kbit/s, which is common."""

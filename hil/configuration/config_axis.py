@@ -23,8 +23,8 @@ from hil.configuration.quantities import (
     Torque,
 )
 from hil.configuration.speed_controller_file import Certificate, MadeFor
-from virtual_bus.servo_drive.current_bandwidth import current_bandwidth_hz
-from virtual_bus.servo_drive.lacks import PATTERN
+from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
+from virtual_bus.drive.lacks import PATTERN
 
 
 def _lack(text: str) -> str:

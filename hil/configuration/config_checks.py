@@ -3,13 +3,13 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from drivers.adapters import parse_bus_spec
+from drivers.canopen.frame_pump import SYNC
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.pdo_plans import torque_plan
 from drivers.errors import MISSING, BadInput
-from drivers.frame_pump import SYNC
 from drivers.key_advice import nearest
-from drivers.pdo import PdoPlan
-from drivers.pdo_plans import torque_plan
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive, SineReference, StampCompensator, peak_speed_rpm
 from hil.configuration.motor_file import speed_max_rpm

@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from drivers.dynamometer import BAUD, DynamometerSettings
-from drivers.magtrol import Dialect, dialect
+from drivers.instruments.dynamometer import BAUD, DynamometerSettings
+from drivers.instruments.magtrol import Dialect, dialect
 from drivers.timebase import NS_PER_MS, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import Torque

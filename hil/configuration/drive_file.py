@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from drivers.bounded_file import NamedBy, read_toml
-from drivers.scaling import ScaleOverride
+from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
 

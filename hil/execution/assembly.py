@@ -4,9 +4,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.adapters import BusSpec
 from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
+from drivers.wire.adapters import BusSpec
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import Drive as DriveConfig
 from hil.configuration.config_axis import (
@@ -33,8 +33,8 @@ from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
 from hil.verdict.verdict import VerdictLimits
-from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.fault_injection.fault_log import FaultLog
+from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.frame import Frame
 
 SYNC_FRAME = Frame(0x080)

@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from drivers.adapters import parse_bus_spec
-from drivers.dictionary import LoadedDictionary
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import DONE
+from drivers.cia402.servo import ServoDrive
+from drivers.cia402.state_control import FAULTY
 from drivers.errors import BadInput, BenchError, PeerFault
-from drivers.network import CanopenNetwork
-from drivers.pdo import DONE
-from drivers.servo import ServoDrive
-from drivers.state_control import FAULTY
+from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock, duration_s, utc_stamp
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
@@ -40,8 +40,8 @@ from hil.recording.fault_report import write_fault_report
 from hil.recording.recorder import Recorder, start_recording
 from hil.recording.watch import RecordingWatch
 from hil.verdict.summary import Summary
-from virtual_bus.fault_injection.fault_log import FaultLog
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.faults.fault_log import FaultLog
 
 ENABLE_TIMEOUT_S = 2.0
 RUNS_FOLDER = Path("runs")

@@ -14,14 +14,14 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
+from drivers.canopen.frame_pump import SYNC, Handler
+from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
+from drivers.canopen.nmt import Emergency, parse_emergency
+from drivers.canopen.owed import Owed
+from drivers.canopen.pdo import PdoMap
+from drivers.canopen.sdo import SDO_REQUEST, object_name
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.frame_pump import SYNC, Handler
-from drivers.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
-from drivers.nmt import Emergency, parse_emergency
-from drivers.owed import Owed
-from drivers.pdo import PdoMap
-from drivers.sdo import SDO_REQUEST, object_name
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Guard, Rule
 from hil.loop.syncs import REMEMBERED, SyncLog

@@ -1,11 +1,11 @@
 """A drive run by what commissioning found: its settings written first, its signs turned if need be."""
 
+from drivers.canopen.objects import SettingRefused
+from drivers.canopen.sdo import object_name
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
-from drivers.objects import SettingRefused
 from drivers.record import replaced
-from drivers.sdo import object_name
-from drivers.servo import ServoDrive
 from hil.configuration.drive_file import DriveFile
 
 

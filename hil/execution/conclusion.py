@@ -5,19 +5,19 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
+from drivers.canopen.nmt import Emergency
+from drivers.cia402.profile import State
+from drivers.cia402.servo import ServoDrive
+from drivers.cia402.supervision import Release
 from drivers.errors import BenchError, DriveInFault
-from drivers.nmt import Emergency
-from drivers.profile402 import State
-from drivers.servo import ServoDrive
-from drivers.supervision import Release
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Loop as LoopSettings
 from hil.loop.loop import LoopOutcome
 from hil.recording.logger_process import RecordingFailed
 from hil.verdict.verdict import DriveEnd, Outcome, RunOutcome, outcome_of_status
-from virtual_bus.fault_injection.fault_plan import FaultPlan
-from virtual_bus.fault_injection.injection import Faults
-from virtual_bus.fault_injection.node_fault_plan import DriveFailure, DriveFault
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.node_fault_plan import DriveFailure, DriveFault
+from virtual_bus.hosting.injection import Faults
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
 """From a drive fault that was noticed to its EMCY: the drive sends it at once, and a full bus or a fault that

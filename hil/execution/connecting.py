@@ -1,8 +1,8 @@
 """Waiting for a drive's first answer, in which a user may lose patience."""
 
-from drivers.drive_setup import Identity
+from drivers.cia402.drive_setup import Identity
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import NoAnswer
-from drivers.servo import ServoDrive
 from drivers.timebase import duration_s
 from hil.machine.stopping import StopRequest
 

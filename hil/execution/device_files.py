@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 from canopen import ObjectDictionary as VendorDictionary
 
-from drivers.dictionary import load_dictionary
-from drivers.eds.information import Commissioning
 from drivers.errors import BadInput
-from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
-from virtual_bus.canopen_device.parameter_store import FileStore
-from virtual_bus.canopen_device.vendor_dictionary import BASE_NODE_ID, overlay
+from drivers.sheets.dictionary import load_dictionary
+from drivers.sheets.eds.information import Commissioning
+from virtual_bus.device.object_dictionary import ObjectDictionary
+from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
 
 REPAIRS_SHOWN = 5
 IDENTITY, SERIAL_NUMBER = 0x1018, 4

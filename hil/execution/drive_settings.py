@@ -3,11 +3,11 @@
 import math
 from pathlib import Path
 
-from drivers.dictionary import LoadedDictionary, load_dictionary
-from drivers.drive_setup import DriveSettings, Identity
-from drivers.fitness import assess
-from drivers.pdo_capability import capability_of
-from drivers.scaling import ScaleOverride
+from drivers.canopen.pdo_capability import capability_of
+from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.scaling import ScaleOverride
+from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from drivers.sheets.fitness import assess
 from drivers.timebase import NS_PER_MS
 from hil.configuration.config import BenchConfig, Host
 from hil.loop.loop import Actuation, LoopTiming

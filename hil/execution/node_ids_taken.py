@@ -8,12 +8,12 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
+from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
+from drivers.canopen.sdo import SDO_ANSWER
 from drivers.errors import BadInput, NoAnswer, PeerFault
-from drivers.link import BusLink
-from drivers.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
 from drivers.printable import printable
-from drivers.sdo import SDO_ANSWER
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.wire.link import BusLink
 
 LISTEN_FOR: Final = Duration(NS_PER_S)
 """In so long a node with a heartbeat, or in operation, is heard nearly always; the others are asked."""

@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant, duration_s
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.execution import assembly
 from hil.execution.network_guard import certified_plans

@@ -9,11 +9,11 @@ the order of the segments where it arrives at one instant.
 
 from collections.abc import Callable, Mapping, Sequence
 
+from drivers.canopen.frame_pump import SYNC
+from drivers.canopen.network import CanopenNetwork
 from drivers.exchange import Master
-from drivers.frame_port import EchoBasis, FrameTap
-from drivers.frame_pump import SYNC
-from drivers.network import CanopenNetwork
 from drivers.timebase import Clock, Duration, Instant
+from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
 from hil.execution.assembly import sync_latency
 from hil.execution.sync_source import SyncSource

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
-from drivers.adapters import BusSpec, parse_bus_spec
 from drivers.bounded_file import NamedBy
 from drivers.errors import BadInput
+from drivers.wire.adapters import BusSpec, parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.current_controller_file import CurrentController, read_current_controller
 from hil.execution.device_files import DeviceFiles
@@ -17,15 +17,15 @@ from hil.execution.world import WorldPlan, open_world
 from hil.load.simulated_load import SimulatedLoadMachine
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
-from virtual_bus.background import Stream, background_nodes
-from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
-from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
-from virtual_bus.canopen_device.parameter_store import FileStore
-from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.device.background import Stream, background_nodes
+from virtual_bus.device.lss_slave import NODE_ID_KEY
+from virtual_bus.device.nmt_state import UNCONFIGURED
+from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Device
-from virtual_bus.hosting import serve
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.hosting.devices import serve
+from virtual_bus.hosting.injection import Faults
 
 
 def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:

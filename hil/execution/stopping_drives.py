@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from contextlib import suppress
 
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.servo import ServoDrive
 
 
 def stop_all(drives: Sequence[ServoDrive]) -> None:

@@ -6,10 +6,10 @@ from enum import Enum
 
 import can
 
-from drivers.adapters import HUB, SOCKETCAN, BusSpec
+from drivers.canopen.frame_pump import SYNC
 from drivers.errors import BadInput, BusDown
-from drivers.frame_pump import SYNC
 from drivers.timebase import NS_PER_S, Duration
+from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec
 from hil.configuration.config import BenchConfig
 
 

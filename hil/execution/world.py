@@ -4,24 +4,24 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from drivers.adapters import BusSpec, open_bus
 from drivers.errors import BadInput
-from drivers.link import BusLink, StampSource, Tap
 from drivers.timebase import Clock, Duration, Instant, MonotonicClock, wall_clock_offset
-from virtual_bus.background import Stream, background_nodes
-from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
-from virtual_bus.can_bus.bus_load import BusLoad
-from virtual_bus.can_bus.disturbance import BusError
-from virtual_bus.can_bus.error_message import error_frame_of
-from virtual_bus.fault_injection.fault_log import FaultLog
-from virtual_bus.fault_injection.faulty_bus import FaultyBus, Side
-from virtual_bus.fault_injection.faulty_device import FaultyDevice, SimulatedNode
-from virtual_bus.fault_injection.injection import Faults, Injection, refuse_misplaced
+from drivers.wire.adapters import BusSpec, open_bus
+from drivers.wire.link import BusLink, StampSource, Tap
+from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
+from virtual_bus.bus.bus_load import BusLoad
+from virtual_bus.bus.disturbance import BusError
+from virtual_bus.bus.error_message import error_frame_of
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.device.background import Stream, background_nodes
+from virtual_bus.faults.fault_log import FaultLog
+from virtual_bus.faults.faulty_bus import FaultyBus, Side
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
+from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
+from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 from virtual_bus.pacing import PacedTimeline
-from virtual_bus.segment import Segment
-from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.error_codes import fault_text, history_text, register_text
-from drivers.network import CanopenNetwork
-from drivers.objects402 import Object
-from drivers.servo import ServoDrive
-from drivers.state_control import ERROR_HISTORY, ERROR_REGISTER, FAULTY
+from drivers.canopen.error_codes import fault_text, history_text, register_text
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.objects402 import Object
+from drivers.cia402.servo import ServoDrive
+from drivers.cia402.state_control import ERROR_HISTORY, ERROR_REGISTER, FAULTY
 from drivers.timebase import NS_PER_S, Duration
 
 _CONNECT_NS = Duration(2 * NS_PER_S)

@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 
 import can
 
-from drivers.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
-from drivers.bitrate import can_listen_only, detect_bitrate, open_listening
-from drivers.bus_scan import BusScan, NodeFound, Traffic
-from drivers.can_links import CanLink, can_links
+from drivers.canopen.bus_scan import BusScan, NodeFound, Traffic
+from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import MISSING, BadInput, BusDown, NoAnswer
-from drivers.link import BusLink, StampSource
-from drivers.lss import LssAddress, LssMaster
-from drivers.network import CanopenNetwork
-from drivers.serial_adapters import SerialPort, serial_adapters
 from drivers.timebase import Duration, MonotonicClock
-from virtual_bus.can_bus.hub_place import HubPlace, known_hubs
-from virtual_bus.hub import HubBus
+from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
+from drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
+from drivers.wire.can_links import CanLink, can_links
+from drivers.wire.link import BusLink, StampSource
+from drivers.wire.serial_adapters import SerialPort, serial_adapters
+from virtual_bus.bus.hub import HubBus
+from virtual_bus.bus.hub_place import HubPlace, known_hubs
 
 
 @dataclass(frozen=True, slots=True)

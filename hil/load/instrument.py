@@ -3,16 +3,16 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from drivers.dynamometer import Dynamometer, LoadReading, Tally
 from drivers.errors import BadInput
-from drivers.serial_line import ByteLine, open_line
+from drivers.instruments.dynamometer import Dynamometer, LoadReading, Tally
 from drivers.timebase import NS_PER_S, Clock, Instant
+from drivers.wire.serial_line import ByteLine, open_line
 from hil.configuration.config_load_machine import SIMULATED, LoadMachine
-from virtual_bus.dynamometer.brake import Brake, ServoShaft
-from virtual_bus.dynamometer.hosting import TimelineLine
-from virtual_bus.dynamometer.instrument import Instrument
-from virtual_bus.serial_line.line_faults import LineFaults
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
+from virtual_bus.instruments.dynamometer.hosting import TimelineLine
+from virtual_bus.instruments.dynamometer.instrument import Instrument
+from virtual_bus.instruments.serial_line.line_faults import LineFaults
 from virtual_bus.timeline import SimulatedClock
 
 TOLERANCE = 0.05

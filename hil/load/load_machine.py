@@ -1,8 +1,8 @@
 """Load on the shaft: the load machine that a simulated drive carries in its object dictionary."""
 
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import BadInput, TransferAborted
-from drivers.network import CanopenNetwork
-from virtual_bus.servo_drive.servo_objects import LOAD_MACHINE
+from virtual_bus.drive.servo_objects import LOAD_MACHINE
 
 LOAD_TORQUE_SUB = 1
 NM_PER_COUNT = 1e-3

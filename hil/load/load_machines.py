@@ -3,17 +3,17 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drivers.dynamometer import Dynamometer, LoadReading
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.network import CanopenNetwork
-from drivers.servo import ServoDrive
+from drivers.instruments.dynamometer import Dynamometer, LoadReading
 from drivers.timebase import Instant
 from hil.configuration.config import BenchConfig
 from hil.load.instrument import InstrumentLoadMachine, Wait, instrument_line
 from hil.load.load_machine import ObjectLoadMachine, find_load_machine
 from hil.loop.axis_roles import LoadMachine
 from hil.recording.recorder import Recorder
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
 
 Say = Callable[[str, str], None]
 """Takes a text for the reader and its level."""

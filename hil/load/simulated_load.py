@@ -7,12 +7,12 @@ from pathlib import Path
 
 from design.motor import PmsmParameters
 from drivers.errors import BadInput
-from virtual_bus.dynamometer.brake import Brake, ServoShaft
-from virtual_bus.dynamometer.hosting import InstrumentAtTerminal
-from virtual_bus.dynamometer.instrument import Instrument
-from virtual_bus.serial_line.line_faults import LineFaults
-from virtual_bus.serial_line.pseudo_terminal import PseudoTerminal
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
+from virtual_bus.instruments.dynamometer.hosting import InstrumentAtTerminal
+from virtual_bus.instruments.dynamometer.instrument import Instrument
+from virtual_bus.instruments.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.pseudo_terminal import PseudoTerminal
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ after both may be that of either: they are then unsure, unless the other echo co
 
 from typing import Final
 
-from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.wire.frame_port import UNTOLD, EchoBasis
 
 ECHO_ERROR: Final = {
     EchoBasis.BUS: 0,

@@ -7,7 +7,7 @@ import socket
 import can
 from serial.tools import list_ports
 
-from drivers.adapters import link_up_command, socketcan_links
+from drivers.wire.adapters import link_up_command, socketcan_links
 from hil.machine.capability import Capability, Machine, capable, lacking
 
 CAP_NET_ADMIN = 12

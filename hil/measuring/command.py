@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import utc_stamp
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import RUNS_FOLDER
 from hil.execution.simulated_drives import drive_parameters
@@ -15,7 +15,7 @@ from hil.machine.stopping import stop_signals
 from hil.measuring.figures import Measured
 from hil.measuring.measure import Say, measure
 from hil.measuring.request import MeasureRequest
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
 
 
 def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Measured:

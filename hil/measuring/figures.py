@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US
+from drivers.wire.frame_port import EchoBasis
 from hil.configuration.network_file import Network
 from hil.loop.axis import Axis
 from hil.measuring.bounds import CONFIDENCE, rank_above, share_within_largest

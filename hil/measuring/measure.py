@@ -5,11 +5,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from drivers.cia402.objects402 import Object
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.frame_port import EchoBasis
-from drivers.objects402 import Object
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from drivers.wire.frame_port import EchoBasis
 from hil.configuration.config import Guard
 from hil.execution.bus_guard import BusGuard
 from hil.execution.connecting import connect

@@ -4,8 +4,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
-from drivers.servo import ServoDrive
 from drivers.timebase import Clock, Instant
 from hil.control.compensation import Arrival
 from hil.loop.clock_map import ClockMap

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from design.motor import PmsmParameters
 from drivers.timebase import NS_PER_US, Duration
-from virtual_bus.fault_injection.injection import Faults
+from virtual_bus.hosting.injection import Faults
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.exchange import SentCommand
-from drivers.frame_port import EchoBasis
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.samples import CommandFate, DropoutCause
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
 from hil.measuring.probe import Change

@@ -7,18 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from drivers.drive_setup import DriveSettings, read_scaling
+from drivers.canopen.objects import SettingRefused
+from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
+from drivers.cia402.drive_setup import DriveSettings, read_scaling
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_layouts import DEMAND, STAMP, status_timer_ms
+from drivers.cia402.pdo_planner import features_of
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
+from drivers.cia402.scaling import ScaleOverride
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, TransferAborted
-from drivers.objects import SettingRefused
-from drivers.objects402 import Object
-from drivers.pdo import PdoPlan
-from drivers.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
-from drivers.pdo_layouts import DEMAND, STAMP, status_timer_ms
-from drivers.pdo_planner import features_of
-from drivers.pdo_plans import mode_plan
-from drivers.profile402 import CONTROLWORDS, DriveCommand, Mode
-from drivers.scaling import ScaleOverride
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
 from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
 from hil.loop.axis import Axis, AxisParts
@@ -36,7 +36,7 @@ from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
 from hil.measuring.request import MeasureRequest
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
-from virtual_bus.can_bus.bit_length import bits_duration, frame_bits
+from virtual_bus.bus.bit_length import bits_duration, frame_bits
 
 HORIZON: Final = 50
 """Cycles after which a reading or a command is lost: more than the 20 of a bench, so that a slow gateway is

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.nmt import Emergency
+from drivers.canopen.nmt import Emergency
 from drivers.timebase import NS_PER_MS, Instant
 from hil.recording.run_folder import FRAMES_FILE
 from hil.rows.frame_names import frame_name

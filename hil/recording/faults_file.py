@@ -17,7 +17,7 @@ from hil.rows.records import Rows
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import RunEvent
 from hil.verdict.summary import Summary
-from virtual_bus.fault_injection.fault_log import (
+from virtual_bus.faults.fault_log import (
     BLOCK,
     BLOCK_BYTES,
     FAULTS_FILE,

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.errors import BadInput
-from drivers.frame_port import FrameTap
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from drivers.wire.frame_port import FrameTap
 from hil.loop.samples import CycleRecord
 from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
 from hil.recording.ring import RingWriter, refuse
@@ -33,7 +33,7 @@ from hil.rows.side_rows import (
 )
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
-from virtual_bus.fault_injection.fault_log import BLOCK
+from virtual_bus.faults.fault_log import BLOCK
 
 ROWS_CAPACITY = 1 << 16
 FRAMES_CAPACITY = 1 << 19

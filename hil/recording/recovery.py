@@ -57,7 +57,7 @@ from hil.rows.side_rows import (
 )
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
-from virtual_bus.fault_injection.fault_log import FAULTS_FILE
+from virtual_bus.faults.fault_log import FAULTS_FILE
 
 
 class Rings:

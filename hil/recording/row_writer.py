@@ -1,7 +1,7 @@
 """What a loop writes in every cycle: rows of cycles and of raw frames, each into its ring."""
 
-from drivers.frame_port import FrameTap
 from drivers.timebase import Instant
+from drivers.wire.frame_port import FrameTap
 from hil.loop.samples import CycleRecord
 from hil.recording.ring import RingWriter
 from hil.rows.records import row_of

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_US, Instant
 from hil.loop.samples import CommandFate
 from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout

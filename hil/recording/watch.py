@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from drivers.network import CanopenNetwork
+from drivers.canopen.network import CanopenNetwork
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.machine.progress import Progress
 from hil.recording.logger_process import RecordingFailed

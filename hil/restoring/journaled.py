@@ -2,12 +2,12 @@
 
 from typing import Final
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.sdo import PostedDownload
+from drivers.cia402.objects402 import Object
 from drivers.errors import TransferAborted
-from drivers.link import BusLink
-from drivers.network import CanopenNetwork
-from drivers.objects402 import Object
-from drivers.sdo import PostedDownload
 from drivers.timebase import Clock
+from drivers.wire.link import BusLink
 from hil.restoring.journal import Change, Journal, ObjectKey
 
 STORE_PARAMETERS: Final = 0x1010

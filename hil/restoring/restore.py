@@ -10,14 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.drive_setup import Identity
+from drivers.canopen.heartbeats import PRODUCER_HEARTBEAT_TIME
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import Identity
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
-from drivers.heartbeats import PRODUCER_HEARTBEAT_TIME
-from drivers.network import CanopenNetwork
-from drivers.nmt import NmtCommand, NmtState
-from drivers.objects import RemoteObjects
-from drivers.objects402 import Object
-from drivers.profile402 import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.restoring.journal import DriveMark, JournalContents, JournalHead, ObjectKey
 

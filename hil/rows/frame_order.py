@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame_port import ERROR_FLAG
 from drivers.timebase import NS_PER_MS
+from drivers.wire.frame_port import ERROR_FLAG
 from hil.rows.side_rows import FRAME_DTYPE
 
 JITTER_NS: Final = 20 * NS_PER_MS

@@ -6,7 +6,7 @@ from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from hil.rows.side_rows import TextEvent
-from virtual_bus.fault_injection.fault_log import (
+from virtual_bus.faults.fault_log import (
     EXTENDED_FLAG,
     FRAME_KINDS,
     HOST_KINDS,
@@ -14,7 +14,7 @@ from virtual_bus.fault_injection.fault_log import (
     NONE,
     Entry,
 )
-from virtual_bus.fault_injection.node_fault_plan import DriveFailure
+from virtual_bus.faults.node_fault_plan import DriveFailure
 
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
 """Strikes of one fault that are no further apart belong to one window: a loss of 1 % of the readings of one

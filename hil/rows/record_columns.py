@@ -51,7 +51,7 @@ def _number(name: str, unit: str, meaning: str) -> Column:
 
 
 _NEVER_TOLD: Final = -1
-"""In place of what a drive has not told yet (drivers.readings)."""
+"""In place of what a drive has not told yet (drivers.cia402.readings)."""
 
 COLUMNS: Final = (
     Column("sequence", "int64", "", "number of the planned cycle, from 1"),

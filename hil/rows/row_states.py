@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.profile402 import state_of
-from drivers.readings import NEVER_TOLD
+from drivers.cia402.profile import state_of
+from drivers.cia402.readings import NEVER_TOLD
 from hil.rows.records import FATE_MISSED, FATE_SAMPLE, Rows
 
 LINK_WINDOW_CYCLES = 20

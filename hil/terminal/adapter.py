@@ -42,13 +42,13 @@ def adapter(
     Prints the name of its serial port on stdout; use it with --bus slcan:PORT.
     """
     with reported_errors():
-        from drivers.adapters import parse_bus_spec
         from drivers.errors import BadInput
         from drivers.timebase import MonotonicClock
+        from drivers.wire.adapters import parse_bus_spec
         from hil.machine.realtime import realtime_process
         from hil.machine.stopping import stop_signals
-        from virtual_bus.serial_line.line_faults import LineFaults
-        from virtual_bus.slcan.server import serve_adapter
+        from virtual_bus.instruments.serial_line.line_faults import LineFaults
+        from virtual_bus.instruments.slcan.server import serve_adapter
 
         spec = parse_bus_spec(bus)
         if spec.simulated:

@@ -48,8 +48,8 @@ def eds(
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """
     with reported_errors():
-        from drivers.dictionary import load_dictionary
-        from drivers.fitness import assess
+        from drivers.sheets.dictionary import load_dictionary
+        from drivers.sheets.fitness import assess
         from hil.terminal.eds_json import sheet
         from hil.terminal.eds_report import print_sheet
         from hil.terminal.eds_sheet import plan_for

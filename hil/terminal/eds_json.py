@@ -4,11 +4,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.dictionary import LoadedDictionary
-from drivers.eds.sections import section_name
-from drivers.fitness import FileIdentity, Fitness, PdoDefault, mode_name
-from drivers.pdo import PdoMap
-from drivers.pdo_budget import Budget, content_of
+from drivers.canopen.pdo import PdoMap
+from drivers.canopen.pdo_budget import Budget, content_of
+from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.eds.sections import section_name
+from drivers.sheets.fitness import FileIdentity, Fitness, PdoDefault, mode_name
 from hil.terminal.eds_sheet import Planned
 from hil.terminal.eds_units import unit_lines
 

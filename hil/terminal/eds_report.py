@@ -7,10 +7,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from drivers.dictionary import LoadedDictionary
-from drivers.eds.repairs import Repair
-from drivers.fitness import FileIdentity, Fitness, mode_name
-from drivers.pdo_budget import LOAD_LIMIT_PERCENT, Budget
+from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
+from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.eds.repairs import Repair
+from drivers.sheets.fitness import FileIdentity, Fitness, mode_name
 from hil.terminal.eds_sheet import Planned
 from hil.terminal.eds_units import unit_lines
 

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from drivers.dictionary import LoadedDictionary
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
-from drivers.fitness import Fitness, held
-from drivers.quirks import apply_quirks, quirks_for
-from drivers.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.fitness import Fitness, held
+from drivers.vendors.quirks import apply_quirks, quirks_for
 
 
 class UnitLine(NamedTuple):

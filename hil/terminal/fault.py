@@ -27,9 +27,9 @@ def fault(
     Exit status: 0 no fault, 1 in fault, 2 bad input, 3 no answer, or the fault stays in spite of --reset.
     """
     with reported_errors():
-        from drivers.adapters import parse_bus_spec
+        from drivers.canopen.network import CanopenNetwork
         from drivers.errors import BadInput
-        from drivers.network import CanopenNetwork
+        from drivers.wire.adapters import parse_bus_spec
         from hil.execution.world import WorldPlan, open_world
         from hil.inspecting.drive_fault import look_at_fault
 

@@ -7,9 +7,9 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import parse_bus_spec
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BenchError
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile

@@ -3,8 +3,8 @@
 import itertools
 import os
 
-from drivers.adapters import SOCKETCAN, link_up_command, socketcan_links
 from drivers.errors import BusDown
+from drivers.wire.adapters import SOCKETCAN, link_up_command, socketcan_links
 
 SIMULATED, HUB, VCAN = "simulated", "hub", "vcan"
 _numbers = itertools.count(1)

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import parse_bus_spec
 from drivers.bounded_file import NamedBy
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import State, error_text
+from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Reading
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State, error_text
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import faults_from, load_faults
 from hil.configuration.motor_file import LING2012, MotorFile, load_motor
 from hil.execution.device_files import DeviceFiles
 from hil.execution.world import World, WorldPlan, open_world
 from hil.testing.hosted import DriveHost, DriveProcess
 from hil.testing.wire import Wire, intended_frames
-from virtual_bus.fault_injection.injection import Faults
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.injection import Faults
 
 PathLike = str | os.PathLike[str]
 
@@ -123,7 +123,7 @@ class DriveRig:
         self.network.pump(self.deadline(seconds))
 
     def configure(self, **changes: Any) -> list[str]:
-        """Connect and set the drive up; ``changes``: fields of :class:`drivers.drive_setup.DriveSettings`.
+        """Connect and set the drive up; ``changes``: fields of :class:`.drive_setup.DriveSettings`.
 
         Returns what the drive does not have or did not take, in words.
         """

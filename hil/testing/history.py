@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.profile402 import State, state_of
+from drivers.cia402.profile import State, state_of
 from drivers.timebase import NS_PER_S
 from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 

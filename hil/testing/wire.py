@@ -12,8 +12,8 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
-from drivers.objects402 import Object
-from drivers.pdo import PdoPlan
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.objects402 import Object
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.recording.run_folder import DIRECTIONS_FILE, FRAMES_FILE
 from hil.rows.frame_names import frame_name

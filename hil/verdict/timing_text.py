@@ -10,7 +10,7 @@ _SYNC_TEXTS = {
     "hardware": "by its echo, stamped by the adapter",
     "bus": "by its echo, stamped by the bus",
 }
-"""By :class:`drivers.frame_port.EchoBasis`."""
+"""By :class:`drivers.wire.frame_port.EchoBasis`."""
 _SYNC_COUNTS = {"surplus": "of others", "crowded": "closer than half a period"}
 _AXIS_COUNTS = {
     "uncertain": "uncertain",

@@ -24,14 +24,14 @@ from hil.recording.ring import RingReader, RingWriter
 from hil.recording.row_writer import RowWriter
 from hil.rows.records import ROW, ROW_DTYPE, record_of
 from hil.rows.side_rows import FRAME, FRAME_DTYPE
-from virtual_bus.can_bus.host_port import HostPort
-from virtual_bus.fault_injection.fault_plan import Direction
-from virtual_bus.fault_injection.fault_plan_toml import load_fault_plan
-from virtual_bus.faults import FaultInjector
+from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import Direction
+from virtual_bus.faults.fault_plan_toml import load_fault_plan
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 ROOT = Path(__file__).parents[2]

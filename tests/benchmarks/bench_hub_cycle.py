@@ -23,18 +23,18 @@ import can
 import canopen
 import numpy as np
 
-from drivers.adapters import open_bus, parse_bus_spec
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command
-from drivers.link import BusLink
-from drivers.network import CanopenNetwork
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, MonotonicClock
+from drivers.wire.adapters import open_bus, parse_bus_spec
+from drivers.wire.link import BusLink
 from tests.benchmarks.frozen_hub import FrozenHubBus
 from tests.motors import LING
-from virtual_bus.canopen_device.device_options import DeviceIdentity
-from virtual_bus.canopen_device.eds_export import export_eds
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
+from virtual_bus.drive.servo import SimulatedServo
 
 ROOT = Path(__file__).parents[2]
 PERIOD_NS = NS_PER_MS

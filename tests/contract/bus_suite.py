@@ -11,8 +11,8 @@ from itertools import pairwise
 import can
 import pytest
 
-from drivers.message import message_of
 from drivers.timebase import Instant
+from drivers.wire.message import message_of
 from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import random_frame, wire_bits
 from virtual_bus.frame import Frame

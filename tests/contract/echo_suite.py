@@ -9,10 +9,11 @@ from typing import NamedTuple
 import can
 import pytest
 
-from drivers.frame_port import UNTOLD, EchoBasis, FramePort
-from drivers.link import BusLink
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
-from virtual_bus.fault_injection.fault_plan import (
+from drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort
+from drivers.wire.link import BusLink
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import (
     Direction,
     Duplication,
     Fault,
@@ -22,8 +23,7 @@ from virtual_bus.fault_injection.fault_plan import (
     Selection,
     UniformDelay,
 )
-from virtual_bus.fault_injection.faulty_bus import FaultyBus
-from virtual_bus.faults import FaultInjector
+from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.frame import Frame
 
 OpenBus = Callable[..., can.BusABC]

@@ -7,14 +7,14 @@ from contextlib import contextmanager
 
 import can
 
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.servo import ServoDrive
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.servo import ServoDrive
 from drivers.timebase import MonotonicClock
+from drivers.wire.link import BusLink, StampSource
 from tests.contract.modes_suite import NODE, ModesRig
 from tests.motors import LING
-from virtual_bus.hosting import serve
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.devices import serve
 
 END_LIMIT_S = 20.0
 

@@ -8,18 +8,18 @@ from struct import unpack_from
 
 import pytest
 
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.motion import Homing, Profile
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.profile import Mode, State
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
-from drivers.motion import Homing, Profile
-from drivers.network import CanopenNetwork
-from drivers.objects402 import Object
-from drivers.pdo import PdoPlan
-from drivers.pdo_plans import all_modes_plan
-from drivers.profile402 import Mode, State
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.servo import SimulatedServo
 
 TURN = math.tau
 COUNT = TURN / 65536

@@ -8,14 +8,14 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.adapters import BusSpec
-from drivers.bitrate import detect_bitrate
 from drivers.errors import BadInput, BusDown
-from drivers.slcan import SlcanBus
-from drivers.slcan_protocol import Status
 from drivers.timebase import NS_PER_MS, Duration, MonotonicClock
+from drivers.wire.adapters import BusSpec
+from drivers.wire.bitrate import detect_bitrate
+from drivers.wire.slcan import SlcanBus
+from drivers.wire.slcan_protocol import Status
 from tests.contract.slcan_bench import running_adapter
-from virtual_bus.hub import HubBus
+from virtual_bus.bus.hub import HubBus
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -8,12 +8,12 @@ from typing import Any
 import can
 import pytest
 
-from drivers.frame_port import EchoBasis
 from drivers.timebase import Clock, MonotonicClock
+from drivers.wire.frame_port import EchoBasis
 from tests.contract.bus_suite import ExactBusSuite, OpenBus
 from tests.contract.echo_suite import EchoSuite
-from virtual_bus.fault_injection.faulty_bus import FaultyBus
-from virtual_bus.segment import Segment
+from virtual_bus.bus.segment import Segment
+from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 pytestmark = pytest.mark.xdist_group("real time")

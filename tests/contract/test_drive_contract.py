@@ -9,29 +9,29 @@ import can
 import pytest
 
 from design.motor import PmsmParameters, Transform
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import State
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, NoAnswer
 from drivers.exchange import Command, Reading
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.fault_injection.fault_plan import (
+from drivers.wire.link import BusLink, StampSource
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import (
     Direction,
     FaultPlan,
     FrameClass,
     IndependentLoss,
     Selection,
 )
-from virtual_bus.fault_injection.faulty_bus import FaultyBus
-from virtual_bus.faults import FaultInjector
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
-from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.faults.faulty_bus import FaultyBus
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MOTOR = PmsmParameters(

@@ -9,17 +9,17 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.servo import ServoDrive
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.servo import ServoDrive
 from drivers.timebase import Instant
+from drivers.wire.link import BusLink, StampSource
 from tests.contract.live_modes import live_modes
 from tests.contract.modes_suite import NODE, ModesRig, ModesSuite
 from tests.motors import LING
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 

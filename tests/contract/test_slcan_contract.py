@@ -7,15 +7,15 @@ from typing import Any
 import can
 import pytest
 
-from drivers.slcan import SlcanBus
-from drivers.slcan_protocol import Status
 from drivers.timebase import Instant
+from drivers.wire.slcan import SlcanBus
+from drivers.wire.slcan_protocol import Status
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, OpenBus, content, data_message
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
 from tests.ports import fetched
+from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
-from virtual_bus.hub import HubBus
-from virtual_bus.serial_line.line_faults import LineFaults
+from virtual_bus.instruments.serial_line.line_faults import LineFaults
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -11,8 +11,8 @@ from drivers.timebase import Clock
 from hil.cli import app
 from hil.execution import simulated_drives
 from tests.exits.written_witness import WrittenWitness
-from virtual_bus.hosting import serve
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.devices import serve
 
 
 def main() -> None:

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import Duration, Instant
 from tests.swarm.invariants import REST_RAD_S
 from tests.swarm.witness import DriveWitness, Testimony
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
 
 SYNC_ID: Final = 0x080
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.bounded_file import NamedBy
-from drivers.dictionary import load_dictionary
+from drivers.sheets.dictionary import load_dictionary
 from hil.commissioning.request import load_nameplate
 from hil.configuration.background import load_background
 from hil.configuration.bench_file import load_bench, load_controller, load_faults
@@ -18,8 +18,8 @@ from hil.configuration.weights_file import load_weights
 from hil.restoring.journal import read_journal
 from tests.mutants.mutant import Kind
 from tests.unit.drivers.sound_sheet import SOUND
-from virtual_bus.canopen_device.parameter_store import FileStore
-from virtual_bus.fault_injection.delay_histogram import read_histogram
+from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.faults.delay_histogram import read_histogram
 
 EXAMPLES: Final = Path(__file__).parents[2] / "examples"
 

@@ -10,9 +10,9 @@ from hil.configuration.config import BenchConfig
 from hil.execution import bench, world
 from hil.execution.simulated_drives import simulated_drives
 from hil.execution.world import World, WorldPlan
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
 
 
 class ForeignNode:

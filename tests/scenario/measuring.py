@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import parse_bus_spec
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import TransferAborted
-from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_S
+from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.progress import Progress, no_progress
@@ -18,8 +18,8 @@ from hil.measuring.figures import Measured
 from hil.measuring.measure import measure
 from hil.measuring.request import MeasureRequest
 from tests.motors import LING
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 VOLATILE = frozenset({0x1003, 0x1013, 0x6040})
 """History, clock and command."""

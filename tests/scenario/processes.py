@@ -10,12 +10,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from drivers.adapters import open_bus, parse_bus_spec
-from drivers.link import BusLink
-from drivers.network import CanopenNetwork
-from drivers.objects402 import Object
-from drivers.profile402 import State, state_of
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from drivers.wire.adapters import open_bus, parse_bus_spec
+from drivers.wire.link import BusLink
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BENCH = EXAMPLES / "any_bus.toml"
@@ -124,7 +124,7 @@ def broker_of(bus: str) -> int:
             continue
         with suppress(OSError):  # it has ended since
             words = (entry / "cmdline").read_bytes().split(b"\0")
-            if b"virtual_bus.can_bus.hub_process" in words and name in words:
+            if b"virtual_bus.bus.hub_process" in words and name in words:
                 return int(entry.name)
     raise AssertionError(f"{bus} has no broker")
 

@@ -10,7 +10,7 @@ from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
 from hil.configuration.background import load_background
 from hil.verdict.verdict import ExitStatus
 from tests.scenario.processes import EXAMPLES, HIL, hub_name, run_command, simulated_drive
-from virtual_bus.background import CATCH_UP_MAX
+from virtual_bus.device.background import CATCH_UP_MAX
 
 pytestmark = pytest.mark.xdist_group("real time")
 

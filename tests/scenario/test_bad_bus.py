@@ -10,24 +10,24 @@ import can
 import pytest
 from typer.testing import CliRunner
 
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import State
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown
 from drivers.exchange import Command
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
-from virtual_bus.can_bus.disturbance import Disturbance
-from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.bus.disturbance import Disturbance
+from virtual_bus.bus.error_state import ErrorState
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import AttachedDevice, attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.hosting.devices import AttachedDevice, attach_to_segment
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

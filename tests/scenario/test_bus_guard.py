@@ -5,17 +5,17 @@ from typing import Any
 import can
 import pytest
 
+from drivers.cia402.profile import State
 from drivers.errors import AnswersTwice, BenchError, DriveInFault
-from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Instant
 from hil.execution.bus_guard import ForeignTraffic
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.foreign_node import LATE, Act, ForeignNode, beside_the_bench
 from tests.scenario.processes import EXAMPLES
+from virtual_bus.bus.hub import HubBus
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hub import HubBus
-from virtual_bus.servo import SimulatedServo
 
 ANY_BUS = EXAMPLES / "any_bus.toml"
 BENCH = EXAMPLES / "ling2012.toml"

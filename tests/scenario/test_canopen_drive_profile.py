@@ -10,11 +10,11 @@ import can
 import canopen
 import pytest
 
-from drivers.objects402 import Object
+from drivers.cia402.objects402 import Object
 from tests.contract.conformance.live_device import live_servo
-from virtual_bus.canopen_device.device_options import DeviceIdentity
-from virtual_bus.canopen_device.eds_export import export_eds
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
+from virtual_bus.drive.servo import SimulatedServo
 
 NODE = 1
 PATIENCE_S = 20.0

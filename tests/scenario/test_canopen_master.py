@@ -16,8 +16,8 @@ import can
 import canopen
 import pytest
 
-from drivers.message import frame_of
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
+from drivers.wire.message import frame_of
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
     DEFAULTS,
@@ -27,12 +27,12 @@ from tests.unit.virtual_bus.device_bench import (
     TARGET,
     RecordingApplication,
 )
-from virtual_bus.canopen_device.application import ErrorRegister, NmtState
-from virtual_bus.canopen_device.device_options import DeviceIdentity
-from virtual_bus.canopen_device.eds_export import export_eds
-from virtual_bus.device import CanopenDevice
+from virtual_bus.device.application import ErrorRegister, NmtState
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import serve
+from virtual_bus.hosting.devices import serve
 
 IDENTITY = DeviceIdentity(
     vendor_id=0x80000319, product_code=0xABCDEF01, revision_number=0x10002, serial_number=77

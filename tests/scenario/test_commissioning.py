@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.dictionary import load_dictionary
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, supported_mode_bit
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.sheets.dictionary import load_dictionary
 from hil.cli import app
 from hil.commissioning.outcome import Verdict
 from hil.commissioning.report import REPORT_FILE
@@ -20,7 +20,7 @@ from hil.configuration.motor_file import load_motor
 from hil.configuration.network_file import load_network
 from tests.benchmarks.bench_commissioning import row, within
 from tests.commissioning import LATE, LOSS, errors_of, unknown_world
-from virtual_bus.unknown_drive import unknown_drive
+from virtual_bus.drive.unknown_drive import unknown_drive
 
 
 @pytest.mark.parametrize(

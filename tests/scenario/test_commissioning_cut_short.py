@@ -12,16 +12,16 @@ from typing import Any
 import can
 import pytest
 
-from drivers.adapters import parse_bus_spec
-from drivers.drive_setup import read_identity
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import read_identity
+from drivers.cia402.profile import State
 from drivers.errors import BusDown, PeerFault
-from drivers.frame_port import FramePort, WireFrame
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.nmt import NmtCommand, NmtState
-from drivers.objects import RemoteObjects
-from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Instant
+from drivers.wire.adapters import parse_bus_spec
+from drivers.wire.frame_port import FramePort, WireFrame
+from drivers.wire.link import BusLink, StampSource
 from hil.commissioning.command import check_mark
 from hil.commissioning.commission import Commissioned, commission
 from hil.commissioning.dialog import EmergencyStop, Silent
@@ -35,8 +35,8 @@ from hil.machine.stopping import Interrupted
 from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import restore
 from tests.commissioning import WrappedStep
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.unknown_drive import unknown_drive
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.unknown_drive import unknown_drive
 
 SEED = 9
 """Polarity, position and velocity are told wrong."""

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.adapters import open_bus, parse_bus_spec
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.profile import State, state_of
 from drivers.errors import TransferAborted
-from drivers.link import BusLink
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, MonotonicClock
+from drivers.wire.adapters import open_bus, parse_bus_spec
+from drivers.wire.link import BusLink
 from hil.commissioning.report import REPORT_FILE
 from hil.restoring.journal import read_journal
 from tests.motors import LING
@@ -30,7 +30,7 @@ from tests.scenario.processes import (
     run_command,
     simulated_drive,
 )
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
 
 pytestmark = pytest.mark.xdist_group("real time")
 

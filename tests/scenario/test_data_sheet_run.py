@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.errors import BadInput, PeerFault
-from drivers.pdo_planner import PlanImpossible
 from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.canopen_device.device_options import DeviceIdentity
-from virtual_bus.canopen_device.eds_export import export_eds
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
+from virtual_bus.drive.servo import SimulatedServo
 
 BENCH = EXAMPLES / "ling2012.toml"
 

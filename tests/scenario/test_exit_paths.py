@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_S
 from hil.pytest_plugin import StartDrive
 from tests.scenario.processes import broker_of, changed_bench, long_bench, observer, start_run

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.adapters import parse_bus_spec
+from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
 from hil.commissioning.dialog import EmergencyStop, Silent
 from hil.commissioning.request import CommissionRequest, Nameplate
@@ -12,8 +12,8 @@ from hil.commissioning.steps import all_steps
 from hil.execution.world import WorldPlan, open_world
 from tests.scenario.foreign_node import ForeignNode, put_on_the_bus
 from tests.scenario.measuring import measuring_rig
+from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.frame import Frame
-from virtual_bus.unknown_drive import unknown_drive
 
 STEPS = 7
 """From the first question to the drive enabled at rest."""

@@ -20,7 +20,7 @@ from hil.execution import bench, world
 from hil.recording.run_folder import EVENTS_FILE
 from hil.rows.records_file import RECORDS_FILE, read_metadata
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.servo import ServoApplication, SimulatedServo
+from virtual_bus.drive.servo import ServoApplication, SimulatedServo
 from virtual_bus.timeline import SimulatedClock
 
 LOST_AT_MS = 600

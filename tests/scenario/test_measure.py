@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.profile import State
 from drivers.errors import BadInput, BusDown, DriveInFault, LimitExceeded
-from drivers.frame_port import EchoBasis
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State
 from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.configuration.network_file import load_network
 from hil.machine.stopping import Interrupted

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from hil.pytest_plugin import StartDrive
 from tests.scenario.processes import HIL, observer, run_command
 

@@ -8,15 +8,15 @@ import can
 import pytest
 
 from drivers.errors import AnswersTwice, BadInput, PeerFault
-from drivers.link import BusLink, StampSource
 from drivers.timebase import MonotonicClock
+from drivers.wire.link import BusLink, StampSource
 from hil.execution.node_ids_taken import refuse_taken
 from hil.pytest_plugin import StartDrive
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.hosted import DriveProcess
 from tests.scenario.processes import BENCH
+from virtual_bus.bus.hub import HubBus
 from virtual_bus.child_python import python_command
-from virtual_bus.hub import HubBus
 
 pytestmark = [pytest.mark.servo_bus("hub"), pytest.mark.xdist_group("real time")]
 

@@ -11,9 +11,9 @@ from textwrap import dedent
 
 import pytest
 
+from drivers.cia402.profile import State
 from drivers.errors import DriveInFault
 from drivers.exchange import Command
-from drivers.profile402 import State
 from hil.loop.samples import StateEstimate
 from hil.pytest_plugin import MakeDrive, StartDrive
 from hil.testing.bench_runs import BenchRunner
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("real time")
 PROJECT = EXAMPLES / "drive_tests"
 TUTORIAL = EXAMPLES.parent / "docs" / "tutorial-pytest.md"
 REHEARSED = EXAMPLES.parent / "tests" / "contract" / "conformance" / "rehearsed.eds"
-HEAVY = {"numpy", "can", "canopen", "pydantic", "numba", "rerun", "hil.testing", "drivers.servo"}
+HEAVY = {"numpy", "can", "canopen", "pydantic", "numba", "rerun", "hil.testing", "drivers.cia402.servo"}
 LIMIT_S = 110
 
 
@@ -89,7 +89,7 @@ def test_a_claim_that_is_not_true_fails_with_figures_and_without_our_insides(tmp
             run.assert_settles(within_s=0.05, band_percent=1, after_s=1.5)
 
         def test_state(servo_drive):
-            from drivers.profile402 import State
+            from drivers.cia402.profile import State
             rig = servo_drive()
             rig.configure()
             rig.assert_reaches(State.OPERATION_ENABLED, within_s=0.1)

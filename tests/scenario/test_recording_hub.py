@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, wall_clock_offset
 from hil.pytest_plugin import StartDrive
 from hil.recording.run_metadata import FIRST_CYCLE

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from drivers.adapters import parse_bus_spec
-from drivers.dictionary import LoadedDictionary, load_dictionary
-from drivers.drive_setup import DriveSettings
-from drivers.fitness import assess
-from drivers.network import CanopenNetwork
-from drivers.pdo_capability import capability_of
-from drivers.profile402 import Mode
-from drivers.scaling import ScaleOverride
-from drivers.servo import ServoDrive
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo_capability import capability_of
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import Mode
+from drivers.cia402.scaling import ScaleOverride
+from drivers.cia402.servo import ServoDrive
+from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
+from drivers.sheets.fitness import assess
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.adapters import parse_bus_spec
 from hil.execution.world import WorldPlan, open_world
 from tests.motors import LING
 from tests.unit.drivers.eds_maker import I8, NODE, U32, Pdo, four_pdos, sheet_text, variable
 from tests.unit.drivers.test_vendor_files import FILES
-from virtual_bus.canopen_device.vendor_dictionary import BASE_NODE_ID, overlay
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
+from virtual_bus.drive.servo import SimulatedServo
 
 CYCLE = Duration(NS_PER_MS)
 UNITS = ScaleOverride(position_rad=1e-4, velocity_rad_s=0.1, rated_torque_nm=2.0)

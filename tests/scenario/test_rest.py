@@ -4,9 +4,9 @@ import csv
 
 import pytest
 
+from drivers.cia402.profile import State
+from drivers.cia402.rest import REST_RAD_S
 from drivers.errors import PeerFault
-from drivers.profile402 import State
-from drivers.rest import REST_RAD_S
 from drivers.timebase import NS_PER_MS
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES

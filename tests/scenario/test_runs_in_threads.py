@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from drivers.cia402.profile import State
 from drivers.exchange import Command
-from drivers.profile402 import State
 from hil.configuration.bench_file import load_bench
 from hil.execution.bench import run_bench
 from hil.loop.axis_roles import Controller

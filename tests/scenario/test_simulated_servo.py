@@ -5,13 +5,13 @@ import struct
 
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import AZAIZ, LING
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 SYNC = Frame(0x80)

@@ -12,8 +12,8 @@ from hil.loop.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
 from hil.verdict.verdict import LimitResult, Outcome
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.servo import SimulatedServo
 
 
 def test_the_settling_time_decides_which_errors_count(servo_bench: BenchRunner) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from can.io.canutils import CanutilsLogReader
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import BenchConfig
 from hil.loop.stamp_attribution import REVOKED

@@ -33,8 +33,8 @@ from tests.swarm.mishaps import STRIKE, Circumstances, Mishap, circumstances, di
 from tests.swarm.small_disk import small_disk
 from tests.swarm.warm import ForkedProcess, forked_loggers
 from tests.swarm.witness import DriveWitness, witnessed
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 PROCESSOR_S_MAX: Final = 60
 WALL_S_MAX: Final = 180

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 from unittest.mock import patch
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import Instant
 from hil.execution import bench
 from hil.execution.world import World, WorldPlan
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
 
 EMCY_ID: Final = 0x080
 VELOCITY: Final = 0x606C

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_S
-from virtual_bus.hub import HubBus
+from virtual_bus.bus.hub import HubBus
 
 FRAME_DTYPE: Final = np.dtype([("at", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("data", "S8")])
 FrameTable = NDArray[np.void]

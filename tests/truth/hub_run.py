@@ -24,7 +24,7 @@ from tests.truth.plans import Plan
 from tests.truth.rows import USED, Told, told_by
 from tests.truth.runner import ROOT, bench_config
 from tests.truth.stalls import Stalls, stalling
-from virtual_bus.can_bus.hub_place import HubPlace
+from virtual_bus.bus.hub_place import HubPlace
 
 FRAMES, COMMANDS = "frames.bin", "commands.bin"
 MOTOR: Final = ROOT / "examples" / "motors" / "ling2012.toml"

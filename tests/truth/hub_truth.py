@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.pdo import EVERY_SYNC, PdoPlan
+from drivers.canopen.pdo import EVERY_SYNC, PdoPlan
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.truth.hub_listener import FrameTable
 from tests.truth.rows import MISSED, NO_INSTANT, READING_IS_A_SET, Told

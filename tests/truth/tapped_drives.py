@@ -18,7 +18,7 @@ from hil.cli import main as hil
 from hil.execution import simulated_drives
 from tests.truth.hub_listener import FRAME_DTYPE
 from virtual_bus.frame import Device, Frame
-from virtual_bus.hosting import serve
+from virtual_bus.hosting.devices import serve
 
 HeardFrames = list[tuple[int, int, int, bytes]]
 

@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 
 from drivers.errors import BenchError
-from drivers.link import BusLink, StampSource
+from drivers.wire.link import BusLink, StampSource
 from hil.configuration.config import BenchConfig
 from hil.execution import bench, world
 from hil.execution.bench import run_bench
@@ -20,7 +20,7 @@ from hil.recording.recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows, row_of
 from tests.truth.taps import HostTap, TapLog, tap_drives
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
 
 
 @dataclass(frozen=True, slots=True)

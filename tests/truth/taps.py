@@ -12,16 +12,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from drivers.frame_port import FramePort
 from drivers.record import replaced
 from drivers.timebase import Instant
-from virtual_bus.canopen_device.application import Application
-from virtual_bus.canopen_device.device_clock import DeviceClock
-from virtual_bus.canopen_device.nmt_state import NmtState
-from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
+from drivers.wire.frame_port import FramePort
+from virtual_bus.bus.segment import Segment
+from virtual_bus.device.application import Application
+from virtual_bus.device.device_clock import DeviceClock
+from virtual_bus.device.nmt_state import NmtState
+from virtual_bus.device.object_dictionary import ObjectDictionary
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
 
 SYNC_ID = 0x080
 PDO_IDS = range(0x180, 0x580)
@@ -231,15 +231,15 @@ class DriveTap:
         return self._drive.application
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
-        """See :class:`virtual_bus.device.CanopenDevice`."""
+        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.follow_bit_rate(set_bit_rate)
 
     def bus_off(self, now: Instant) -> None:
-        """See :class:`virtual_bus.device.CanopenDevice`."""
+        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.bus_off(now)
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]:
-        """See :class:`virtual_bus.device.CanopenDevice`."""
+        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
         return self._drive.bus_recovered(now)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.pdo_plans import torque_plan
+from drivers.cia402.pdo_plans import torque_plan
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from tests.stillness import Untrue
 from tests.truth.hub_listener import FRAME_DTYPE, FrameTable

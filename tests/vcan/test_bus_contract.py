@@ -7,9 +7,9 @@ from typing import Any
 import can
 import pytest
 
-from drivers.frame_port import EchoBasis
-from drivers.socketcan import StampedSocketcanBus
 from drivers.timebase import NS_PER_US, Clock, MonotonicClock
+from drivers.wire.frame_port import EchoBasis
+from drivers.wire.socketcan import StampedSocketcanBus
 from tests.contract.bus_suite import BusSuite, OpenBus
 from tests.contract.echo_suite import EchoSuite
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from hil.pytest_plugin import MakeDrive
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import BENCH

@@ -8,12 +8,12 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.adapters import open_bus, parse_bus_spec, socketcan_links
 from drivers.errors import BusDown
-from drivers.frame_port import EchoBasis, WireFrame
-from drivers.link import BusLink
-from drivers.socketcan import StampedSocketcanBus
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from drivers.wire.adapters import open_bus, parse_bus_spec, socketcan_links
+from drivers.wire.frame_port import EchoBasis, WireFrame
+from drivers.wire.link import BusLink
+from drivers.wire.socketcan import StampedSocketcanBus
 from tests.ports import fetched
 
 PATIENCE_NS = 10 * NS_PER_S

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from drivers.motion import Profile
-from drivers.pdo_plans import all_modes_plan
-from drivers.profile402 import State
+from drivers.cia402.motion import Profile
+from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.profile import State
 
 
 def test_enabling_sends_these_controlwords_and_nothing_else(spindle):

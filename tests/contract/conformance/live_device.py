@@ -9,8 +9,8 @@ import can
 from drivers.timebase import MonotonicClock
 from tests.contract.conformance.rig import NODE
 from tests.motors import LING
-from virtual_bus.hosting import serve
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.devices import serve
 
 END_LIMIT_S = 20.0
 

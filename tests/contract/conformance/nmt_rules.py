@@ -14,7 +14,7 @@ from tests.contract.conformance.rig import (
     initiate,
 )
 from tests.contract.conformance.rule import Rules
-from virtual_bus.canopen_device.nmt_state import NmtState
+from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 
 RULES = Rules()

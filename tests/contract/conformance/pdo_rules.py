@@ -4,7 +4,7 @@ import pytest
 
 from tests.contract.conformance.rig import NODE, RESET_NODE, Rig
 from tests.contract.conformance.rule import Rules
-from virtual_bus.canopen_device.nmt_state import NmtState
+from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 
 RULES = Rules()

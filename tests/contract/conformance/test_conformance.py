@@ -10,9 +10,9 @@ from tests.contract.conformance.live_device import live_servo
 from tests.contract.conformance.rig import NODE, Rig
 from tests.contract.conformance.suite import ConformanceSuite
 from tests.motors import LING
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 

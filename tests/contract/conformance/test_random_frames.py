@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from drivers.timebase import NS_PER_US, Instant
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, initiate
 from tests.motors import LING
-from virtual_bus.canopen_device.nmt_state import NODE_ID_MAX, NmtState
+from virtual_bus.device.nmt_state import NODE_ID_MAX, NmtState
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
 
 EXAMPLES, FRAMES = 250, 400
 """10^5 frames in all."""

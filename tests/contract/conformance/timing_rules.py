@@ -15,7 +15,7 @@ from tests.contract.conformance.pdo_rules import (
 )
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, SDO_RESPONSE, Rig, initiate
 from tests.contract.conformance.rule import Rules
-from virtual_bus.canopen_device.nmt_state import NmtState
+from virtual_bus.device.nmt_state import NmtState
 
 RULES = Rules()
 rule = RULES.of

@@ -7,11 +7,11 @@ from typing import Any
 
 import can
 
-from drivers.frame_port import FramePort, WireFrame
-from drivers.link import BusLink, StampSource
-from drivers.network import CanopenNetwork
-from drivers.profile402 import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.profile import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
+from drivers.wire.frame_port import FramePort, WireFrame
+from drivers.wire.link import BusLink, StampSource
 
 PDOS = 4
 ANSWER_AFTER_NS = 100 * NS_PER_US

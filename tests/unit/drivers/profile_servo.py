@@ -1,6 +1,6 @@
 """The scripted node with the profile modes and homing of CiA 402-2: hand-shakes and times, no motor."""
 
-from drivers.profile402 import Mode, State
+from drivers.cia402.profile import Mode, State
 from drivers.timebase import NS_PER_MS
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo
 

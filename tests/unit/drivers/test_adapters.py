@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import adapters
-from drivers.adapters import (
+from drivers.errors import BadInput, BusDown
+from drivers.wire import adapters
+from drivers.wire.adapters import (
     BusSpec,
     known_interfaces,
     link_up_command,
@@ -17,8 +18,7 @@ from drivers.adapters import (
     parse_bus_spec,
     socketcan_links,
 )
-from drivers.errors import BadInput, BusDown
-from drivers.link import StampSource
+from drivers.wire.link import StampSource
 
 
 @pytest.mark.parametrize(

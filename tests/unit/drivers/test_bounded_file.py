@@ -19,9 +19,9 @@ from drivers.bounded_file import (
     read_text,
     read_toml,
 )
-from drivers.dictionary import load_dictionary, parse_dictionary
 from drivers.errors import BadInput
 from drivers.printable import printable
+from drivers.sheets.dictionary import load_dictionary, parse_dictionary
 from tests.mutants.mutant import PROCESSOR_S_MAX, processor_s
 
 SHEET = b"[1000]\nParameterName=Device type\nObjectType=7\nDataType=7\nAccessType=ro\nDefaultValue=%s\n"

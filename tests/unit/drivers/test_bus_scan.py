@@ -4,19 +4,19 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.bus_scan import BusScan, NodeFound
+from drivers.canopen.bus_scan import BusScan, NodeFound
+from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.canopen.network import CanopenNetwork
 from drivers.errors import NoAnswer, PeerFault
-from drivers.frame_port import FramePort
-from drivers.link import BusLink, StampSource
-from drivers.lss import LssAddress, LssMaster
-from drivers.network import CanopenNetwork
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.frame_port import FramePort
+from drivers.wire.link import BusLink, StampSource
 from hil.configuration.motor_file import LING2012
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 UNCONFIGURED = 255

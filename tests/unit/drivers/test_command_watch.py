@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from drivers.command_watch import CommandWatch
+from drivers.cia402.command_watch import CommandWatch
 
 CYCLES, HALF = 20, 10
 

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import State
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, NoAnswer
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 

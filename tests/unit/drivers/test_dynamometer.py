@@ -5,11 +5,11 @@ from itertools import chain, repeat
 
 import pytest
 
-from drivers.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
 from drivers.errors import NoAnswer, PeerFault
-from drivers.magtrol import RAD_S_PER_RPM, TORQUE_UNITS_NM, dialect
-from drivers.serial_line import LineFull, LineGone
+from drivers.instruments.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
+from drivers.instruments.magtrol import RAD_S_PER_RPM, TORQUE_UNITS_NM, dialect
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.serial_line import LineFull, LineGone
 
 TIMEOUT = Duration(100 * NS_PER_MS)
 SETTINGS = DynamometerSettings(baud=9600, answer_timeout=TIMEOUT, reading_every=Duration(10 * NS_PER_MS))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.error_codes import (
+from drivers.canopen.error_codes import (
     ERROR_TEXTS,
     error_text,
     fault_text,
@@ -11,8 +11,8 @@ from drivers.error_codes import (
     register_text,
     vendor_tables,
 )
+from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
-from drivers.nmt import Emergency
 from drivers.timebase import Instant
 
 MAXON = 0xFB

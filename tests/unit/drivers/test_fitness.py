@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.fitness import Fitness, assess, mode_name
-from drivers.profile402 import Mode
+from drivers.cia402.profile import Mode
+from drivers.sheets.fitness import Fitness, assess, mode_name
 from tests.unit.drivers.eds_maker import NODE, U16, U32, Pdo, four_pdos, sheet, sub, variable
 
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import can
 import pytest
 
-from drivers.frame_port import EchoBasis, FramePort, WireFrame
-from drivers.frame_pump import NEVER, SYNC, FramePump
-from drivers.link import BusLink
+from drivers.canopen.frame_pump import NEVER, SYNC, FramePump
 from drivers.timebase import NS_PER_MS, Instant
+from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
+from drivers.wire.link import BusLink
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Segment
-from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 TPDO, RPDO = 0x181, 0x201

@@ -7,9 +7,9 @@ import can
 import pytest
 
 from drivers.errors import BusDown
-from drivers.frame_port import EchoBasis
-from drivers.link import BusLink, StampSource
 from drivers.timebase import NS_PER_S, Instant, wall_clock_offset
+from drivers.wire.frame_port import EchoBasis
+from drivers.wire.link import BusLink, StampSource
 
 
 class StillClock:

@@ -6,17 +6,17 @@ from struct import unpack_from
 
 import pytest
 
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import SettingRefused
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.motion import Homing, Profile
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.profile import Mode, State
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, PeerFault, TransferAborted
-from drivers.link import Direction
-from drivers.motion import Homing, Profile
-from drivers.network import CanopenNetwork
-from drivers.objects import SettingRefused
-from drivers.objects402 import Object
-from drivers.pdo_plans import all_modes_plan
-from drivers.profile402 import Mode, State
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.link import Direction
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 from tests.unit.drivers.profile_servo import ProfileServo
 

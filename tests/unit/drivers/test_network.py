@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.nmt import Emergency, NmtCommand, NmtState
+from drivers.canopen.objects import RemoteObjects
 from drivers.errors import AnswersTwice, BusDown, NoAnswer, TransferAborted
-from drivers.network import CanopenNetwork
-from drivers.nmt import Emergency, NmtCommand, NmtState
-from drivers.objects import RemoteObjects
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 

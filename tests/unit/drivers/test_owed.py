@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.owed import Owed
+from drivers.canopen.owed import Owed
 
 DUE_MAX = 8
 

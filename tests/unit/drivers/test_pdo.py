@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.network import CanopenNetwork
-from drivers.objects import RemoteObjects, SettingRefused
-from drivers.pdo import (
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.pdo import (
     PdoDirection,
     PdoEntry,
     PdoMap,
@@ -16,8 +16,8 @@ from drivers.pdo import (
     frame_bits_max,
     write_plan,
 )
-from drivers.pdo_plans import mode_plan, torque_plan
-from drivers.profile402 import Mode
+from drivers.cia402.pdo_plans import mode_plan, torque_plan
+from drivers.cia402.profile import Mode
 from drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 

@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 
-from drivers.objects402 import Unit, unit_parts, unit_word
-from drivers.profile402 import (
+from drivers.cia402.objects402 import Unit, unit_parts, unit_word
+from drivers.cia402.profile import (
     COMMAND_PATTERNS,
     CONTROLWORDS,
     STATUS_PATTERNS,

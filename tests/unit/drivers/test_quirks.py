@@ -5,11 +5,19 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.drive_setup import read_scaling
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.drive_setup import read_scaling
+from drivers.cia402.scaling import ScaleOverride, scaling_from
 from drivers.errors import BadInput
-from drivers.objects import RemoteObjects
-from drivers.quirks import Applied, Quirk, QuirkFile, apply_quirks, known_quirks, quirks_for, read_quirks
-from drivers.scaling import ScaleOverride, scaling_from
+from drivers.vendors.quirks import (
+    Applied,
+    Quirk,
+    QuirkFile,
+    apply_quirks,
+    known_quirks,
+    quirks_for,
+    read_quirks,
+)
 from tests.unit.drivers.fake_bus import FakeServo, make_network
 
 MAXON, TECHNOSOFT, NANOTEC = 0xFB, 0x1A3, 0x26C

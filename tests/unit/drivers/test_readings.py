@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.pdo_plans import mode_plan, torque_plan
+from drivers.cia402.profile import Mode
+from drivers.cia402.readings import ReadingAssembler, Seen
+from drivers.cia402.scaling import Scaling
 from drivers.exchange import DemandChange, Readback, Reading
-from drivers.network import CanopenNetwork
-from drivers.pdo import PdoPlan
-from drivers.pdo_plans import mode_plan, torque_plan
-from drivers.profile402 import Mode
-from drivers.readings import ReadingAssembler, Seen
-from drivers.scaling import Scaling
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 

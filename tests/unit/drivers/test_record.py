@@ -5,9 +5,9 @@ import inspect
 import pytest
 
 from drivers.exchange import Command, DemandChange, Readback, Reading
-from drivers.frame_port import WireFrame
 from drivers.record import Record, replaced, values_of
 from drivers.timebase import Instant
+from drivers.wire.frame_port import WireFrame
 from hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
 
 KINDS = (

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.drive_setup import DriveSettings
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import SettingRefused
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.profile import State
+from drivers.cia402.rest import REST_FOR
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, TransferAborted
 from drivers.exchange import Command
-from drivers.frame_port import UNTOLD
-from drivers.network import CanopenNetwork
-from drivers.objects import SettingRefused
-from drivers.profile402 import State
-from drivers.rest import REST_FOR
-from drivers.servo import ServoDrive
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.frame_port import UNTOLD
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
 PERIOD = Duration(NS_PER_MS)

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.cia402.pdo_plans import all_modes_plan
+from drivers.cia402.scaling import Scaling
+from drivers.cia402.setpoint import SetPoint
 from drivers.exchange import SentCommand
-from drivers.frame_port import UNTOLD
-from drivers.pdo_plans import all_modes_plan
-from drivers.scaling import Scaling
-from drivers.setpoint import SetPoint
 from drivers.timebase import Instant
+from drivers.wire.frame_port import UNTOLD
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 
 TORQUE, POSITION, VELOCITY = 0x201, 0x301, 0x401

@@ -2,8 +2,8 @@
 
 import pytest
 
-from drivers.pdo_capability import capability_of
-from drivers.sheet_doubts import doubts
+from drivers.canopen.pdo_capability import capability_of
+from drivers.sheets.doubts import doubts
 from tests.unit.drivers.eds_maker import U8, U32, Pdo, sheet, sub
 
 

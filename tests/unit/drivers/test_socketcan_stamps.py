@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.frame_port import ERROR_FLAG, EchoBasis, WireFrame
-from drivers.socketcan import SocketcanPort
-from drivers.socketcan_stamps import (
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
+from drivers.wire.frame_port import ERROR_FLAG, EchoBasis, WireFrame
+from drivers.wire.socketcan import SocketcanPort
+from drivers.wire.socketcan_stamps import (
     ANCILLARY_BYTES,
     REORDERED_MAX_NS,
     SO_RXQ_OVFL,
@@ -22,7 +23,6 @@ from drivers.socketcan_stamps import (
     WallStamps,
     parse_ancillary,
 )
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant, MonotonicClock, wall_between
 
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=200)
 EPOCH = 1_700_000_000 * NS_PER_S

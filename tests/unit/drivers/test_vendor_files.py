@@ -7,8 +7,8 @@ import canopen.objectdictionary as od
 import pytest
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.dictionary import load_dictionary
-from drivers.fitness import assess
+from drivers.sheets.dictionary import load_dictionary
+from drivers.sheets.fitness import assess
 
 FOLDER = Path(__file__).parents[4] / "shared" / "eds"
 FILES = (

@@ -12,8 +12,8 @@ from functools import partial
 from heapq import heappop, heappush
 from itertools import count
 
-from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_S, Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.clock_map import ClockMap
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.samples import Sample

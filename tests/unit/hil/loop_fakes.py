@@ -7,8 +7,8 @@ from heapq import heappop, heappush
 
 from drivers.errors import DriveInFault
 from drivers.exchange import Command, Drive, Master, Readback, Reading, SentCommand
-from drivers.frame_port import UNTOLD, EchoBasis
 from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.frame_port import UNTOLD, EchoBasis
 from hil.control.compensation import Arrival
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator

@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.frame_port import EchoBasis
 from drivers.timebase import Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at

@@ -5,11 +5,11 @@ from typing import cast
 
 import pytest
 
-from drivers.drive_setup import Identity
+from drivers.canopen.objects import SettingRefused
+from drivers.cia402.drive_setup import Identity
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, BenchError, PeerFault
 from drivers.exchange import Command, Readback, Reading, SentCommand
-from drivers.objects import SettingRefused
-from drivers.servo import ServoDrive
 from drivers.timebase import Instant
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import DriveFile, load_drive_file

@@ -2,18 +2,18 @@
 
 import pytest
 
+from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
-from drivers.nmt import Emergency
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import Loop
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
 from hil.verdict.verdict import Outcome
-from virtual_bus.fault_injection.fault_log import KINDS, Entry
-from virtual_bus.fault_injection.fault_plan import FaultPlan
-from virtual_bus.fault_injection.injection import Faults
-from virtual_bus.fault_injection.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
-from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.faults.fault_log import KINDS, Entry
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
+from virtual_bus.faults.replay import RecordedFaults
+from virtual_bus.hosting.injection import Faults
 
 SECOND = Duration(NS_PER_S)
 ONCE = Occasion(at_ns=SECOND)

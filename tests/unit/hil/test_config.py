@@ -7,8 +7,8 @@ from typing import Any, get_args
 
 import pytest
 
-from drivers.adapters import BITRATES_BIT_S
 from drivers.errors import MISSING, BadInput
+from drivers.wire.adapters import BITRATES_BIT_S
 from hil.configuration.bench_file import bench_from, load_bench, load_faults
 from hil.configuration.config import BenchConfig, BitRate
 from hil.configuration.config_axis import PidController, peak_speed_rpm

@@ -6,7 +6,7 @@ import pytest
 
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config_checks import frame_bits_max
-from virtual_bus.can_bus.bit_length import INTERMISSION_BITS, frame_bits
+from virtual_bus.bus.bit_length import INTERMISSION_BITS, frame_bits
 from virtual_bus.frame import Frame
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

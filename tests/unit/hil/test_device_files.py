@@ -8,8 +8,8 @@ from drivers.errors import BadInput
 from drivers.timebase import Instant
 from hil.execution.device_files import DeviceFiles
 from tests.motors import LING
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
 
 
 def test_without_files_there_is_nothing_to_lay_over_or_to_keep() -> None:

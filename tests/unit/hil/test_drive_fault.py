@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import pytest
 from typer.testing import CliRunner
 
+from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.profile import State
 from drivers.errors import DriveInFault
-from drivers.network import CanopenNetwork
-from drivers.profile402 import State
 from hil.cli import app
 from hil.inspecting.drive_fault import look_at_fault
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.drive_setup import Identity
+from drivers.cia402.drive_setup import Identity
 from hil.configuration.bench_file import load_bench
 from hil.execution.assembly import loop_timing
 from hil.execution.drive_settings import drive_settings, identity_notes

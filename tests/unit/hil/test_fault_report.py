@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.nmt import Emergency
+from drivers.canopen.nmt import Emergency
 from drivers.timebase import NS_PER_MS, Instant
 from hil.recording.fault_report import FAULT_FILE, last_frames, write_fault_report
 

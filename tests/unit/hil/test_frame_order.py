@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.frame_port import ERROR_FLAG
 from drivers.timebase import NS_PER_MS, NS_PER_S
+from drivers.wire.frame_port import ERROR_FLAG
 from hil.rows.frame_order import JITTER_NS, SILENCE_NS, FrameOrder
 from hil.rows.side_rows import EXTENDED_FLAG, FRAME, FRAME_DTYPE
 

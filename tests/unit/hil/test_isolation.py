@@ -14,7 +14,7 @@ from virtual_bus.child_python import python_command, python_environment
 EXECUTED = "executed"
 """What a module in the user's folder leaves there when it is imported."""
 EXAMPLE = ROOT / "examples" / "ling2012.toml"
-JOIN = "from virtual_bus.hub import HubBus; HubBus('isolation').shutdown()"
+JOIN = "from virtual_bus.bus.hub import HubBus; HubBus('isolation').shutdown()"
 
 
 @pytest.fixture

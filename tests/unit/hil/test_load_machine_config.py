@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.dynamometer import LoadReading, Tally
 from drivers.errors import BenchError
+from drivers.instruments.dynamometer import LoadReading, Tally
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.configuration.bench_file import load_bench
 from hil.load.instrument import InstrumentLoadMachine, Wait

@@ -19,7 +19,7 @@ from hil.measuring.loss_model import (
 
 
 def chain(truth: Parameters, frames: int, seed: int) -> Outcomes:
-    """What a link of these parameters loses, frame by frame, as virtual_bus.fault_injection does it."""
+    """What a link of these parameters loses, frame by frame, as virtual_bus.faults does it."""
     random = np.random.default_rng(seed)
     moves, strikes = random.random(frames), random.random(frames)
     outcomes = np.zeros(frames, np.int8)

@@ -8,9 +8,9 @@ import pytest
 
 from drivers.errors import BadInput
 from drivers.exchange import Command, SentCommand
-from drivers.frame_port import EchoBasis
 from drivers.record import replaced
 from drivers.timebase import Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.configuration.network_file import load_network, network_text
 from hil.control.compensation import AT_REST
 from hil.loop.samples import CommandFate

@@ -7,8 +7,8 @@ from random import Random
 import pytest
 
 from drivers.errors import LimitExceeded, NoAnswer, PeerFault
-from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_US, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.loop import Loop, LoopOutcome
 from hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
 from hil.loop.safety import SafetyLimits

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.readings import NEVER_TOLD
+from drivers.cia402.readings import NEVER_TOLD
 from hil.rows.records import FATE_MISSED
 from hil.rows.row_states import (
     LINK_WINDOW_CYCLES,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, Instant
 from hil.configuration.bench_file import load_bench
 from hil.rows.records import NOTHING, ROW_DTYPE, Rows

@@ -10,9 +10,9 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.execution.simulated_drives import ids_on_the_bus, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
-from virtual_bus.canopen_device.lss_slave import NODE_ID_KEY
-from virtual_bus.canopen_device.nmt_state import UNCONFIGURED
-from virtual_bus.canopen_device.parameter_store import FileStore
+from virtual_bus.device.lss_slave import NODE_ID_KEY
+from virtual_bus.device.nmt_state import UNCONFIGURED
+from virtual_bus.device.parameter_store import FileStore
 
 
 def bench_lacking(lacks: list[Any]) -> BenchConfig:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.frame_port import EchoBasis
+from drivers.wire.frame_port import EchoBasis
 from hil.recording.verdict_text import verdict_markdown
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.verdict.summary import (

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.pdo_plans import all_modes_plan, torque_plan
+from drivers.cia402.pdo_plans import all_modes_plan, torque_plan
 from drivers.timebase import NS_PER_MS, Instant
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RecordsWriter

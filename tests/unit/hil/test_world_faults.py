@@ -2,14 +2,14 @@
 
 import pytest
 
-from drivers.adapters import parse_bus_spec
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.adapters import parse_bus_spec
 from hil.execution.world import WorldPlan, open_world
 from tests.motors import LING
-from virtual_bus.fault_injection.fault_plan import FaultPlan, IndependentLoss, Selection, Side
-from virtual_bus.fault_injection.node_fault_plan import HostStall, Occasion
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.faults.fault_plan import FaultPlan, IndependentLoss, Selection, Side
+from virtual_bus.faults.node_fault_plan import HostStall, Occasion
 
 STALL = HostStall(
     occasion=Occasion(at_ns=Duration(NS_PER_MS)), min_ns=Duration(500_000), max_ns=Duration(500_000)

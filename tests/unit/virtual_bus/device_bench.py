@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.canopen_device.application import (
+from virtual_bus.device.application import (
     Application,
     CommunicationLoss,
     DeviceServices,
     ErrorRegister,
     NmtState,
 )
-from virtual_bus.canopen_device.data_types import DataType
-from virtual_bus.canopen_device.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
-from virtual_bus.canopen_device.object_dictionary import Access
-from virtual_bus.device import CanopenDevice
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.data_types import DataType
+from virtual_bus.device.device_options import NO_RTR, DeviceOptions, PdoDefault, mapping_word
+from virtual_bus.device.object_dictionary import Access
 from virtual_bus.frame import Frame
 
 NODE = 5

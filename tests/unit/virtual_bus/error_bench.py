@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
-from virtual_bus.can_bus.disturbance import BusError, Disturbance
-from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.bus.disturbance import BusError, Disturbance
+from virtual_bus.bus.error_state import ErrorState
+from virtual_bus.bus.segment import Port, Segment
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Port, Segment
 from virtual_bus.timeline import Timeline
 
 BIT_NS = 1_000

@@ -3,14 +3,14 @@
 import struct
 from collections.abc import Callable
 
-from drivers.objects402 import Object
-from drivers.profile402 import CONTROLWORDS, DriveCommand, State, state_of
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import LING
-from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
+from virtual_bus.device.object_dictionary import ObjectDictionary
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 SYNC = Frame(0x80)
 ENABLE = (DriveCommand.SHUTDOWN, DriveCommand.SWITCH_ON, DriveCommand.ENABLE_OPERATION)

@@ -12,10 +12,10 @@ from hil.configuration.background import load_background
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config_errors import BadInputs
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
+from virtual_bus.bus.segment import Segment
+from virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

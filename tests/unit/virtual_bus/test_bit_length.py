@@ -5,7 +5,7 @@ import random
 import pytest
 
 from tests.unit.virtual_bus.can_reference import crc_sequence, random_frame, stuff, wire_bits
-from virtual_bus.can_bus.bit_length import (
+from virtual_bus.bus.bit_length import (
     INTERMISSION_BITS,
     LONGEST_FRAME_BITS,
     TAIL_BITS,

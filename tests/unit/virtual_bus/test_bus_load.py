@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.timebase import Instant
-from virtual_bus.can_bus.bus_load import CHECKPOINTS_MAX, BusLoad
+from virtual_bus.bus.bus_load import CHECKPOINTS_MAX, BusLoad
 
 
 def test_busy_spell_lies_at_the_end_of_its_interval() -> None:

@@ -5,8 +5,8 @@ from struct import pack
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import AbortConnectionOption, State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import AbortConnectionOption, State
 from drivers.timebase import NS_PER_MS
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
 from virtual_bus.frame import Frame

@@ -9,9 +9,9 @@ from design.current_loop import held, tustin
 from design.papers.azaiz2007 import MOTOR, paper_design
 from design.statespace import StateSpace, connect, series
 from drivers.timebase import Instant
-from virtual_bus.servo_drive import motor_kernel as kernel
-from virtual_bus.servo_drive.current_controller import take_back_gain
-from virtual_bus.servo_drive.firmware import Firmware, FirmwareParameters, InnerControl
+from virtual_bus.drive import motor_kernel as kernel
+from virtual_bus.drive.current_controller import take_back_gain
+from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 RATE_HZ = 16_000
 K_Q = tustin(paper_design("q")[1].controller, RATE_HZ, 145.0)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
@@ -18,9 +18,9 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.servo_drive.machine import MACHINE
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.machine import MACHINE
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 MILLI_RPM = RPM_PER_TURN_S * 1000
 CSP, CSV, CST = (

@@ -4,13 +4,13 @@ import pytest
 
 from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
-from virtual_bus.canopen_device.application import NmtState
-from virtual_bus.canopen_device.device_options import DeviceIdentity, DeviceOptions
-from virtual_bus.canopen_device.parameter_store import MemoryStore, ParameterStore
-from virtual_bus.device import CanopenDevice
+from virtual_bus.bus.segment import Segment
+from virtual_bus.device.application import NmtState
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
+from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
+from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 IDENTITY = DeviceIdentity(vendor_id=0x319, product_code=0x1001, revision_number=2, serial_number=77)

@@ -14,7 +14,7 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.canopen_device.application import NmtState
+from virtual_bus.device.application import NmtState
 from virtual_bus.frame import Frame
 
 BOOT_UP = Frame(0x700 + NODE, b"\x00")

@@ -10,8 +10,8 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.canopen_device.application import CommunicationLoss
-from virtual_bus.canopen_device.device_options import (
+from virtual_bus.device.application import CommunicationLoss
+from virtual_bus.device.device_options import (
     NO_RTR,
     NOT_VALID,
     DeviceOptions,

@@ -18,7 +18,7 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     SdoRefused,
 )
-from virtual_bus.canopen_device.sdo_abort import AbortCode
+from virtual_bus.device.sdo_abort import AbortCode
 
 EXAMPLES = settings(derandomize=True, deadline=None, max_examples=60)
 NOTE_MUX = NOTE.to_bytes(2, "little") + b"\x00"

@@ -16,10 +16,10 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.canopen_device.application import CommunicationLoss, NmtState
-from virtual_bus.canopen_device.parameter_store import FileStore, MemoryStore
-from virtual_bus.canopen_device.sdo_abort import AbortCode
-from virtual_bus.device import CanopenDevice
+from virtual_bus.device.application import CommunicationLoss, NmtState
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.parameter_store import FileStore, MemoryStore
+from virtual_bus.device.sdo_abort import AbortCode
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 

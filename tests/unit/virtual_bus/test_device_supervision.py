@@ -15,9 +15,9 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.canopen_device.application import CommunicationLoss, ErrorRegister, NmtState
-from virtual_bus.canopen_device.device_options import DeviceOptions
-from virtual_bus.canopen_device.sdo_abort import AbortCode
+from virtual_bus.device.application import CommunicationLoss, ErrorRegister, NmtState
+from virtual_bus.device.device_options import DeviceOptions
+from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.frame import Frame
 
 MS = 1_000_000

@@ -4,10 +4,11 @@ import pytest
 from scipy import stats
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.can_bus.bit_length import frame_bits
-from virtual_bus.fault_injection.disturber import Disturber, disturber
-from virtual_bus.fault_injection.fault_log import FaultLog
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.bus.bit_length import frame_bits
+from virtual_bus.bus.segment import Segment
+from virtual_bus.faults.disturber import Disturber, disturber
+from virtual_bus.faults.fault_log import FaultLog
+from virtual_bus.faults.fault_plan import (
     Corruption,
     Direction,
     Effect,
@@ -16,9 +17,8 @@ from virtual_bus.fault_injection.fault_plan import (
     IndependentLoss,
     Selection,
 )
-from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
 TPDO = Frame(0x181, bytes(8))

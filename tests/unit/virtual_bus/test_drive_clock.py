@@ -8,14 +8,14 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.fault_injection.fault_plan import FaultPlan
-from virtual_bus.fault_injection.injection import Injection
-from virtual_bus.fault_injection.node_fault_plan import ClockDrift, ClockStep, NodeFault, Occasion
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.node_fault_plan import ClockDrift, ClockStep, NodeFault, Occasion
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.injection import Injection
 from virtual_bus.timeline import Timeline
 
 OFFSET_US = 5_000_000

@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State, Status
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State, Status
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, INPUTS_HELD, STO, MotionBench
 from tests.unit.virtual_bus.test_drive_commands import WAY_TO
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.servo_drive.machine import INTERLOCK, MACHINE
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.machine import INTERLOCK, MACHINE
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 def bench_in(state: State) -> MotionBench:

@@ -4,13 +4,13 @@ import struct
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import State
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.canopen_device.sdo_abort import AbortCode
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 def lacking(*lacks: str) -> ServoBench:

@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.canopen_device.data_types import DataType
-from virtual_bus.servo_drive.homing_methods import HOMING_METHODS
+from virtual_bus.device.data_types import DataType
+from virtual_bus.drive.homing_methods import HOMING_METHODS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")
 MACHINE_ROW = re.compile(r"^\| (2\d{3}h:.*?) \| (\w+) \|", re.MULTILINE)

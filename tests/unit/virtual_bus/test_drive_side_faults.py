@@ -10,9 +10,13 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.motors import LING
-from virtual_bus.can_bus.host_port import HELD_MAX
-from virtual_bus.fault_injection.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
+from virtual_bus.faults.fault_plan import (
     Blackout,
     Corruption,
     Direction,
@@ -27,16 +31,12 @@ from virtual_bus.fault_injection.fault_plan import (
     Side,
     UniformDelay,
 )
-from virtual_bus.fault_injection.faulty_device import FaultyDevice
-from virtual_bus.fault_injection.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.fault_injection.node_fault_plan import Range, SlowDrive
-from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.faults.node_fault_plan import Range, SlowDrive
+from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.frame import Frame
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
-from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.faulty_device import FaultyDevice
+from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 from virtual_bus.timeline import Timeline
 
 INTO, OUT = (Direction.HOST_TO_DRIVE,), (Direction.DRIVE_TO_HOST,)

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State, Status
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State, Status
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import ENABLED, RPM_PER_TURN_S, MotionBench
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 SPEED, DOWN, QUICK, HOMING = 10.0, 50.0, 200.0, 80.0
 """turns/s, turns/s^2."""

@@ -5,13 +5,13 @@ from struct import unpack
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State, Status, state_of
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State, Status, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from tests.unit.virtual_bus.motion_bench import ENABLED, MotionBench
+from virtual_bus.drive.motor_kernel import S_TORQUE_DEMAND
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
-from virtual_bus.servo_drive.motor_kernel import S_TORQUE_DEMAND
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 DEMAND, STAMP, STATUS = 0x6074_0010, 0x1013_0020, 0x6041_0010
 TPDO3, TPDO4 = 0x381, 0x481

@@ -2,17 +2,17 @@
 
 import pytest
 
-from drivers.dynamometer import Dynamometer, DynamometerSettings
-from drivers.magtrol import dialect
+from drivers.instruments.dynamometer import Dynamometer, DynamometerSettings
+from drivers.instruments.magtrol import dialect
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.motor_file import LING2012
-from virtual_bus.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
-from virtual_bus.dynamometer.hosting import TimelineLine
-from virtual_bus.dynamometer.instrument import Instrument
-from virtual_bus.hosting import attach_to_segment
-from virtual_bus.segment import Segment
-from virtual_bus.serial_line.line_faults import LineFaults
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.bus.segment import Segment
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.instruments.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
+from virtual_bus.instruments.dynamometer.hosting import TimelineLine
+from virtual_bus.instruments.dynamometer.instrument import Instrument
+from virtual_bus.instruments.serial_line.line_faults import LineFaults
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 RPM = 3.141592653589793 / 30.0

@@ -11,7 +11,8 @@ from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
 from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
-from virtual_bus.fault_injection.fault_log import (
+from virtual_bus.faults.fault_injector import FateSource, FaultInjector
+from virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
     EXTENDED_FLAG,
     KIND_CODES,
@@ -23,7 +24,7 @@ from virtual_bus.fault_injection.fault_log import (
     entry_line,
     read_line,
 )
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.faults.fault_plan import (
     Blackout,
     Direction,
     Fault,
@@ -31,10 +32,9 @@ from virtual_bus.fault_injection.fault_plan import (
     PeriodicLoss,
     Selection,
 )
-from virtual_bus.fault_injection.node_fault_plan import Range, SlowDrive
-from virtual_bus.fault_injection.node_faults import DrawnNode, ReplayedNode
-from virtual_bus.fault_injection.replay import RecordedFaults, ReplayedFates, read_recorded
-from virtual_bus.faults import FateSource, FaultInjector
+from virtual_bus.faults.node_fault_plan import Range, SlowDrive
+from virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
+from virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
 from virtual_bus.frame import Frame
 
 Outcome = tuple[bool, int, list[tuple[Frame, Duration]]]

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.errors import MISSING, BadInput
 from drivers.timebase import Duration
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.faults.fault_plan import (
     Blackout,
     BurstLoss,
     Direction,
@@ -20,7 +20,7 @@ from virtual_bus.fault_injection.fault_plan import (
     UniformDelay,
     node_of,
 )
-from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, load_fault_plan, read_fault_plan
+from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, load_fault_plan, read_fault_plan
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "faults").glob("*.toml"))
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.faults.fault_injector import DROPPED, PASSED, Fate, FaultInjector
+from virtual_bus.faults.fault_plan import (
     Blackout,
     BurstLoss,
     Direction,
@@ -24,7 +25,6 @@ from virtual_bus.fault_injection.fault_plan import (
     Selection,
     UniformDelay,
 )
-from virtual_bus.faults import DROPPED, PASSED, Fate, FaultInjector
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO1, TPDO2, RPDO1, SYNC = 0x181, 0x281, 0x201, 0x080
@@ -310,7 +310,7 @@ def test_a_flood_of_extended_identifiers_takes_no_memory() -> None:
 PRINT_FATES = """
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.test_faults import IN, fates, started, uniform
-from virtual_bus.fault_injection.fault_plan import BurstLoss, IndependentLoss
+from virtual_bus.faults.fault_plan import BurstLoss, IndependentLoss
 burst = BurstLoss(p_good_to_bad=0.1, p_bad_to_good=0.3)
 print(fates(started(IndependentLoss(probability=0.1), burst, uniform(0, 1000)), 50))
 """

@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_S, Duration, Instant
 from tests.ports import fetched
-from virtual_bus.can_bus.host_port import HELD_MAX
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import (
     Direction,
     Fault,
     FaultPlan,
@@ -19,16 +22,13 @@ from virtual_bus.fault_injection.fault_plan import (
     IndependentLoss,
     Selection,
 )
-from virtual_bus.fault_injection.fault_plan import UniformDelay as Delay
-from virtual_bus.fault_injection.faulty_bus import (
+from virtual_bus.faults.fault_plan import UniformDelay as Delay
+from virtual_bus.faults.faulty_bus import (
     FaultyBus,
     Side,
     SimulatedFaultyBus,
 )
-from virtual_bus.faults import FaultInjector
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Segment
-from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST

@@ -6,9 +6,10 @@ from uuid import uuid4
 import can
 import pytest
 
-from drivers.message_port import StampSource
 from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
-from virtual_bus.fault_injection.fault_plan import (
+from drivers.wire.message_port import StampSource
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import (
     Direction,
     Fault,
     FaultPlan,
@@ -16,11 +17,10 @@ from virtual_bus.fault_injection.fault_plan import (
     IndependentLoss,
     Selection,
 )
-from virtual_bus.fault_injection.fault_plan import UniformDelay as Delay
-from virtual_bus.fault_injection.faulty_bus import (
+from virtual_bus.faults.fault_plan import UniformDelay as Delay
+from virtual_bus.faults.faulty_bus import (
     FaultyBus,
 )
-from virtual_bus.faults import FaultInjector
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201

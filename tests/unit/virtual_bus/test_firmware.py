@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from design.motor import PmsmParameters
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
 from tests.motors import AZAIZ, LING
-from virtual_bus.servo_drive import motor_kernel as kernel
-from virtual_bus.servo_drive.firmware import Firmware, FirmwareParameters, InnerControl
+from virtual_bus.drive import motor_kernel as kernel
+from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 
 TICK_NS = 62_500
 

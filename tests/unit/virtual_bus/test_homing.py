@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
     BIT_13,
@@ -21,9 +21,9 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.servo_drive.homing_methods import HOMING_METHODS
-from virtual_bus.servo_drive.machine import MACHINE
-from virtual_bus.servo_drive.motor_kernel import S_COUNT
+from virtual_bus.drive.homing_methods import HOMING_METHODS
+from virtual_bus.drive.machine import MACHINE
+from virtual_bus.drive.motor_kernel import S_COUNT
 
 START = 0x10
 MODE_BITS = REACHED | BIT_12 | BIT_13

@@ -8,12 +8,12 @@ from scipy import stats
 
 from drivers.errors import MISSING, BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.fault_injection.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.fault_injection.fault_plan import FaultPlan, IndependentLoss
-from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, load_fault_plan
-from virtual_bus.fault_injection.injection import Faults, Injection, refuse_misplaced
-from virtual_bus.fault_injection.node_fault_plan import HostStall, Occasion
-from virtual_bus.fault_injection.replay import RecordedFaults
+from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
+from virtual_bus.faults.fault_plan import FaultPlan, IndependentLoss
+from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, load_fault_plan
+from virtual_bus.faults.node_fault_plan import HostStall, Occasion
+from virtual_bus.faults.replay import RecordedFaults
+from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 
 ZERO = Instant(7 * NS_PER_S)
 

@@ -10,18 +10,18 @@ import can
 import pytest
 
 from drivers.errors import BusDown
-from drivers.frame_port import FramePort
 from drivers.timebase import Instant
+from drivers.wire.frame_port import FramePort
 from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
-from virtual_bus.canopen_device.application import CommunicationLoss, NmtState
-from virtual_bus.canopen_device.device_options import DeviceOptions
-from virtual_bus.device import CanopenDevice
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.device.application import CommunicationLoss, NmtState
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.device_options import DeviceOptions
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Device, Frame
-from virtual_bus.hosting import attach_to_segment, serve
-from virtual_bus.segment import Segment
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.simulated_bus import SimulatedBus
+from virtual_bus.hosting.devices import attach_to_segment, serve
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MS = 1_000_000

@@ -17,13 +17,13 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.frame_port import EchoBasis
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock, instant_after
+from drivers.wire.frame_port import EchoBasis
 from tests.ports import fetched
-from virtual_bus.can_bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
-from virtual_bus.can_bus.hub_protocol import Hello, encode_hello
+from virtual_bus.bus.hub import HubBus
+from virtual_bus.bus.hub_place import HubPlace, checked_name, known_hubs, runtime_directory, try_lock
+from virtual_bus.bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
-from virtual_bus.hub import HubBus
 
 pytestmark = pytest.mark.xdist_group("real time")
 

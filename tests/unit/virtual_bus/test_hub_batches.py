@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.timebase import Instant
-from virtual_bus.can_bus.hub_broker import Client
-from virtual_bus.can_bus.hub_protocol import (
+from virtual_bus.bus.hub_broker import Client
+from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     ECHO_HELD_NS,
     FRAME_BYTES,

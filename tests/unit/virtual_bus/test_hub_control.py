@@ -10,9 +10,9 @@ import can
 import pytest
 
 from drivers.timebase import MonotonicClock, instant_after
-from virtual_bus.can_bus.error_state import ErrorState
+from virtual_bus.bus.error_state import ErrorState
+from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
-from virtual_bus.hub import HubBus
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()

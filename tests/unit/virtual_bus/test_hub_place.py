@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from virtual_bus.can_bus.hub_place import try_lock
+from virtual_bus.bus.hub_place import try_lock
 
 TIMES_EACH = 100
 

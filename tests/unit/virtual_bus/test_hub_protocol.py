@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
-from virtual_bus.can_bus.hub_control import Request, encode_request, encode_status
-from virtual_bus.can_bus.hub_protocol import (
+from virtual_bus.bus.hub_control import Request, encode_request, encode_status
+from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     FRAME_BYTES,
     PACKET_BYTES_MAX,
@@ -28,7 +28,7 @@ from virtual_bus.can_bus.hub_protocol import (
     is_own,
     split_batch,
 )
-from virtual_bus.segment import Segment
+from virtual_bus.bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
 EXAMPLES = settings(derandomize=True, deadline=None)

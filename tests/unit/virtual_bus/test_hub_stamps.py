@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from virtual_bus.can_bus.hub_broker import LINGER_NS, Broker, listen
-from virtual_bus.can_bus.hub_place import HubPlace, try_lock
-from virtual_bus.can_bus.hub_protocol import (
+from virtual_bus.bus.hub_broker import LINGER_NS, Broker, listen
+from virtual_bus.bus.hub_place import HubPlace, try_lock
+from virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
     Hello,

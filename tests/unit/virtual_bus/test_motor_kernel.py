@@ -7,8 +7,8 @@ import sys
 PROGRAM = """
 from drivers.timebase import Instant
 from tests.motors import AZAIZ
-from virtual_bus.servo_drive import motor_kernel as kernel
-from virtual_bus.servo_drive.firmware import Firmware, FirmwareParameters, InnerControl
+from virtual_bus.drive import motor_kernel as kernel
+from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
 from dataclasses import replace
 
 firmware = Firmware(replace(AZAIZ, coulomb_friction_nm=0.1), FirmwareParameters())

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import MISSING, BadInput
 from drivers.timebase import Duration
 from tests.unit.virtual_bus.test_fault_plan_toml import error_of, load
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.faults.fault_plan import (
     Corruption,
     Duplication,
     Effect,
@@ -18,8 +18,8 @@ from virtual_bus.fault_injection.fault_plan import (
     MeasuredDelay,
     Reordering,
 )
-from virtual_bus.fault_injection.fault_plan_toml import fault_plan_mapping, load_fault_plan
-from virtual_bus.fault_injection.node_fault_plan import (
+from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, load_fault_plan
+from virtual_bus.faults.node_fault_plan import (
     BusOff,
     ClockDrift,
     ClockStep,

@@ -5,14 +5,14 @@ import math
 import pytest
 from scipy import stats
 
-from drivers.profile402 import State
+from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
-from virtual_bus.fault_injection.fault_log import Entry, FaultLog
-from virtual_bus.fault_injection.fault_plan import FaultPlan
-from virtual_bus.fault_injection.faulty_device import FaultyDevice
-from virtual_bus.fault_injection.node_fault_plan import (
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.faults.fault_log import Entry, FaultLog
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.node_fault_plan import (
     BusOff,
     ClockDrift,
     ClockStep,
@@ -24,9 +24,9 @@ from virtual_bus.fault_injection.node_fault_plan import (
     Silence,
     SlowDrive,
 )
-from virtual_bus.fault_injection.node_faults import NEVER, DrawnNode, NodeEvent, node_source
+from virtual_bus.faults.node_faults import NEVER, DrawnNode, NodeEvent, node_source
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
+from virtual_bus.hosting.faulty_device import FaultyDevice
 
 BY_CHANCE = Occasion(probability_per_s=0.8)
 MS = NS_PER_MS

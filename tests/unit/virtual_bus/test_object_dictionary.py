@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, TARGET, Bench
-from virtual_bus.canopen_device.data_types import BITS, SIGNED, DataType, decode, encode
-from virtual_bus.canopen_device.eds_export import export_eds
-from virtual_bus.canopen_device.object_dictionary import Access, ObjectDictionary
-from virtual_bus.canopen_device.sdo_abort import AbortCode, SdoAbort
+from virtual_bus.device.data_types import BITS, SIGNED, DataType, decode, encode
+from virtual_bus.device.eds_export import export_eds
+from virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 EXAMPLES = settings(derandomize=True, deadline=None)
 INTEGERS = sorted(set(BITS) - {DataType.REAL32, DataType.REAL64, DataType.BOOLEAN})

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.objects402 import Object
-from drivers.profile402 import (
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import (
     CONTROLWORDS,
     TRANSITION_OF,
     Control,
@@ -14,7 +14,7 @@ from drivers.profile402 import (
     State,
     command_path,
 )
-from virtual_bus.servo_drive.power_state import Motion, PowerStateMachine
+from virtual_bus.drive.power_state import Motion, PowerStateMachine
 
 STANDARD_OPTIONS = {
     Object.QUICK_STOP_OPTION: 2,

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State
 from tests.motors import LING
 from tests.unit.virtual_bus.motion_bench import (
     COUNTS,
@@ -16,7 +16,7 @@ from tests.unit.virtual_bus.motion_bench import (
     RPM_PER_TURN_S,
     MotionBench,
 )
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from drivers.objects402 import Object
-from drivers.profile402 import Mode, State
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, State
 from tests.unit.virtual_bus.motion_bench import (
     BIT_12,
     COUNTS,

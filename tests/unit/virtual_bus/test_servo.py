@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.objects402 import Object
-from drivers.profile402 import (
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import (
     CONTROLWORDS,
     TRANSITION_OF,
     AbortConnectionOption,
@@ -21,13 +21,13 @@ from drivers.profile402 import (
 from drivers.timebase import Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
-from virtual_bus.canopen_device.application import ErrorRegister
-from virtual_bus.canopen_device.sdo_abort import AbortCode
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.drive import motor_kernel as kernel
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_objects import LOAD_MACHINE, RPM, VELOCITY_UNIT_RAD_S
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
-from virtual_bus.servo_drive import motor_kernel as kernel
-from virtual_bus.servo_drive.servo_objects import LOAD_MACHINE, RPM, VELOCITY_UNIT_RAD_S
-from virtual_bus.servo_drive.servo_parameters import DriveParameters
 
 MASTER = 127
 NO_BRAKE = DriveParameters(brake_torque_nm=0.0)

@@ -7,10 +7,13 @@ import can
 import pytest
 from scipy import stats
 
-from drivers.message import message_of
 from drivers.timebase import Duration, Instant
+from drivers.wire.message import message_of
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, TPDO1, fates, started, uniform
-from virtual_bus.fault_injection.fault_plan import (
+from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.faults.fault_injector import DROPPED, PASSED, FaultInjector
+from virtual_bus.faults.fault_plan import (
     BurstLoss,
     Corruption,
     Duplication,
@@ -21,12 +24,9 @@ from virtual_bus.fault_injection.fault_plan import (
     Reordering,
     Selection,
 )
-from virtual_bus.fault_injection.faulty_bus import FaultyBus
-from virtual_bus.fault_injection.special_faults import BIT_DRAWS, damaged
-from virtual_bus.faults import DROPPED, PASSED, FaultInjector
+from virtual_bus.faults.faulty_bus import FaultyBus
+from virtual_bus.faults.special_faults import BIT_DRAWS, damaged
 from virtual_bus.frame import Frame
-from virtual_bus.segment import Segment
-from virtual_bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 FRAME = Frame(TPDO1, bytes(8))

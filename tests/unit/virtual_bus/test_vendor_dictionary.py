@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.dictionary import load_dictionary
+from drivers.sheets.dictionary import load_dictionary
 from drivers.timebase import Instant
 from tests.motors import LING
-from virtual_bus.canopen_device.object_dictionary import ObjectDictionary
-from virtual_bus.canopen_device.parameter_store import FileStore
-from virtual_bus.canopen_device.vendor_dictionary import BASE_NODE_ID, overlay
+from virtual_bus.device.object_dictionary import ObjectDictionary
+from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
+from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.servo import SimulatedServo
 
 EDS = Path(__file__).parents[2] / "contract" / "conformance" / "rehearsed.eds"
 NODE = 5

@@ -1,0 +1,100 @@
+"""The master's inner loop: frames from the link to whoever listens, and housekeeping when it is due."""
+
+from collections.abc import Callable
+from typing import Final
+
+from drivers.exchange import Master
+from drivers.timebase import Clock, Instant
+from drivers.wire.link import BusLink
+
+SYNC: Final = 0x080
+NEVER: Final = Instant(1 << 62)
+
+Handler = Callable[[bytes, Instant], None]
+"""Takes the data of a frame and its instant."""
+EchoHandler = Callable[[bytes, Instant, Instant], None]
+"""The same, and when the frame had been handed over; UNTOLD if the bus does not tell that."""
+
+
+class FramePump(Master):
+    """Lets time pass on ``link`` and hands out what comes.
+
+    ``others(can_id, data, at)`` gets the frames that no entry of ``handlers`` takes; ``keep_house(now)``
+    is called when ``housekeeping_at`` has come, and sets it anew. An echo goes to its entry of
+    ``echo_handlers``, by identifier, and nowhere else.
+    """
+
+    def __init__(
+        self,
+        link: BusLink,
+        clock: Clock,
+        others: Callable[[int, bytes, Instant], None],
+        keep_house: Callable[[Instant], None],
+    ) -> None:
+        super().__init__()
+        self.handlers: dict[int, Handler] = {}
+        self.echo_handlers: dict[int, EchoHandler] = {SYNC: self._on_sync_echo}
+        """Who is told of our own frames once they were on the bus, by identifier."""
+        self.housekeeping_at: Instant = NEVER
+        self._link = link
+        self._now = clock.now
+        self._sleep_until = clock.sleep_until
+        self._others = others
+        self._keep_house = keep_house
+
+    def pump(self, until: Instant) -> None:
+        """Handle frames, send what falls due, and return once ``until`` has come; at once if it has passed.
+
+        Frames that are waiting already are handled in either case.
+        """
+        while self.pump_one(until):
+            pass
+
+    def pump_one(self, until: Instant) -> bool:
+        """Handle the next frame and return True; False once ``until`` has come without one."""
+        link = self._link
+        while True:
+            due = self.housekeeping_at
+            if link.fetch(until if until < due else due):
+                at = link.last_at
+                if link.last_own:
+                    echo_handler = self.echo_handlers.get(link.last_id)
+                    if echo_handler is not None:
+                        echo_handler(link.last_data, at, link.last_handed_at)
+                else:
+                    handler = self.handlers.get(link.last_id)
+                    if handler is not None:
+                        handler(link.last_data, at)
+                    else:
+                        self._others(link.last_id, link.last_data, at)
+                if at >= self.housekeeping_at:
+                    self._keep_house(at)
+                return True
+            if due > until:
+                return False
+            now = self._now()
+            self._keep_house(now if now > due else due)
+
+    def rest(self, until: Instant) -> None:
+        """As :meth:`pump`, but what comes waits in the bus's queue and is handled when ``until`` has come, or
+        housekeeping is due: one wake-up instead of one a frame. The stamps are the bus's, so they tell the
+        same; on a bus that needs watching this is :meth:`pump`.
+        """
+        if not self._link.needs_watching:
+            while self.housekeeping_at < until:
+                due = self.housekeeping_at
+                self._sleep_until(due)
+                self.pump(due)
+            self._sleep_until(until)
+        self.pump(until)
+
+    def _on_sync_echo(self, _data: bytes, at: Instant, handed_at: Instant) -> None:
+        if self.on_sync_echo is not None:
+            self.on_sync_echo(at, handed_at)
+
+    def send_sync(self) -> Instant:
+        """Send a SYNC without counter (CiA 301 7.2.5); returns the instant at which the bus was given it."""
+        self.sync_count += 1
+        at = self._link.send(SYNC, b"")
+        self.sync_handed_at[0] = at
+        return at

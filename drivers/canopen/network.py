@@ -1,0 +1,314 @@
+"""CANopen master that its caller pumps: no thread, no Notifier, no clock but the bench's.
+
+Frames are handled only inside ``CanopenNetwork.pump`` and ``CanopenNetwork.pump_one``; whatever waits
+(an SDO transfer, a drive's state change) waits by calling them. So the same code serves simulated time,
+the hub and a real bus. The cyclic path has its own dispatch table in front of canopen's subscribers.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from drivers.canopen.frame_pump import NEVER, FramePump, Handler
+from drivers.canopen.nmt import Emergency, NmtCommand, NodeStatus, parse_emergency
+from drivers.canopen.sdo import (
+    SDO_ANSWER,
+    SDO_ATTEMPTS,
+    SDO_REQUEST,
+    AnswerQueue,
+    DownloadPost,
+    PostedDownload,
+    PumpedSdoClient,
+    abort_text,
+    object_name,
+)
+from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
+from drivers.timebase import NS_PER_S, Clock, Duration, Instant
+from drivers.wire.link import BusLink
+
+EMERGENCY = 0x080
+ERROR_CONTROL = 0x700
+MASTER_NODE_ID = 127
+NODE_ID_MAX = 127
+SURPLUS_BORNE = 2
+"""SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
+request, and a dozen are needed to connect."""
+
+_OPERATIONAL = b"\x05"
+
+
+class CanopenNetwork(canopen.Network):
+    """One bus with its nodes, as the master sees it.
+
+    ``sync_count`` counts the SYNCs sent; ``emergencies`` keeps the last 1000 EMCYs as values.
+    Every method that sends or lets time pass raises BusDown if the bus is gone.
+    """
+
+    def __init__(self, link: BusLink, clock: Clock, node_id: int = MASTER_NODE_ID) -> None:
+        super().__init__(link.bus)
+        self.link = link
+        self.clock = clock
+        self.node_id = node_id
+        """The master's own, for its heartbeat."""
+        self.emergencies: deque[Emergency] = deque(maxlen=1000)
+        self.emergencies_seen = 0
+        self.sdo_timeout_s = 0.2
+        """Wait for one answer."""
+        lss: Any = self.lss
+        lss.responses = AnswerQueue(self)
+        self._status: dict[int, NodeStatus] = {}
+        self._clients: dict[int, PumpedSdoClient] = {}
+        self._posts: dict[int, DownloadPost] = {}
+        self.frame_pump = pump = FramePump(link, clock, self._tell_canopen, self._keep_house)
+        """What the cyclic path uses without a detour through this object."""
+        self.pump: Callable[[Instant], None] = pump.pump
+        """See :meth:`FramePump.pump`."""
+        self.pump_one: Callable[[Instant], bool] = pump.pump_one
+        """See :meth:`FramePump.pump_one`."""
+        self.send_sync: Callable[[], Instant] = pump.send_sync
+        """See :meth:`FramePump.send_sync`."""
+        self._heartbeat_period_ns = Duration(0)
+        self._heartbeat_due = NEVER
+        self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
+        self.on_surplus_answer: Callable[[int, Instant], None] | None = None
+        """Told of an SDO answer that nobody has asked for: which node's, and when."""
+
+    # ---- time -----------------------------------------------------------------------------------------
+
+    @property
+    def sync_count(self) -> int:
+        """SYNCs sent."""
+        return self.frame_pump.sync_count
+
+    def _tell_canopen(self, can_id: int, data: bytes, at: Instant) -> None:
+        self.notify(can_id, bytearray(data), at / NS_PER_S)
+
+    def deadline_after(self, duration: Duration) -> Instant:
+        """The instant ``duration`` from now."""
+        return Instant(self.clock.now() + duration)
+
+    # ---- sending --------------------------------------------------------------------------------------
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        """Send a data frame; canopen's own services come through here. Remote frames are not used."""
+        if remote:
+            raise ValueError("this master sends no remote frames (CiA 301 advises against them)")
+        self.link.send(can_id, bytes(data))
+
+    def command(self, command: NmtCommand, node_id: int = 0) -> Instant:
+        """Send an NMT command to a node; to all nodes with ``node_id`` 0 (CiA 301 7.2.8.2.1)."""
+        return self.link.send(0x000, bytes((command, node_id)))
+
+    def produce_heartbeat(self, period_ns: Duration) -> None:
+        """Send the master's heartbeat (state OPERATIONAL) now and then every ``period_ns``; 0 ends it.
+
+        It is sent by the pump, so a master that stops pumping stops its heartbeat: that is its purpose.
+        """
+        self._heartbeat_period_ns = period_ns
+        self._heartbeat_due = self.clock.now() if period_ns else NEVER
+        self._keep_house(self.clock.now())
+
+    @property
+    def produces_heartbeat(self) -> bool:
+        """The master's heartbeat is being sent."""
+        return self._heartbeat_period_ns > 0
+
+    # ---- nodes ----------------------------------------------------------------------------------------
+
+    def status(self, node_id: int) -> NodeStatus:
+        """What the heartbeats of a node tell; from the first call on they are followed."""
+        known = self._status.get(node_id)
+        if known is None:
+            if not 1 <= node_id <= NODE_ID_MAX:
+                raise ValueError(f"node id {node_id} is not in 1..127")
+            known = self._status[node_id] = NodeStatus(node_id)
+            self.listen(ERROR_CONTROL + node_id, known.heard)
+            self.listen(EMERGENCY + node_id, lambda data, at: self._on_emergency(node_id, data, at))
+        return known
+
+    def watch(self, node_id: int, timeout_ns: Duration) -> None:
+        """Note the node as lost (``status(node_id).lost_at``) if it is silent for longer; 0: no watch."""
+        self.status(node_id).watch(timeout_ns, self.clock.now())
+        self._plan_housekeeping()
+
+    def listen(self, can_id: int, handler: Handler) -> None:
+        """Have ``handler(data, at)`` take all frames of this identifier, before canopen's subscribers."""
+        self.frame_pump.handlers[can_id] = handler
+
+    def unlisten(self, can_id: int) -> None:
+        """Undo :meth:`listen`."""
+        self.frame_pump.handlers.pop(can_id, None)
+
+    def on_emergency(self, listener: Callable[[Emergency], None]) -> None:
+        """Have ``listener`` told of every EMCY from a node whose :meth:`status` is followed."""
+        self._emergency_listeners = (*self._emergency_listeners, listener)
+
+    # ---- SDO ------------------------------------------------------------------------------------------
+
+    def upload(
+        self,
+        node_id: int,
+        index: int,
+        sub: int = 0,
+        timeout_s: float | None = None,
+        attempts: int = SDO_ATTEMPTS,
+    ) -> bytes:
+        """Read an object by SDO, expedited or segmented as the node chooses; pumps meanwhile.
+
+        ``timeout_s`` bounds the wait for one answer, ``attempts`` the requests sent for it.
+        Raises TransferAborted with the abort code, or NoAnswer.
+        """
+        client = self._client(node_id, timeout_s, attempts)
+        try:
+            return bytes(client.upload(index, sub))
+        except SdoError as error:
+            raise self._sdo_failure(error, node_id, "read", index, sub) from error
+
+    def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
+        """Write an object by SDO and wait for the confirmation; pumps meanwhile.
+
+        Raises TransferAborted with the abort code, or NoAnswer.
+        """
+        client = self._client(node_id)
+        try:
+            client.download(index, sub, data)
+        except SdoError as error:
+            raise self._sdo_failure(error, node_id, "write", index, sub) from error
+
+    def post_download(self, node_id: int, index: int, sub: int, data: bytes) -> PostedDownload:
+        """Write 1 to 4 bytes by SDO without waiting; the pump looks after confirmation and repetition.
+
+        Of several posts to one object that wait for their turn, the latest wins.
+        """
+        download = PostedDownload(node_id, index, sub, data)
+        self._post(node_id).post(download)
+        self._plan_housekeeping()
+        return download
+
+    def posts_settled(self, node_id: int) -> bool:
+        """No posted download of this node is in flight or waiting."""
+        return self._post(node_id).in_flight is None
+
+    def failed_posts(self, node_id: int) -> int:
+        """How many posted downloads this node refused or never confirmed."""
+        return self._post(node_id).failed
+
+    def refuse_two(self, node_id: int) -> None:
+        """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
+        client = self._clients.get(node_id)
+        if client is not None and client.answers.surplus > SURPLUS_BORNE:
+            raise self._answers_twice(client, node_id)
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def connect(self, *_args: Any, **_kwargs: Any) -> "CanopenNetwork":
+        """Not used: the bus is there from the start, and no Notifier thread may be."""
+        raise TypeError("a CanopenNetwork is given its bus when it is made")
+
+    def disconnect(self) -> None:
+        """Leave the bus to its owner; only this object's services end."""
+        self._heartbeat_due = self.frame_pump.housekeeping_at = NEVER
+
+    def _post(self, node_id: int) -> DownloadPost:
+        post = self._posts.get(node_id)
+        if post is None:
+            client = self._client_of(node_id)
+
+            def ask(can_id: int, data: bytes) -> Instant:
+                client.answers.expect()
+                return self.link.send(can_id, data)
+
+            post = self._posts[node_id] = DownloadPost(node_id, ask)
+        return post
+
+    def _client_of(self, node_id: int) -> PumpedSdoClient:
+        client = self._clients.get(node_id)
+        if client is None:
+            client = self._clients[node_id] = PumpedSdoClient(self, node_id)
+            self.listen(SDO_ANSWER + node_id, lambda data, at: self._on_sdo_answer(node_id, data, at))
+            self.listen(SDO_REQUEST + node_id, client.on_foreign_request)
+        return client
+
+    def _client(
+        self, node_id: int, timeout_s: float | None = None, attempts: int = SDO_ATTEMPTS
+    ) -> PumpedSdoClient:
+        """The node's SDO client, once its channel is free of posted downloads."""
+        client = self._client_of(node_id)
+        client.RESPONSE_TIMEOUT = self.sdo_timeout_s if timeout_s is None else timeout_s
+        client.MAX_RETRIES = attempts
+        post = self._posts.get(node_id)
+        while post is not None and post.in_flight is not None:
+            self.pump_one(post.in_flight.deadline)
+        return client
+
+    def _on_sdo_answer(self, node_id: int, data: bytes, at: Instant) -> None:
+        client, post = self._clients[node_id], self._posts.get(node_id)
+        if client.answers.came() and self.on_surplus_answer is not None:
+            self.on_surplus_answer(node_id, at)
+        if post is None or not post.answered(data, at):
+            client.on_answer(data)
+
+    def _sdo_failure(
+        self, error: SdoError, node_id: int, action: str, index: int, sub: int
+    ) -> TransferAborted | NoAnswer | AnswersTwice:
+        name = object_name(index, sub)
+        if isinstance(error, SdoAbortedError):
+            summary = f"node {node_id} on {self.link.name} refused to {action} {name}"
+            return TransferAborted(summary, abort_text(error.code))
+        client = self._clients[node_id]
+        if client.answers.surplus > SURPLUS_BORNE:
+            return self._answers_twice(client, node_id)
+        waited_ms = client.RESPONSE_TIMEOUT * client.MAX_RETRIES * 1e3
+        return NoAnswer(
+            f"node {node_id} on {self.link.name} did not answer the SDO {action} of {name}",
+            f"{error} ({client.MAX_RETRIES} requests in {waited_ms:.0f} ms)",
+            "check node id, bit rate and wiring",
+        )
+
+    def _answers_twice(self, client: PumpedSdoClient, node_id: int) -> AnswersTwice:
+        others = client.foreign_requests
+        others_text = f"; another master sent {others} requests on its channel" if others else ""
+        return AnswersTwice(
+            f"node {node_id} on {self.link.name} answers more often than it is asked",
+            f"{client.answers.surplus} SDO answers too many{others_text}",
+            f"two devices are likely to have the node id {node_id}: switch one of them off, "
+            "give it another id, and see with hil scan who is there",
+        )
+
+    def _on_emergency(self, node_id: int, data: bytes, at: Instant) -> None:
+        emergency = parse_emergency(node_id, data, at)
+        if emergency is None:
+            return
+        self.emergencies.append(emergency)
+        self.emergencies_seen += 1
+        for listener in self._emergency_listeners:
+            listener(emergency)
+
+    def _keep_house(self, now: Instant) -> None:
+        """Send the heartbeat, note lost nodes and repeat posted downloads that are due at ``now``."""
+        if now >= self._heartbeat_due:
+            self.link.send(ERROR_CONTROL + self.node_id, _OPERATIONAL)
+            # Missed beats are not made up for, and the grid is not shifted by a late one.
+            missed = (now - self._heartbeat_due) // self._heartbeat_period_ns
+            self._heartbeat_due = Instant(self._heartbeat_due + (missed + 1) * self._heartbeat_period_ns)
+        for status in self._status.values():
+            expires_at = status.expires_at()
+            if expires_at is not None and now >= expires_at:
+                status.lost_at = expires_at
+        for post in self._posts.values():
+            post.expire(now)
+        self._plan_housekeeping()
+
+    def _plan_housekeeping(self) -> None:
+        due = self._heartbeat_due
+        for status in self._status.values():
+            expires_at = status.expires_at()
+            if expires_at is not None and expires_at < due:
+                due = expires_at
+        for post in self._posts.values():
+            if post.in_flight is not None and post.in_flight.deadline < due:
+                due = post.in_flight.deadline
+        self.frame_pump.housekeeping_at = due

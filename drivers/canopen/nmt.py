@@ -1,0 +1,106 @@
+"""What a master knows of a node: NMT state, heartbeat, emergencies (CiA 301 7.2.8, 7.2.7)."""
+
+from enum import IntEnum
+from struct import Struct
+from typing import NamedTuple
+
+from drivers.canopen.error_codes import error_text, fault_text, register_text
+from drivers.timebase import Duration, Instant
+
+_EMERGENCY = Struct("<HB5s")
+
+
+class NmtCommand(IntEnum):
+    """Command specifiers of NMT node control, CiA 301 7.2.8.2.1."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    """States told by a heartbeat, CiA 301 7.2.8.3.2.2."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class Emergency(NamedTuple):
+    """An EMCY object, CiA 301 7.2.7."""
+
+    node_id: int
+    code: int
+    """Error code; 0x0000 says that all errors are gone."""
+    register: int
+    """0x1001."""
+    manufacturer: bytes
+    at: Instant
+
+    @property
+    def text(self) -> str:
+        """The standard's text for the code."""
+        return error_text(self.code)
+
+    def told(self, vendor: int = 0, device_name: str = "") -> str:
+        """In words, with those of the drive's maker."""
+        kinds = f"register {self.register:02X}h ({register_text(self.register)})"
+        detail = f"{kinds}, manufacturer {self.manufacturer.hex()}"
+        return f"EMCY {self.code:04X}h ({fault_text(self.code, vendor, device_name)}), {detail}"
+
+    def __str__(self) -> str:
+        return self.told()
+
+
+def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:
+    """The EMCY in a frame's data; None if it is not eight bytes long, as the standard demands."""
+    if len(data) != _EMERGENCY.size:
+        return None
+    code, register, manufacturer = _EMERGENCY.unpack(data)
+    return Emergency(node_id, code, register, manufacturer, at)
+
+
+class NodeStatus:
+    """One node as its heartbeats show it."""
+
+    __slots__ = ("boot_ups", "heartbeat_at", "lost_at", "node_id", "state", "timeout_ns", "watched_since")
+
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
+        self.state: NmtState | None = None
+        """None before the first heartbeat, or if the byte was no state of the standard."""
+        self.heartbeat_at: Instant | None = None
+        self.boot_ups = 0
+        self.timeout_ns = Duration(0)
+        """Longest silence that is borne; 0: the node is not watched."""
+        self.watched_since = Instant(0)
+        self.lost_at: Instant | None = None
+        """When the silence became too long; None while the node is heard."""
+
+    def watch(self, timeout_ns: Duration, now: Instant) -> None:
+        """Bear no silence longer than ``timeout_ns`` from now on; 0 ends the watch."""
+        self.timeout_ns, self.watched_since, self.lost_at = timeout_ns, now, None
+
+    def heard(self, data: bytes, at: Instant) -> None:
+        """A frame with this node's error control identifier arrived."""
+        if len(data) != 1:
+            return
+        try:
+            self.state = NmtState(data[0] & 0x7F)
+        except ValueError:
+            self.state = None
+        if self.state is NmtState.BOOT_UP:
+            self.boot_ups += 1
+            # A booting node enters PRE-OPERATIONAL by itself right after this frame (CiA 301 7.3.2.2).
+            self.state = NmtState.PRE_OPERATIONAL
+        self.heartbeat_at, self.lost_at = at, None
+
+    def expires_at(self) -> Instant | None:
+        """When the silence becomes too long; None if not watched, or lost already."""
+        if not self.timeout_ns or self.lost_at is not None:
+            return None
+        last = self.watched_since if self.heartbeat_at is None else max(self.heartbeat_at, self.watched_since)
+        return Instant(last + self.timeout_ns)

@@ -1,0 +1,315 @@
+"""PDO plan of a drive: what travels in which PDO, its bus load, and writing it into the drive.
+
+CiA 301 7.5.2.35 to 7.5.2.38: communication parameters 0x1400 and 0x1800, mapping 0x1600 and 0x1A00. A mapping
+may change only while the PDO does not exist (bit 31 of its COB-ID), with sub 0 of the mapping at 0 meanwhile.
+"""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from struct import Struct
+
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.sdo import object_name
+from drivers.errors import TransferAborted
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
+
+HIGH_RESOLUTION_TIME_STAMP = 0x1013
+EVENT_DRIVEN = 255
+EVERY_SYNC = 1
+SYNCHRONOUS_MAX = 240
+
+_NOT_VALID = 1 << 31
+_NO_REMOTE = 1 << 30
+_COB_ID = 0x7FF
+_PDOS_LOOKED_AT = 4
+_WRITTEN, _SWITCHED_OFF = " written", " switched off"
+DONE = (_WRITTEN, _SWITCHED_OFF)
+"""So ends a note on what was done; every other tells of something that could not be."""
+"""Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
+_BITS = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}
+
+
+class PdoDirection(Enum):
+    """Seen from the drive, as CANopen does; the value is the base of the communication parameter."""
+
+    TRANSMIT = 0x1800
+    RECEIVE = 0x1400
+
+    @property
+    def letter(self) -> str:
+        """T or R, as in TPDO and RPDO."""
+        return self.name[0]
+
+    @property
+    def mapping_base(self) -> int:
+        """Base index of the mapping parameters."""
+        return self.value + 0x200
+
+    def default_cob_id(self, number: int, node_id: int) -> int:
+        """Predefined connection set (CiA 301 table 39), PDO 1 to 4."""
+        if not 1 <= number <= _PDOS_LOOKED_AT:
+            raise ValueError(f"PDO {number} has no predefined identifier")
+        first = 0x180 if self is PdoDirection.TRANSMIT else 0x200
+        return first + 0x100 * (number - 1) + node_id
+
+
+@dataclass(frozen=True, slots=True)
+class PdoEntry:
+    """One mapped object."""
+
+    index: int
+    sub: int
+    code: str
+    """``struct`` character of its type; ``3s`` and the like for octets that nobody here reads."""
+
+    @property
+    def bits(self) -> int:
+        return 8 * int(self.code[:-1]) if self.code[-1] == "s" else _BITS[self.code]
+
+    @property
+    def mapping_word(self) -> int:
+        """The UNSIGNED32 of the mapping parameter: index, sub-index, length."""
+        return self.index << 16 | self.sub << 8 | self.bits
+
+
+@dataclass(frozen=True, slots=True)
+class PdoMap:
+    """One PDO: identifier, transmission type and content. Raises ValueError if it cannot be one."""
+
+    direction: PdoDirection
+    number: int
+    """1..512."""
+    cob_id: int
+    entries: tuple[PdoEntry, ...]
+    transmission_type: int = EVERY_SYNC
+    inhibit_time_100us: int = 0
+    """Sub-index 3: shortest time between two of an event-driven TPDO; 0: no limit."""
+    event_timer_ms: int = 0
+    """Sub-index 5: after so long without an event an event-driven TPDO is sent all the same; 0: never."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= 512:
+            raise ValueError(f"PDO number {self.number} is not in 1..512")
+        if not 0x180 <= self.cob_id <= 0x57F:
+            raise ValueError(f"identifier {self.cob_id:03X}h is not in the range of PDOs")
+        if not self.entries or self.bits > 64:
+            raise ValueError(f"{self.name} maps {self.bits} bits, 8 to 64 fit")
+
+    @property
+    def name(self) -> str:
+        """TPDO1, RPDO2, ..."""
+        return f"{self.direction.letter}PDO{self.number}"
+
+    @property
+    def bits(self) -> int:
+        return sum(entry.bits for entry in self.entries)
+
+    @property
+    def communication_index(self) -> int:
+        return self.direction.value + self.number - 1
+
+    @property
+    def mapping_index(self) -> int:
+        return self.direction.mapping_base + self.number - 1
+
+    @property
+    def synchronous(self) -> bool:
+        return self.transmission_type <= SYNCHRONOUS_MAX
+
+    def times_a_cycle(self, period_ns: Duration) -> float:
+        """How often it travels in a cycle of one SYNC and one command.
+
+        A TPDO that is sent on change is reckoned by its event timer: changes are rare.
+        """
+        if self.synchronous:
+            return 1.0 / max(1, self.transmission_type)
+        if self.direction is PdoDirection.TRANSMIT and self.event_timer_ms:
+            return min(1.0, period_ns / (self.event_timer_ms * NS_PER_MS))
+        return 1.0
+
+    def codec(self) -> Struct:
+        """Compiled layout: little endian, no padding (CiA 301 7.1.4)."""
+        return Struct("<" + "".join(entry.code for entry in self.entries))
+
+    def place_of(self, index: int, sub: int = 0) -> int | None:
+        """Position of an object among the entries."""
+        for place, entry in enumerate(self.entries):
+            if (entry.index, entry.sub) == (index, sub):
+                return place
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class PdoPlan:
+    """Every PDO of one drive that the master uses; all its others are switched off."""
+
+    tpdos: tuple[PdoMap, ...]
+    rpdos: tuple[PdoMap, ...]
+
+    def __post_init__(self) -> None:
+        used = [pdo.cob_id for pdo in (*self.tpdos, *self.rpdos)]
+        if len(set(used)) != len(used):
+            raise ValueError("two PDOs of the plan share an identifier")
+
+    def frames_a_cycle(self, period_ns: Duration) -> tuple[tuple[int, float], ...]:
+        """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
+        return tuple(
+            ((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in (*self.tpdos, *self.rpdos)
+        )
+
+    def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
+        """The first TPDO that carries an object."""
+        return next((pdo for pdo in self.tpdos if pdo.place_of(index, sub) is not None), None)
+
+    def rpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
+        """The first RPDO that carries an object."""
+        return next((pdo for pdo in self.rpdos if pdo.place_of(index, sub) is not None), None)
+
+
+def frame_bits_max(data_bytes: int) -> int:
+    """Longest a classical frame with an 11-bit identifier can be, bits, interframe space included.
+
+    ISO 11898-1: 34 + 8 n bits are subject to stuffing, one stuff bit for the first five and then one for
+    every four; 13 bits follow that are not.
+    """
+    stuffed = 34 + 8 * data_bytes
+    return stuffed + (stuffed - 1) // 4 + 13
+
+
+def bus_load_percent_max(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> float:
+    """Share of the bus that SYNC, sent every ``period_ns``, and the PDOs of all plans take at most."""
+    bits = float(frame_bits_max(0))
+    for plan in plans:
+        bits += sum(share * frame_bits_max(length) for length, share in plan.frames_a_cycle(period_ns))
+    return 100.0 * bits * NS_PER_S / (bitrate_bit_s * period_ns)
+
+
+def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
+    """Put the plan into the drive, which must be pre-operational, read it back, and say what was done.
+
+    PDOs that hold the plan already are left alone, so a drive with a fixed mapping that fits is served.
+    Raises SettingRefused naming every difference that stays, or TransferAborted.
+    """
+    notes: list[str] = []
+    for direction, wanted in ((PdoDirection.TRANSMIT, plan.tpdos), (PdoDirection.RECEIVE, plan.rpdos)):
+        used = {pdo.number for pdo in wanted}
+        for number in range(1, _PDOS_LOOKED_AT + 1):
+            if number not in used:
+                notes += _switch_off_unused(objects, direction, number)
+        # All are switched off before one is moved: two PDOs may swap identifiers.
+        for pdo in wanted:
+            if differences(objects, pdo):
+                # With a read-only COB-ID it stays on; its transmission type may be writable.
+                with suppress(TransferAborted):
+                    _switch_off(objects, pdo.communication_index)
+        for pdo in wanted:
+            if differences(objects, pdo):
+                _write_pdo(objects, pdo)
+                notes.append(f"{pdo.name}{_WRITTEN}")
+    verify_plan(objects, plan)
+    return notes
+
+
+def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
+    """Raises SettingRefused, naming every difference, unless the drive holds the plan."""
+    found = [text for pdo in (*plan.tpdos, *plan.rpdos) for text in differences(objects, pdo)]
+    if found:
+        raise SettingRefused(
+            f"node {objects.node_id} does not hold the PDO plan",
+            "; ".join(found),
+            "give a PDO plan that this drive's fixed mapping can serve",
+        )
+
+
+def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
+    """How the drive's PDO differs from the plan's, in words; empty if it does not."""
+    cob_id = objects.read_if_there(pdo.communication_index, 1)
+    if cob_id is None:
+        return [f"{pdo.name} does not exist"]
+    found = []
+    if cob_id & _NOT_VALID:
+        found.append(f"{pdo.name} is switched off")
+    if cob_id & _COB_ID != pdo.cob_id:
+        found.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
+    kind = objects.read_if_there(pdo.communication_index, 2, "B")
+    if kind not in (None, pdo.transmission_type):
+        found.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
+    found += _timer_differences(objects, pdo)
+    held = _held_mapping(objects, pdo.mapping_index)
+    wanted = [entry.mapping_word for entry in pdo.entries]
+    if held != wanted:
+        found.append(f"{pdo.name} maps {_mapping_text(held)} instead of {_mapping_text(wanted)}")
+    return found
+
+
+def _timer_differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
+    """Without its inhibit time a PDO works all the same; one that is to be repeated needs its event timer."""
+    found = []
+    if pdo.inhibit_time_100us:
+        inhibit = objects.read_if_there(pdo.communication_index, 3, "H")
+        if inhibit not in (None, pdo.inhibit_time_100us):
+            found.append(
+                f"{pdo.name} has an inhibit time of {inhibit} x 100 us instead of {pdo.inhibit_time_100us}"
+            )
+    if pdo.event_timer_ms:
+        timer = objects.read_if_there(pdo.communication_index, 5, "H")
+        if timer != pdo.event_timer_ms:
+            held = "no event timer" if timer is None else f"an event timer of {timer} ms"
+            found.append(f"{pdo.name} has {held} instead of {pdo.event_timer_ms} ms")
+    return found
+
+
+def _held_mapping(objects: RemoteObjects, mapping_index: int) -> list[int]:
+    count = objects.read_if_there(mapping_index, 0, "B") or 0
+    return [objects.read(mapping_index, sub) for sub in range(1, min(count, 64) + 1)]
+
+
+def _mapping_text(words: list[int]) -> str:
+    if not words:
+        return "nothing"
+    return " ".join(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in words)
+
+
+def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: int) -> list[str]:
+    name = f"{direction.letter}PDO{number}"
+    try:
+        return [f"{name}{_SWITCHED_OFF}"] if _switch_off(objects, direction.value + number - 1) else []
+    except TransferAborted as error:
+        return [f"{name} is not used and cannot be switched off: {error.evidence}"]
+
+
+def _switch_off(objects: RemoteObjects, communication_index: int) -> bool:
+    """True if the PDO existed and exists no more."""
+    cob_id = objects.read_if_there(communication_index, 1)
+    if cob_id is None or cob_id & _NOT_VALID:
+        return False
+    objects.write(communication_index, 1, "I", cob_id | _NOT_VALID)
+    return True
+
+
+def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
+    """The standard's procedure on a PDO that is switched off."""
+    held = objects.read(pdo.communication_index, 1)
+    # Bit 30 (no remote frames) is kept: some drives refuse the other value. It is reserved in an RPDO.
+    remote = held & _NO_REMOTE if pdo.direction is PdoDirection.TRANSMIT else 0
+    kind = objects.read_if_there(pdo.communication_index, 2, "B")
+    if kind not in (None, pdo.transmission_type):
+        objects.write(pdo.communication_index, 2, "B", pdo.transmission_type)
+    for sub, value in ((3, pdo.inhibit_time_100us), (5, pdo.event_timer_ms)):
+        _write_timer(objects, pdo.communication_index, sub, value)
+    if _held_mapping(objects, pdo.mapping_index) != [entry.mapping_word for entry in pdo.entries]:
+        objects.write(pdo.mapping_index, 0, "B", 0)
+        for sub, entry in enumerate(pdo.entries, start=1):
+            objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
+        objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
+    if held & (_NOT_VALID | _COB_ID) != pdo.cob_id:
+        objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
+
+
+def _write_timer(objects: RemoteObjects, index: int, sub: int, value: int) -> None:
+    """Inhibit time or event timer; whether a drive that lacks or refuses it does is for ``differences``."""
+    if objects.read_if_there(index, sub, "H") not in (None, value):
+        with suppress(TransferAborted):
+            objects.write(index, sub, "H", value)

@@ -1,0 +1,285 @@
+"""What a drive can do with PDOs, as its dictionary or the drive itself tells it.
+
+CiA 301 7.5.2.35 to 7.5.2.38. A drive may have its mappings fixed, may map only some objects, in one direction
+only, may have identifiers or transmission types that cannot be changed, and fewer entries than would fit.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import canopen.objectdictionary as od
+
+from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.pdo import PdoDirection
+from drivers.canopen.sdo import object_name
+from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.eds import types
+
+Key = tuple[int, int]
+"""Index and sub-index."""
+NOT_VALID = 1 << 31
+_PDOS_MAX = 64
+_ENTRIES_MAX = 64
+_WRITABLE = ("rw", "wo", "rwr", "rww")
+_TRANSMITTED = ("ro", "rw", "rwr", "const")
+_RECEIVED = ("wo", "rw", "rww")
+_CODES = {
+    (8, True): "b",
+    (16, True): "h",
+    (32, True): "i",
+    (64, True): "q",
+    (8, False): "B",
+    (16, False): "H",
+    (32, False): "I",
+    (64, False): "Q",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PdoSlot:
+    """One PDO as it is before anybody writes to it."""
+
+    direction: PdoDirection
+    number: int
+    cob_id: int | None
+    """With its flags; None if nobody tells."""
+    cob_id_writable: bool
+    transmission_type: int | None
+    type_writable: bool
+    mapping: tuple[int, ...]
+    """Mapping words: index, sub-index, bits."""
+    mapping_writable: bool
+    entries_max: int
+    inhibit_time: int | None = None
+    """100 us; None if it has none."""
+    event_timer: int | None = None
+    """ms; None if it has none."""
+    entries_told: int = 0
+    """High limit of sub-index 0, if it allows more entries than the file defines; else 0."""
+    inhibit_writable: bool = False
+    event_timer_writable: bool = False
+
+    @property
+    def name(self) -> str:
+        """TPDO1, RPDO2, ..."""
+        return f"{self.direction.letter}PDO{self.number}"
+
+    @property
+    def identifier(self) -> int | None:
+        """The 11-bit identifier; None if there is none yet."""
+        return None if self.cob_id is None or not self.cob_id & 0x7FF else self.cob_id & 0x7FF
+
+    @property
+    def keys(self) -> set[Key]:
+        """What is mapped."""
+        return {(word >> 16, word >> 8 & 0xFF) for word in self.mapping}
+
+    @property
+    def valid(self) -> bool:
+        """It exists (bit 31 of its COB-ID)."""
+        return self.cob_id is not None and not self.cob_id & NOT_VALID
+
+
+@dataclass(frozen=True, slots=True)
+class MappedObject:
+    """An object that a PDO could carry."""
+
+    index: int
+    sub: int
+    bits: int
+    code: str
+    """``struct`` character; empty for a length that has none."""
+    mappable: bool
+    """The dictionary says so."""
+    transmittable: bool
+    receivable: bool
+    name: str = ""
+
+    @property
+    def word(self) -> int:
+        """Its mapping word."""
+        return self.index << 16 | self.sub << 8 | self.bits
+
+    def __str__(self) -> str:
+        return (
+            f"{object_name(self.index, self.sub)} ({self.name})"
+            if self.name
+            else object_name(self.index, self.sub)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PdoCapability:
+    """All PDOs of a drive, and the objects that they could carry."""
+
+    slots: tuple[PdoSlot, ...]
+    objects: Mapping[tuple[int, int], MappedObject] = field(default_factory=dict)
+    dummies: tuple[int, ...] = ()
+    """Data types that serve as placeholders."""
+    flags_tell: bool = True
+    """Some object is marked mappable; where none is, the marks say nothing."""
+
+    def of(self, direction: PdoDirection) -> tuple[PdoSlot, ...]:
+        """The PDOs of one direction, by number."""
+        return tuple(slot for slot in self.slots if slot.direction is direction)
+
+    def can_carry(self, key: Key, direction: PdoDirection) -> bool:
+        """Some PDO carries the object, or could."""
+        return self.flexible_object(key, direction) is not None or any(
+            key in slot.keys for slot in self.of(direction) if not slot.mapping_writable
+        )
+
+    def flexible_object(self, key: Key, direction: PdoDirection) -> MappedObject | None:
+        """The object, if a PDO whose mapping can be written may carry it."""
+        found = self.objects.get(key)
+        if found is None or not found.code:
+            return None
+        may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
+        flexible = [slot for slot in self.of(direction) if slot.mapping_writable]
+        mapped_by_default = any(key in slot.keys for slot in flexible)
+        if not mapped_by_default and not (may and (found.mappable or not self.flags_tell)):
+            return None
+        return found if flexible else None
+
+
+def capability_of(loaded: LoadedDictionary) -> PdoCapability:
+    """As a dictionary tells it, loaded for the drive's node-ID."""
+    dictionary = loaded.dictionary
+    objects = {}
+    for index, entry in dictionary.items():
+        if index < 0x1000:
+            continue
+        members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
+        for sub, variable in members.items():
+            made = _mapped_object(index, sub, variable)
+            if made is not None:
+                objects[index, sub] = made
+    slots = [
+        slot
+        for direction in PdoDirection
+        for number in range(1, _PDOS_MAX + 1)
+        if (slot := _slot(dictionary, direction, number)) is not None
+    ]
+    flags_tell = any(made.mappable for made in objects.values())
+    return PdoCapability(tuple(slots), objects, loaded.dummies, flags_tell)
+
+
+def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int], str]) -> PdoCapability:
+    """As a drive without a dictionary tells it over SDO, its mappings taken for fixed.
+
+    ``wanted``: objects the bench would map, with their ``struct`` characters. Pumps the network.
+    """
+    slots = []
+    for direction in PdoDirection:
+        for number in range(1, 5):
+            slot = _slot_of_drive(objects, direction, number)
+            if slot is not None:
+                slots.append(slot)
+    known = {
+        (index, sub): MappedObject(index, sub, _bits_of(code), code, True, True, True)
+        for (index, sub), code in wanted.items()
+    }
+    return PdoCapability(tuple(slots), known)
+
+
+def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int) -> PdoSlot | None:
+    communication = direction.value + number - 1
+    mapping = direction.mapping_base + number - 1
+    cob_id = objects.read_if_there(communication, 1)
+    if cob_id is None:
+        return None
+    count = min(objects.read_if_there(mapping, 0, "B") or 0, _ENTRIES_MAX)
+    words = tuple(objects.read_if_there(mapping, sub) or 0 for sub in range(1, count + 1))
+    kind = objects.read_if_there(communication, 2, "B")
+    return PdoSlot(direction, number, cob_id, True, kind, True, words, False, count)
+
+
+def _bits_of(code: str) -> int:
+    return next(bits for (bits, _), known in _CODES.items() if known == code)
+
+
+def _mapped_object(index: int, sub: int, variable: Any) -> MappedObject | None:
+    bits = types.BITS.get(variable.data_type)
+    if bits is None:
+        return None
+    signed = variable.data_type in types.SIGNED_BITS
+    code = _CODES.get((bits, signed), "") if variable.data_type not in types.REAL_BITS else ""
+    if variable.data_type == types.BOOLEAN:
+        code = ""
+    access = variable.access_type
+    return MappedObject(
+        index,
+        sub,
+        bits,
+        code,
+        bool(variable.pdo_mappable),
+        access in _TRANSMITTED,
+        access in _RECEIVED,
+        variable.name,
+    )
+
+
+def _slot(dictionary: Any, direction: PdoDirection, number: int) -> PdoSlot | None:
+    communication = _members(dictionary, direction.value + number - 1)
+    mapping = _members(dictionary, direction.mapping_base + number - 1)
+    if not communication and not mapping:
+        return None
+    words = _mapping_words(mapping)
+    places = [sub for sub in mapping if sub]
+    writable = any(mapping[sub].access_type in _WRITABLE for sub in places)
+    entries_max, entries_told = _entries(mapping, places)
+    count_writable = 0 not in mapping or mapping[0].access_type in _WRITABLE
+    return PdoSlot(
+        direction,
+        number,
+        _number(communication.get(1)),
+        _writable(communication, 1),
+        _number(communication.get(2)),
+        _writable(communication, 2),
+        words,
+        writable and (count_writable or len(places) == 1),
+        entries_max,
+        _number(communication.get(3)),
+        _number(communication.get(5)),
+        entries_told,
+        _writable(communication, 3),
+        _writable(communication, 5),
+    )
+
+
+def _writable(members: Mapping[int, Any], sub: int) -> bool:
+    return sub in members and members[sub].access_type in _WRITABLE
+
+
+def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
+    """How many entries are there, and how many sub-index 0 allows beyond them (0: no more)."""
+    told = mapping[0].max if 0 in mapping else None
+    there = len(places)
+    if not isinstance(told, int) or told <= 0:
+        return there, 0
+    return min(there, told), min(told, _ENTRIES_MAX) if told > there else 0
+
+
+def _mapping_words(mapping: Mapping[int, Any]) -> tuple[int, ...]:
+    """What is mapped by default: as many entries as sub-index 0 says, or all that are not 0."""
+    words = [_number(mapping[sub]) or 0 for sub in sorted(mapping) if sub]
+    count = _number(mapping.get(0))
+    if count is None or count > len(words):
+        return tuple(word for word in words if word)
+    return tuple(words[:count])
+
+
+def _members(dictionary: Any, index: int) -> dict[int, Any]:
+    entry = dictionary.get(index)
+    if entry is None or isinstance(entry, od.ODVariable):
+        return {}
+    return dict(entry.subindices)
+
+
+def _number(variable: Any) -> int | None:
+    """What the drive holds by the file: a DCF's parameter value first."""
+    if variable is None:
+        return None
+    held = variable.value if variable.value is not None else variable.default
+    return held if isinstance(held, int) else None

@@ -1,0 +1,239 @@
+"""SDO client without a thread (CiA 301 7.2.4): python ``canopen``'s client, its queue replaced by a pump.
+
+canopen's client and LSS master wait on a queue that another thread fills. Here :class:`AnswerQueue` stands in
+for that queue, and waiting on it lets the network handle frames until the answer or the deadline is there.
+"""
+
+import logging
+import queue
+from collections import deque
+from collections.abc import Callable
+from struct import Struct
+from typing import Any, Protocol
+
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError
+
+from drivers.canopen.owed import Owed
+from drivers.errors import NoAnswer, PeerFault, TransferAborted
+from drivers.timebase import Duration, Instant, duration_s
+
+# canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
+logging.getLogger("canopen").addHandler(logging.NullHandler())
+
+SDO_REQUEST = 0x600
+SDO_ANSWER = 0x580
+SDO_ATTEMPTS = 6
+"""Requests sent before a node is given up; so many answers may then still be under way."""
+
+_HEADER = Struct("<BHB")
+_ABORT = Struct("<BHBL")
+_EXPEDITED_DOWNLOAD = 0x23
+_DOWNLOADED = 0x60
+_ABORTED = 0x80
+_INITIATE_REQUESTS = (1, 2)
+"""Client command specifiers of initiate download and initiate upload: their answers name the object."""
+_INITIATE_ANSWERS = (2, 3)
+"""Server command specifiers of the answers to them."""
+
+
+class Pump(Protocol):
+    """What a waiting SDO client needs of the network."""
+
+    def pump_one(self, until: Instant) -> bool:
+        """Handle one frame; False once ``until`` has come."""
+        ...
+
+    def deadline_after(self, duration: Duration) -> Instant:
+        """The instant ``duration`` from now."""
+        ...
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send one frame."""
+        ...
+
+
+def object_name(index: int, sub: int) -> str:
+    """``6040h:00``."""
+    return f"{index:04X}h:{sub:02X}"
+
+
+def abort_text(code: int) -> str:
+    """An abort code with the standard's text, CiA 301 table 22."""
+    return f"abort code {code:08X}h ({SdoAbortedError.CODES.get(code, 'not in the standard')})"
+
+
+class AnswerQueue:
+    """The part of ``queue.Queue`` that canopen uses; ``get`` pumps the network instead of blocking."""
+
+    def __init__(self, pump: Pump) -> None:
+        self._pump = pump
+        self._answers: deque[bytes] = deque(maxlen=1024)
+
+    def put(self, answer: bytes) -> None:
+        """Keep an answer; the oldest is dropped when 1024 wait."""
+        self._answers.append(answer)
+
+    def empty(self) -> bool:
+        """Drop what is left of an earlier exchange. (canopen asks this only to throw a stale queue away.)"""
+        self._answers.clear()
+        return True
+
+    def get(self, block: bool = True, timeout: float = 0.0) -> bytes:
+        """The next answer; raises ``queue.Empty`` after ``timeout`` seconds on the bench's clock."""
+        deadline = self._pump.deadline_after(duration_s(timeout if block else 0.0))
+        while not self._answers:
+            if not self._pump.pump_one(deadline) and not self._answers:
+                raise queue.Empty
+        return self._answers.popleft()
+
+
+class PumpedSdoClient(SdoClient):
+    """canopen's SDO client on the default channel of one node, waiting by pumping."""
+
+    def __init__(self, pump: Pump, node_id: int, dictionary: ObjectDictionary | None = None) -> None:
+        super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, dictionary or ObjectDictionary())  # type: ignore[no-untyped-call]
+        self.network: Any = pump
+        self.responses: Any = AnswerQueue(pump)
+        self.answers = Owed(SDO_ATTEMPTS)
+        """Of the node on this channel, to posted downloads and to the requests of others too."""
+        self.answers.expect()  # another client may have asked just before this one began to listen
+        self.foreign_requests = 0
+        """Requests of another client on this channel."""
+        self._multiplexer = bytes(3)
+        self._initiating = False
+
+    def request_response(self, sdo_request: bytes) -> Any:
+        """One request and its answer, resent when no answer comes."""
+        self._initiating = sdo_request[0] >> 5 in _INITIATE_REQUESTS
+        if self._initiating:
+            self._multiplexer = bytes(sdo_request[1:4])
+        return super().request_response(sdo_request)  # type: ignore[no-untyped-call]
+
+    def send_request(self, sdo_request: bytes) -> None:
+        """Send a request, or a segment of one: each has one answer."""
+        self.answers.expect()
+        super().send_request(sdo_request)  # type: ignore[no-untyped-call]
+
+    def on_foreign_request(self, _data: bytes, _at: Instant) -> None:
+        """Another client has asked the node: its answer will be heard here."""
+        self.foreign_requests += 1
+        self.answers.expect()
+
+    def on_answer(self, data: bytes) -> None:
+        """Take an answer, unless it is malformed or answers a request that was given up before."""
+        if len(data) != 8:
+            return
+        named = data[1:4] == self._multiplexer
+        if named if self._initiating else data[0] >> 5 not in _INITIATE_ANSWERS:
+            self.responses.put(bytes(data))
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Abort the transfer, naming its object as CiA 301 7.2.4.3.17 asks."""
+        index, sub = self._multiplexer[0] | self._multiplexer[1] << 8, self._multiplexer[2]
+        self.network.send_message(self.rx_cobid, _ABORT.pack(_ABORTED, index, sub, abort_code))
+
+
+class PostedDownload:
+    """A confirmed expedited download that goes on while the caller does other things."""
+
+    __slots__ = ("attempts", "deadline", "done_at", "failure", "frame", "index", "node_id", "sub", "value")
+
+    def __init__(self, node_id: int, index: int, sub: int, value: bytes) -> None:
+        if not 1 <= len(value) <= 4:
+            raise ValueError(f"an expedited download carries 1 to 4 bytes, not {len(value)}")
+        self.node_id, self.index, self.sub, self.value = node_id, index, sub, value
+        command = _EXPEDITED_DOWNLOAD | (4 - len(value)) << 2
+        self.frame = _HEADER.pack(command, index, sub) + value.ljust(4, b"\0")
+        self.attempts = 0
+        self.deadline = Instant(0)
+        self.done_at: Instant | None = None
+        """When the node confirmed it, or it was given up."""
+        self.failure: PeerFault | None = None
+        """Why it was given up."""
+
+    @property
+    def object(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        return self.index, self.sub
+
+
+class DownloadPost:
+    """Posted downloads to one node, one at a time and in order (CiA 301 7.2.4: one transfer per channel)."""
+
+    ATTEMPTS = 5
+    TIMEOUT_NS = Duration(20_000_000)
+    """Wait for the confirmation of one attempt."""
+    WAITING_MAX = 64
+
+    def __init__(self, node_id: int, send: Callable[[int, bytes], Instant]) -> None:
+        self.in_flight: PostedDownload | None = None
+        self.confirmed = 0
+        self.failed = 0
+        self._node_id = node_id
+        self._send = send
+        self._waiting: deque[PostedDownload] = deque()
+
+    def post(self, download: PostedDownload) -> None:
+        """Send it when its turn comes; one to the same object that still waits is replaced.
+
+        Raises NoAnswer when 64 wait, because the node then confirms none.
+        """
+        for place, other in enumerate(self._waiting):
+            if other.object == download.object:
+                self._waiting[place] = download
+                return
+        if len(self._waiting) >= self.WAITING_MAX:
+            evidence = f"{self.WAITING_MAX} are waiting"
+            raise NoAnswer(f"node {self._node_id} confirms no SDO download", evidence)
+        self._waiting.append(download)
+        if self.in_flight is None:
+            self._next()
+
+    def answered(self, data: bytes, at: Instant) -> bool:
+        """Take the answer to the download in flight; False if this is the answer to something else."""
+        download = self.in_flight
+        if download is None or len(data) != 8 or data[1:4] != download.frame[1:4]:
+            return False
+        if data[0] == _ABORTED:
+            name = object_name(download.index, download.sub)
+            evidence = abort_text(int.from_bytes(data[4:8], "little"))
+            self._finish(at, TransferAborted(f"node {self._node_id} refused to write {name}", evidence))
+            return True
+        if data[0] != _DOWNLOADED:
+            return False
+        self._finish(at, None)
+        return True
+
+    def expire(self, now: Instant) -> None:
+        """Send the download in flight again, or give it up, if its deadline has come."""
+        download = self.in_flight
+        if download is None or now < download.deadline:
+            return
+        if download.attempts < self.ATTEMPTS:
+            self._transmit(download)
+            return
+        name = object_name(download.index, download.sub)
+        evidence = f"{download.attempts} requests in {self.ATTEMPTS * self.TIMEOUT_NS / 1e6:.0f} ms"
+        self._finish(now, NoAnswer(f"node {self._node_id} did not confirm the write of {name}", evidence))
+
+    def _finish(self, at: Instant, failure: PeerFault | None) -> None:
+        assert self.in_flight is not None
+        self.in_flight.done_at, self.in_flight.failure = at, failure
+        if failure is None:
+            self.confirmed += 1
+        else:
+            self.failed += 1
+        self.in_flight = None
+        self._next()
+
+    def _next(self) -> None:
+        if self._waiting:
+            self.in_flight = self._waiting.popleft()
+            self._transmit(self.in_flight)
+
+    def _transmit(self, download: PostedDownload) -> None:
+        download.attempts += 1
+        sent_at = self._send(SDO_REQUEST + self._node_id, download.frame)
+        download.deadline = Instant(sent_at + self.TIMEOUT_NS)

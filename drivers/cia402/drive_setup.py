@@ -1,0 +1,309 @@
+"""What a drive is told before it is enabled: heartbeats, reactions, limits, mode and PDOs.
+
+Objects that a drive need not have degrade one by one: each that is missing, refused or held otherwise becomes
+a note. What the bench cannot do without raises.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.pdo import PdoPlan, write_plan
+from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
+from drivers.canopen.sdo import object_name
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_layouts import DEMAND, STAMP, Features, choices, limits_of, status_timer_ms
+from drivers.cia402.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.profile import (
+    AbortConnectionOption,
+    DisableOperationOption,
+    FaultReactionOption,
+    Mode,
+    QuickStopOption,
+    ShutdownOption,
+)
+from drivers.cia402.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
+from drivers.errors import PeerFault, TransferAborted
+from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
+from drivers.vendors.quirks import apply_quirks, quirks_for
+
+DEVICE_TYPE = 0x1000
+COMMUNICATION_CYCLE_PERIOD = 0x1006
+DEVICE_NAME = 0x1008
+IDENTITY = 0x1018
+ERROR_BEHAVIOUR = 0x1029
+NO_CHANGE_OF_NMT_STATE = 1
+"""1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
+PDOs would be silent: the host could not see the statusword fall, nor the speed go down."""
+DRIVE_PROFILE = 402
+
+
+class Identity(NamedTuple):
+    """Who answers: 0x1018, 0x1008 and 0x1000. 0 and empty text stand for what the device does not tell."""
+
+    device_name: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    device_type: int
+
+    def __str__(self) -> str:
+        name = self.device_name or "unnamed device"
+        return f"{name} (vendor {self.vendor:08X}h, product {self.product:08X}h, serial {self.serial})"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """How the bench wants a drive; None leaves the drive's own value."""
+
+    sync_period_ns: Duration
+    plan: PdoPlan | None = None
+    """None: one for :attr:`capability`, else :func:`drivers.cia402.pdo_plans.mode_plan`."""
+    capability: PdoCapability | None = None
+    """What the drive's dictionary says of its PDOs; None if there is no dictionary."""
+    mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    """The mode to begin with."""
+    synchronous_command: bool = False
+    """The drive applies the set-point at the next SYNC, not on arrival. Without effect beside ``plan``."""
+    position_every_cycles: int = 1
+    """As in :func:`drivers.cia402.pdo_plans.mode_plan`. Without effect beside ``plan``."""
+    coherent: bool = False
+    """As in :func:`drivers.cia402.pdo_layouts.layout`. Without effect beside ``plan``."""
+    velocity_sign: float = 1.0
+    """-1: the drive's velocity counts against its position, which is carried on by it."""
+    command_timeout_ms: int | None = None
+    """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
+    ``supervise_commands`` on."""
+    demand_changes: bool = False
+    """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
+    drive_heartbeat_ms: int = 50
+    drive_heartbeat_timeout_ms: int = 150
+    """A drive that is silent for longer counts as lost."""
+    host_heartbeat_ms: int = 50
+    host_heartbeat_timeout_ms: int = 150
+    """A drive that does not hear the host for this long stops by itself."""
+    unwatched: bool = False
+    """Bear a drive that has no 1016h, or no 1017h: then one side does not notice that the other is gone."""
+    torque_max_nm: float | None = None
+    speed_max_rad_s: float | None = None
+    quick_stop_deceleration_rad_s2: float | None = None
+    scale: ScaleOverride = field(default_factory=ScaleOverride)
+
+    def __post_init__(self) -> None:
+        if self.sync_period_ns <= 0:
+            raise ValueError("sync_period_ns must be positive")
+        if not 0 < self.host_heartbeat_ms < self.host_heartbeat_timeout_ms <= 0xFFFF:
+            raise ValueError(
+                "host_heartbeat_ms must be below host_heartbeat_timeout_ms, and that below 65536"
+            )
+        if not 0 < self.drive_heartbeat_ms < self.drive_heartbeat_timeout_ms <= 0xFFFF:
+            raise ValueError(
+                "drive_heartbeat_ms must be below drive_heartbeat_timeout_ms, and that below 65536"
+            )
+        if self.command_timeout_ms is not None and not 0 < self.command_timeout_ms <= 0xFFFF:
+            raise ValueError("command_timeout_ms must be in 1..65535")
+
+
+class Reaction(NamedTuple):
+    """An option code, INTEGER16, and what it stands for."""
+
+    object: Object
+    value: int
+    text: str
+
+
+REACTIONS = (
+    Reaction(
+        Object.ABORT_CONNECTION_OPTION, AbortConnectionOption.QUICK_STOP, "quick stop when the host is lost"
+    ),
+    Reaction(
+        Object.QUICK_STOP_OPTION, QuickStopOption.QUICK_STOP_RAMP, "quick stop by its ramp, then disabled"
+    ),
+    Reaction(Object.SHUTDOWN_OPTION, ShutdownOption.SLOW_DOWN_RAMP, "shutdown by ramp"),
+    Reaction(Object.DISABLE_OPERATION_OPTION, DisableOperationOption.SLOW_DOWN_RAMP, "disable by ramp"),
+    Reaction(
+        Object.FAULT_REACTION_OPTION, FaultReactionOption.QUICK_STOP_RAMP, "fault reaction by quick stop ramp"
+    ),
+)
+"""A drive that is left alone comes to rest by itself."""
+
+
+def read_identity(objects: RemoteObjects) -> Identity:
+    """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device."""
+    device_type = objects.read(DEVICE_TYPE)
+    if device_type & 0xFFFF != DRIVE_PROFILE:
+        raise PeerFault(
+            f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
+            f"device type {device_type:08X}h, profile {device_type & 0xFFFF} instead of {DRIVE_PROFILE}",
+            "check the node id",
+        )
+    vendor, product, revision, serial = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2, 3, 4))
+    return Identity(objects.read_text(DEVICE_NAME), vendor, product, revision, serial, device_type)
+
+
+def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
+    """The drive's units, from those of the factor objects that it has, and from what is known of its make."""
+    values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
+    vendor, product = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2))
+    quirks = quirks_for(vendor, product, objects.read_text(DEVICE_NAME))
+    known = apply_quirks(quirks, values, override, objects.read_if_there)
+    scaling = scaling_from(known.values, known.override)
+    notes = (*known.notes, *_polarity_notes(objects.read_if_there(Object.POLARITY, 0, "B") or 0))
+    return replace(scaling, sources={**scaling.sources, **known.sources}, notes=notes)
+
+
+def _polarity_notes(polarity: int) -> list[str]:
+    """0x607E turns positions (bit 7) and velocities (bit 6), and leaves torque as it is."""
+    turned = [name for bit, name in ((0x80, "positions"), (0x40, "velocities")) if polarity & bit]
+    if not turned:
+        return []
+    return [f"607Eh turns the sign of {' and '.join(turned)}, not of torque: see that the loop pushes back"]
+
+
+def write_reactions(objects: RemoteObjects) -> list[str]:
+    """Option codes; notes on those that the drive has not, or holds otherwise."""
+    notes = []
+    for index, value, text in REACTIONS:
+        notes += write_optional(objects, index, "h", value, text)
+    if objects.read_if_there(ERROR_BEHAVIOUR, 1, "B") is not None:
+        text = "NMT state kept when the host is lost"
+        notes += write_optional(objects, ERROR_BEHAVIOUR, "B", NO_CHANGE_OF_NMT_STATE, text, sub=1)
+    return notes
+
+
+def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
+    """Limits and periods; notes on those that the drive has not, or holds otherwise."""
+    notes: list[str] = []
+    if settings.torque_max_nm is not None:
+        raw = min(round(settings.torque_max_nm / scaling.torque_nm), 0xFFFF)
+        notes += write_optional(objects, Object.MAX_TORQUE, "H", raw, "torque limit")
+    if settings.speed_max_rad_s is not None:
+        raw = round(settings.speed_max_rad_s / RAD_S_PER_RPM)
+        notes += write_optional(objects, Object.MAX_MOTOR_SPEED, "I", raw, "speed limit, rev/min")
+    if settings.quick_stop_deceleration_rad_s2 is not None:
+        raw = max(1, round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2))
+        notes += write_optional(objects, Object.QUICK_STOP_DECELERATION, "I", raw, "quick stop deceleration")
+    period_us = settings.sync_period_ns // NS_PER_US
+    notes += write_optional(objects, COMMUNICATION_CYCLE_PERIOD, "I", period_us, "SYNC period, us")
+    return notes + _write_interpolation_time(objects, settings.sync_period_ns)
+
+
+def _write_interpolation_time(objects: RemoteObjects, period_ns: Duration) -> list[str]:
+    """0x60C2: sub 1 times ten to the sub 2 seconds, an UNSIGNED8 and an INTEGER8."""
+    for exponent, unit_ns in (
+        (-3, NS_PER_MS),
+        (-4, NS_PER_MS // 10),
+        (-5, NS_PER_MS // 100),
+        (-6, NS_PER_US),
+    ):
+        if period_ns % unit_ns == 0 and period_ns // unit_ns <= 0xFF:
+            text = "interpolation time"
+            notes = write_optional(objects, Object.INTERPOLATION_TIME_PERIOD, "b", exponent, text, sub=2)
+            value = period_ns // unit_ns
+            return notes or write_optional(objects, Object.INTERPOLATION_TIME_PERIOD, "B", value, text, sub=1)
+    return [f"60C2h: a period of {period_ns} ns cannot be told to the drive"]
+
+
+def write_optional(
+    objects: RemoteObjects, index: int, code: str, value: int, text: str, sub: int = 0
+) -> list[str]:
+    """Write and read back; a note if the object is missing, refuses, or holds another value afterwards."""
+    name = object_name(index, sub)
+    if objects.read_if_there(index, sub, code) is None:
+        return [f"{name} is missing: {text} left to the drive"]
+    try:
+        objects.write_verified(index, sub, code, value)
+    except TransferAborted as error:
+        return [f"{name} refused {value} ({text}): {error.evidence}"]
+    except SettingRefused as error:
+        return [f"{text}: {error.summary}, {value} was asked for"]
+    return []
+
+
+def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, list[str]]:
+    """Write the plan of the settings; else the best that the drive takes of those for its dictionary, or of
+    the standard ones. With notes on what it cannot do.
+
+    A drive that will not have its mappings changed is served by those that it has, if they carry what is
+    needed. Raises TransferAborted, SettingRefused or PlanImpossible.
+    """
+    if settings.plan is not None:
+        return settings.plan, write_plan(objects, settings.plan)
+    refusals: list[PeerFault] = []
+    tried: list[PdoPlan] = []
+    for features in choices(_able(objects, settings), settings.position_every_cycles):
+        plan, notes = _planned(objects, settings, features)
+        if plan in tried:
+            continue
+        tried.append(plan)
+        try:
+            written = write_plan(objects, plan)
+        except (TransferAborted, SettingRefused) as error:
+            refusals.append(error)
+            continue
+        refused = [f"a PDO plan that tells more was not taken: {refusals[0].evidence}"] if refusals else []
+        return plan, refused + notes + written
+    return _map_as_held(objects, settings, refusals[0])
+
+
+def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
+    """What the drive may be able to tell: by its dictionary, if there is one, a plan is made anyway."""
+    if settings.capability is not None:
+        return Features()
+    stamp, demand = (objects.read_if_there(*key) is not None for key in (STAMP, DEMAND))
+    return Features(stamp, demand and _wish(settings).torque_mode)
+
+
+def _planned(
+    objects: RemoteObjects, settings: DriveSettings, features: Features
+) -> tuple[PdoPlan, list[str]]:
+    """A plan that uses no more than ``features``, and what it lacks."""
+    wish = replace(_wish(settings), features=features)
+    if settings.capability is not None:
+        result = plan_pdos(settings.capability, objects.node_id, wish)
+        return result.plan, list(result.notes)
+    plan = _standard_plan(objects, settings, features)
+    torque_mode = wish.torque_mode and not wish.coherent
+    return plan, limits_of(features_of(plan), torque_mode=torque_mode)
+
+
+def _wish(settings: DriveSettings) -> PlanWish:
+    return PlanWish(
+        settings.mode,
+        settings.synchronous_command,
+        settings.position_every_cycles,
+        status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
+        coherent=settings.coherent,
+    )
+
+
+def _standard_plan(objects: RemoteObjects, settings: DriveSettings, features: Features) -> PdoPlan:
+    return mode_plan(
+        objects.node_id,
+        settings.mode,
+        device_stamp=features.stamp,
+        demand=features.demand,
+        status_on_change=features.status_on_change,
+        synchronous_command=settings.synchronous_command,
+        position_every_cycles=settings.position_every_cycles,
+        status_timer_ms=status_timer_ms(settings.drive_heartbeat_timeout_ms),
+        coherent=settings.coherent,
+        demand_changes=settings.demand_changes and all(features),
+    )
+
+
+def _map_as_held(
+    objects: RemoteObjects, settings: DriveSettings, refusal: PeerFault
+) -> tuple[PdoPlan, list[str]]:
+    """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
+    standard = _standard_plan(objects, settings, Features())
+    pdos = (*standard.tpdos, *standard.rpdos)
+    wanted = {(entry.index, entry.sub): entry.code for pdo in pdos for entry in pdo.entries}
+    try:
+        result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))
+    except PlanImpossible:
+        raise refusal from None
+    notes = [f"mappings are used as the drive has them: {refusal.evidence}", *result.notes]
+    return result.plan, notes + write_plan(objects, result.plan)

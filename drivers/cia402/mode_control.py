@@ -1,0 +1,82 @@
+"""Changing a drive's mode of operation, CiA 402-2 clause 7 (modes of operation, 0x6060 and 0x6061).
+
+Bits 4 to 6 of the controlword mean another thing in each mode: bit 4 is "new set-point" in one and "start
+homing" in another. So they are 0 before the mode changes, and the set-point of the new mode is such that the
+drive neither jumps nor turns by an old value.
+"""
+
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.profile import Control, Mode, State, supported_mode_bit
+from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
+from drivers.errors import PeerFault
+from drivers.timebase import Instant
+
+MODE_BITS = Control.MODE_4 | Control.MODE_5 | Control.MODE_6
+
+
+class ModeControl:
+    """The mode of one drive. Every method pumps the network."""
+
+    def __init__(self, control: StateControl) -> None:
+        self.mode = Mode.NONE
+        """What the drive confirmed last; NONE before the first change."""
+        self._control = control
+        self._objects: RemoteObjects = control.objects
+
+    def change(self, mode: Mode, deadline: Instant) -> None:
+        """Have the drive take up a mode, in whatever state it is, and wait until it shows it.
+
+        A position mode begins at the present position, a torque mode at 0, a velocity mode at the present
+        speed if the drive is enabled, else at 0. Raises PeerFault if the drive has no such mode,
+        SettingRefused if it keeps another one until the deadline, DriveInFault if a fault comes up.
+        """
+        self._check_supported(mode)
+        self.mode = Mode.NONE
+        self._control.clear_bits(MODE_BITS)
+        self.prime(mode)
+        self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
+        self._await_display(mode, deadline)
+        self.mode = mode
+
+    def ensure(self, mode: Mode, deadline: Instant) -> None:
+        """As :meth:`change`; nothing is sent if the drive is in that mode."""
+        if self.mode is not mode:
+            self.change(mode, deadline)
+
+    def prime(self, mode: Mode) -> None:
+        """Write a set-point to the drive from which the mode can begin."""
+        target = TARGETS.get(mode)
+        if target is None:
+            return
+        raw = 0
+        if target.index == Object.TARGET_POSITION:
+            raw = self._objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+        elif target.index == Object.TARGET_VELOCITY and self._turns():
+            raw = self._objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
+        self._control.write_value(target.index, target.code, raw)
+
+    def _turns(self) -> bool:
+        return self._control.read_state() is State.OPERATION_ENABLED
+
+    def _check_supported(self, mode: Mode) -> None:
+        modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
+        if modes and not modes & supported_mode_bit(mode):
+            name = mode.name.lower().replace("_", " ")
+            raise PeerFault(f"{self._control.title} has no {name} mode", f"6502h is {modes:08X}h")
+
+    def _await_display(self, mode: Mode, deadline: Instant) -> None:
+        """0x6061 follows 0x6060 when the drive has changed; a drive without 0x6061 is believed."""
+        control, network = self._control, self._control.network
+        while (held := self._objects.read_if_there(Object.MODES_OF_OPERATION_DISPLAY, 0, "b")) != mode:
+            if held is None:
+                return
+            if control.read_state() in FAULTY:
+                raise control.in_fault()
+            if network.clock.now() >= deadline:
+                raise SettingRefused(
+                    f"{control.title} stays in mode {held}",
+                    f"mode {mode:d} was asked for; {control.evidence()}",
+                )
+            network.pump(Instant(network.clock.now() + POLL_NS))

@@ -1,0 +1,215 @@
+"""Moves that a drive plans itself: profile position, velocity and torque, and homing.
+
+Source: CiA 402-2, the clauses of the modes PP, PV, TQ and HM. The hand-shake of PP, with bit 4 of the
+controlword and bits 12 (set-point acknowledge) and 10 of the statusword:
+
+    607Ah       --- target ------------------------------------
+    bit 4       ______|--------------|_________________________
+    bit 12      __________|--------------|_____________________   0 again: a further set-point would be taken
+    bit 10      -------------|_________________________|-------   target reached
+"""
+
+from dataclasses import dataclass
+
+from drivers.canopen.objects import SettingRefused
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.mode_control import ModeControl
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Control, Mode, State, Status, state_of
+from drivers.cia402.scaling import Scaling
+from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
+from drivers.errors import DriveInFault
+from drivers.timebase import NS_PER_MS, Instant
+
+CONFIRM_NS = 5 * NS_PER_MS
+"""A bit that is set already when a move begins counts only if it stays for so long: it may be an old one."""
+
+NEW_SET_POINT = START_HOMING = Control.MODE_4
+CHANGE_AT_ONCE = Control.MODE_5
+RELATIVE = Control.MODE_6
+ACKNOWLEDGED = HOMED = Status.MODE_12
+HOMING_FAILED = Status.MODE_13
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """How fast a move goes; None leaves what the drive holds."""
+
+    speed_rad_s: float | None = None
+    acceleration_rad_s2: float | None = None
+    deceleration_rad_s2: float | None = None
+    """Also that of a halt."""
+    torque_slope_nm_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Homing:
+    """How the drive looks for its home; None leaves what the drive holds."""
+
+    switch_speed_rad_s: float | None = None
+    """While it looks for a switch."""
+    zero_speed_rad_s: float | None = None
+    """While it looks for the edge or the index."""
+    acceleration_rad_s2: float | None = None
+    offset_rad: float | None = None
+    """Where position 0 lies, as seen from the home that is found (0x607C)."""
+
+
+AS_THE_DRIVE_HOLDS = Profile()
+HOMING_AS_THE_DRIVE_HOLDS = Homing()
+
+
+class Motion:
+    """Profile moves and homing of one drive, which must be enabled.
+
+    Each method changes the mode if need be, returns when the drive has confirmed, and raises DriveInFault
+    with the statusword if it has not by the deadline, met a fault, or left OPERATION ENABLED.
+    """
+
+    def __init__(self, control: StateControl, modes: ModeControl, scaling: Scaling) -> None:
+        self._control = control
+        self._modes = modes
+        self._objects = control.objects
+        self._scaling = scaling
+
+    def start_move(
+        self,
+        position_rad: float,
+        deadline: Instant,
+        profile: Profile = AS_THE_DRIVE_HOLDS,
+        *,
+        relative: bool = False,
+        at_once: bool = True,
+    ) -> None:
+        """Hand a target position to the drive and wait until it has acknowledged it.
+
+        ``relative``: from the target before. ``at_once``: drop the move under way; else the drive finishes it
+        first. Raises ValueError for a position beyond the range of 0x607A.
+        """
+        self._modes.ensure(Mode.PROFILE_POSITION, deadline)
+        self._write_profile(profile, Object.PROFILE_VELOCITY)
+        self._await(ACKNOWLEDGED, 0, deadline, "take a further set-point")
+        raw = round(position_rad / self._scaling.position_rad)
+        self._control.write_value(Object.TARGET_POSITION, "i", raw)
+        flags = (CHANGE_AT_ONCE if at_once else 0) | (RELATIVE if relative else 0)
+        self._control.set_bits(NEW_SET_POINT | CHANGE_AT_ONCE | RELATIVE, NEW_SET_POINT | flags)
+        self._await(ACKNOWLEDGED, ACKNOWLEDGED, deadline, "acknowledge its set-point")
+        self._control.clear_bits(NEW_SET_POINT)
+
+    def await_target(self, deadline: Instant) -> None:
+        """Wait until the drive says that it has reached what it was told."""
+        wanted = Status.TARGET_REACHED
+        self._await(wanted, wanted, deadline, "reach its target", confirm_ns=CONFIRM_NS)
+
+    def start_speed(self, speed_rad_s: float, deadline: Instant, profile: Profile) -> None:
+        """Have the drive go to a speed by its ramps."""
+        self._modes.ensure(Mode.PROFILE_VELOCITY, deadline)
+        self._write_profile(profile, None)
+        raw = round(speed_rad_s / self._scaling.velocity_rad_s)
+        self._control.write_value(Object.TARGET_VELOCITY, "i", raw)
+        self._check_enabled()
+
+    def start_torque(self, torque_nm: float, deadline: Instant, profile: Profile) -> None:
+        """Have the drive go to a torque by its slope."""
+        self._modes.ensure(Mode.PROFILE_TORQUE, deadline)
+        if profile.torque_slope_nm_s is not None:
+            slope = max(1, self._scaling.torque_raw(profile.torque_slope_nm_s))
+            self._write_needed(Object.TORQUE_SLOPE, "I", slope, "torque slope")
+        self._control.write_value(Object.TARGET_TORQUE, "h", self._scaling.torque_raw(torque_nm))
+        self._check_enabled()
+
+    def home(self, method: int, deadline: Instant, how: Homing) -> None:
+        """Run a homing method of CiA 402-2 to its end."""
+        self._modes.ensure(Mode.HOMING, deadline)
+        self._control.clear_bits(START_HOMING)
+        self._write_homing(method, how)
+        self._control.set_bits(START_HOMING, START_HOMING)
+        wanted = HOMED | Status.TARGET_REACHED
+        self._await(wanted, wanted, deadline, "find its home", CONFIRM_NS, failed=HOMING_FAILED)
+        self._control.clear_bits(START_HOMING)
+
+    def halt(self, deadline: Instant) -> None:
+        """Have the drive stop by 0x605D, stay enabled, and wait until it stands.
+
+        Raises ValueError in the cyclic synchronous modes, which know no halt: nothing is sent then.
+        """
+        mode = self._modes.mode
+        if mode >= Mode.CYCLIC_SYNCHRONOUS_POSITION:
+            name = mode.name.lower().replace("_", " ")
+            raise ValueError(
+                f"{self._control.title} knows no halt in {name}: "
+                "let the set-points lead it to rest, or quick_stop"
+            )
+        self._control.set_bits(Control.HALT, Control.HALT)
+        wanted = Status.TARGET_REACHED
+        self._await(wanted, wanted, deadline, "come to a halt", confirm_ns=CONFIRM_NS)
+
+    def resume(self) -> None:
+        """Take the halt back; the drive goes on with what it was told."""
+        self._control.clear_bits(Control.HALT)
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _await(
+        self, mask: int, wanted: int, deadline: Instant, action: str, confirm_ns: int = 0, failed: int = 0
+    ) -> None:
+        """Poll the statusword until ``word & mask == wanted``, for ``confirm_ns`` if it is so at first."""
+        control, clock = self._control, self._control.network.clock
+        seen_otherwise = False
+        started = clock.now()
+        while True:
+            word = self._check_enabled()
+            now = clock.now()
+            if failed and word & failed:
+                raise DriveInFault(f"{control.title} failed to {action}", control.evidence())
+            if word & mask != wanted:
+                seen_otherwise = True
+            elif seen_otherwise or now - started >= confirm_ns:
+                return
+            if now >= deadline:
+                raise control.stuck(action)
+            control.network.pump(Instant(now + POLL_NS))
+
+    def _check_enabled(self) -> int:
+        """The statusword, of a drive that is in OPERATION ENABLED."""
+        control = self._control
+        word = control.read_status()
+        state = state_of(word)
+        if state in FAULTY:
+            raise control.in_fault()
+        if state is not State.OPERATION_ENABLED:
+            named = "an unknown state" if state is None else repr(state.value)
+            raise DriveInFault(f"{control.title} is in {named}", control.evidence(), "enable it first")
+        return word
+
+    def _write_profile(self, profile: Profile, speed_object: Object | None) -> None:
+        scaling = self._scaling
+        if speed_object is not None and profile.speed_rad_s is not None:
+            raw = max(1, round(abs(profile.speed_rad_s) / scaling.velocity_rad_s))
+            self._write_needed(speed_object, "I", raw, "profile velocity")
+        for index, value, text in (
+            (Object.PROFILE_ACCELERATION, profile.acceleration_rad_s2, "profile acceleration"),
+            (Object.PROFILE_DECELERATION, profile.deceleration_rad_s2, "profile deceleration"),
+        ):
+            if value is not None:
+                self._write_needed(index, "I", max(1, round(value / scaling.acceleration_rad_s2)), text)
+
+    def _write_homing(self, method: int, how: Homing) -> None:
+        scaling = self._scaling
+        self._write_needed(Object.HOMING_METHOD, "b", method, "homing method")
+        for sub, speed_rad_s in ((1, how.switch_speed_rad_s), (2, how.zero_speed_rad_s)):
+            if speed_rad_s is not None:
+                raw = max(1, round(speed_rad_s / scaling.velocity_rad_s))
+                self._write_needed(Object.HOMING_SPEEDS, "I", raw, "homing speed", sub)
+        if how.acceleration_rad_s2 is not None:
+            raw = max(1, round(how.acceleration_rad_s2 / scaling.acceleration_rad_s2))
+            self._write_needed(Object.HOMING_ACCELERATION, "I", raw, "homing acceleration")
+        if how.offset_rad is not None:
+            raw = round(how.offset_rad / scaling.position_rad)
+            self._write_needed(Object.HOME_OFFSET, "i", raw, "home offset")
+
+    def _write_needed(self, index: int, code: str, raw: int, text: str, sub: int = 0) -> None:
+        """A move at another speed than asked for is none: what is not taken raises."""
+        refused = write_optional(self._objects, index, code, raw, text, sub)
+        if refused:
+            raise SettingRefused(f"{self._control.title} cannot move as asked", "; ".join(refused))

@@ -1,0 +1,392 @@
+"""A PDO plan for a drive's own PDOs: from what the loop needs and what the drive can do.
+
+    flexible PDOs   the layouts of ``pdo_layouts``, the best first, one after the other until one fits
+    fixed PDOs      those that carry the needed objects are taken as they are, with what else they carry
+    both            objects that no flexible PDO may carry are looked for in the fixed ones
+
+The loop needs velocity, position, statusword and, if the drive tells it, torque; and to send the controlword
+and the set-point of a mode. PDOs that fit no layout tell all of it with every SYNC.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from drivers.canopen.pdo import (
+    EVENT_DRIVEN,
+    EVERY_SYNC,
+    SYNCHRONOUS_MAX,
+    PdoDirection,
+    PdoEntry,
+    PdoMap,
+    PdoPlan,
+)
+from drivers.canopen.pdo_capability import Key, MappedObject, PdoCapability, PdoSlot
+from drivers.canopen.sdo import object_name
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_layouts import (
+    ALL,
+    CURRENT,
+    DEMAND,
+    POSITION,
+    STAMP,
+    STATUS,
+    STATUS_TIMER_MS,
+    TORQUE,
+    VELOCITY,
+    Features,
+    Group,
+    choices,
+    layout,
+    limits_of,
+)
+from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.profile import Mode
+from drivers.errors import PeerFault
+
+_BITS_MAX = 64
+CONTROL: Key = (Object.CONTROLWORD, 0)
+
+
+class PlanImpossible(PeerFault):
+    """The drive's PDOs cannot carry what the loop needs; ``evidence`` says which of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanWish:
+    """What the loop wants of a drive."""
+
+    mode: Mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE
+    synchronous_command: bool = False
+    """The drive applies the set-point at the next SYNC, not on arrival."""
+    position_every_cycles: int = 1
+    """Above 1 the position comes with every so many SYNCs only."""
+    features: Features = ALL
+    """What may be used of what the drive can tell."""
+    status_timer_ms: int = STATUS_TIMER_MS
+    coherent: bool = False
+    """All values of one SYNC in a reading; see :func:`drivers.cia402.pdo_layouts.layout`."""
+
+    @property
+    def torque_mode(self) -> bool:
+        """The set-point is a torque."""
+        target = TARGETS.get(self.mode)
+        return target is not None and target.index == Object.TARGET_TORQUE
+
+
+@dataclass(frozen=True, slots=True)
+class PlanResult:
+    """A plan and what is to be said about it."""
+
+    plan: PdoPlan
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Bin:
+    """A PDO being filled."""
+
+    slot: PdoSlot
+    entries: list[PdoEntry] = field(default_factory=list)
+    group: Group | None = None
+    """What it is filled for; None outside a layout."""
+
+    def takes(self, entry: PdoEntry) -> bool:
+        full = sum(known.bits for known in self.entries) + entry.bits > _BITS_MAX
+        return not full and len(self.entries) < self.slot.entries_max
+
+
+def plan_pdos(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
+    """The plan. Raises PlanImpossible, saying what cannot be carried.
+
+    Where the entries that the dictionary defines do not do, those are used that sub-index 0 of a mapping
+    allows: files define fewer than the drive has.
+    """
+    try:
+        return _plan(capability, node_id, wish)
+    except PlanImpossible:
+        if not any(slot.entries_told for slot in capability.slots):
+            raise
+        more = tuple(
+            replace(slot, entries_max=max(slot.entries_max, slot.entries_told)) for slot in capability.slots
+        )
+        result = _plan(replace(capability, slots=more), node_id, wish)
+    note = "more objects are mapped than the dictionary defines entries for, as sub-index 0 allows"
+    return PlanResult(result.plan, (*result.notes, note))
+
+
+def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult:
+    notes: list[str] = []
+    planner = _Planner(capability, node_id, notes)
+    torque = _torque(capability, notes)
+    laid_out = planner.laid_out(wish, torque)
+    needed = [STATUS, VELOCITY, *([] if torque is None else [torque]), POSITION]
+    sent = planner.wanted(needed, PdoDirection.TRANSMIT) if laid_out is None else laid_out
+    target = TARGETS.get(wish.mode)
+    told = [CONTROL] if target is None else [CONTROL, (target.index, target.sub)]
+    received = planner.wanted(told, PdoDirection.RECEIVE)
+    if planner.lacks:
+        raise PlanImpossible(
+            f"the drive's PDOs cannot carry what {_mode_name(wish.mode)} needs",
+            "; ".join(planner.lacks),
+            "use another mode, or another drive",
+        )
+    tpdos = planner.transmit(sent, wish)
+    rpdos = planner.receive(received, wish)
+    plan = PdoPlan(tpdos, rpdos)
+    notes += limits_of(features_of(plan), torque_mode=wish.torque_mode and not wish.coherent)
+    return PlanResult(plan, tuple(notes))
+
+
+def features_of(plan: PdoPlan) -> Features:
+    """What a plan makes use of."""
+    speed, status = plan.tpdo_with(*VELOCITY), plan.tpdo_with(*STATUS)
+    return Features(
+        stamp=speed is not None and speed.place_of(*STAMP) is not None,
+        demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
+        status_on_change=status is not None and not status.synchronous,
+    )
+
+
+def _mode_name(mode: Mode) -> str:
+    return mode.name.lower().replace("_", " ")
+
+
+def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
+    """What stands for the torque, if anything does."""
+    able = (key for key in (TORQUE, CURRENT) if capability.can_carry(key, PdoDirection.TRANSMIT))
+    found = next(able, None)
+    if found is None:
+        notes.append("neither 6077h nor 6078h can be mapped: readings carry no torque")
+    elif found == CURRENT:
+        notes.append("6077h cannot be mapped: torque is taken from the current 6078h")
+    return found
+
+
+def _serves(slot: PdoSlot, group: Group) -> bool:
+    """Identifier, transmission type and event timer of a PDO can be what a group needs."""
+    numbered = slot.number <= 4 or slot.identifier is not None
+    switchable = slot.cob_id is None or slot.valid or slot.cob_id_writable
+    held, wanted = slot.transmission_type, group.transmission_type
+    typed = slot.type_writable or held in (None, wanted)
+    return numbered and switchable and typed and (not group.event_timer_ms or slot.event_timer_writable)
+
+
+class _Planner:
+    def __init__(self, capability: PdoCapability, node_id: int, notes: list[str]) -> None:
+        self.lacks: list[str] = []
+        self._capability = capability
+        self._node_id = node_id
+        self._notes = notes
+
+    # ---- layouts ------------------------------------------------------------------------------------------
+
+    def laid_out(self, wish: PlanWish, torque: Key | None) -> list[_Bin] | None:
+        """PDOs for the best layout that fits the flexible ones; None if none does."""
+        every = wish.position_every_cycles
+        able = wish.features._replace(
+            stamp=wish.features.stamp and self._flexible(STAMP),
+            demand=wish.features.demand and wish.torque_mode and self._flexible(DEMAND),
+        )
+        for coherent in (True, False) if wish.coherent else (False,):
+            for features in choices(able, every):
+                groups = layout(features, torque, every, wish.status_timer_ms, coherent=coherent)
+                bins = self._lay_out(groups)
+                if bins is not None:
+                    return bins
+        return None
+
+    def _flexible(self, key: Key) -> bool:
+        return self._capability.flexible_object(key, PdoDirection.TRANSMIT) is not None
+
+    def _lay_out(self, groups: Sequence[Group]) -> list[_Bin] | None:
+        """A layout in the flexible TPDOs; a group may take several, but a speed is told with its stamp."""
+        free = self._free(PdoDirection.TRANSMIT)
+        bins: list[_Bin] = []
+        for group in groups:
+            filled: list[_Bin] = []
+            for key in group.keys:
+                found = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
+                if found is None:
+                    return None
+                entry = PdoEntry(*key, found.code)
+                taking = next((made for made in filled if made.takes(entry)), None)
+                if taking is None:
+                    slot = next((slot for slot in free if _serves(slot, group)), None)
+                    if slot is None:
+                        return None
+                    free.remove(slot)
+                    taking = _Bin(slot, group=group)
+                    filled.append(taking)
+                taking.entries.append(entry)
+            if STAMP in group.keys and len(filled) > 1:
+                return None
+            bins += filled
+        return bins
+
+    def _free(self, direction: PdoDirection) -> list[PdoSlot]:
+        """PDOs whose mapping can be written; one that need not be moved or switched on goes first."""
+        free = [slot for slot in self._capability.of(direction) if slot.mapping_writable and slot.entries_max]
+        return sorted(free, key=lambda slot: (slot.number > 4, slot.number))
+
+    # ---- PDOs of any kind ---------------------------------------------------------------------------------
+
+    def wanted(self, keys: Sequence[Key], direction: PdoDirection) -> list[_Bin]:
+        """PDOs that carry the objects; :attr:`lacks` says which none can.
+
+        If the flexible PDOs have no room for all, what fixed ones carry is left to those.
+        """
+        flexible = {key: made for key in keys if (made := self._capability.flexible_object(key, direction))}
+        bins, lacks = self._cover(keys, flexible, direction)
+        if lacks:
+            fixed = {key for slot in self._fixed(direction) for key in slot.keys}
+            spared = {key: made for key, made in flexible.items() if key not in fixed}
+            other_bins, other_lacks = self._cover(keys, spared, direction)
+            if not other_lacks:
+                bins, lacks = other_bins, other_lacks
+        self.lacks += [self._lack(key, direction) for key in lacks]
+        return sorted(bins, key=lambda made: made.slot.number)
+
+    def _cover(
+        self, keys: Sequence[Key], flexible: Mapping[Key, MappedObject], direction: PdoDirection
+    ) -> tuple[list[_Bin], list[Key]]:
+        """PDOs for the objects, those of ``flexible`` in PDOs that can be mapped; and what none carries."""
+        bins = self._pack(flexible, direction)
+        lacks = []
+        carried = {(entry.index, entry.sub) for made in bins for entry in made.entries}
+        for key in (key for key in keys if key not in carried):
+            if any(key in made.slot.keys for made in bins if not made.slot.mapping_writable):
+                continue
+            slot = self._fixed_slot(key, keys, direction)
+            if slot is None:
+                lacks.append(key)
+            else:
+                bins.append(_Bin(slot, self._entries(slot)))
+        return bins, lacks
+
+    def _fixed(self, direction: PdoDirection) -> list[PdoSlot]:
+        return [slot for slot in self._capability.of(direction) if not slot.mapping_writable]
+
+    def _pack(self, flexible: Mapping[Key, MappedObject], direction: PdoDirection) -> list[_Bin]:
+        """First fit in order."""
+        free = self._free(direction)
+        bins: list[_Bin] = []
+        for key, found in flexible.items():
+            entry = PdoEntry(*key, found.code)
+            taking = next((made for made in bins if made.takes(entry)), None)
+            if taking is None and free:
+                taking = _Bin(free.pop(0))
+                bins.append(taking)
+            if taking is not None:
+                taking.entries.append(entry)
+        return bins
+
+    def _fixed_slot(self, key: Key, keys: Sequence[Key], direction: PdoDirection) -> PdoSlot | None:
+        """The PDO with a fixed mapping that carries the object and most of the others."""
+        able = [slot for slot in self._fixed(direction) if key in slot.keys and self._readable(slot, keys)]
+        return max(
+            able,
+            key=lambda slot: (len(slot.keys & set(keys)), STAMP in slot.keys, -slot.number),
+            default=None,
+        )
+
+    def _readable(self, slot: PdoSlot, keys: Sequence[Key]) -> bool:
+        """Every entry is made of whole octets, and those that are needed have a known type."""
+        octets = all(word & 0xFF and not word & 0x07 for word in slot.mapping)
+        needed = [key for key in keys if key in slot.keys]
+        return octets and all(self._code(key, slot) for key in needed)
+
+    def _code(self, key: Key, slot: PdoSlot) -> str:
+        """``struct`` character of an object in a PDO with a fixed mapping; empty if it has none."""
+        word = next(word for word in slot.mapping if (word >> 16, word >> 8 & 0xFF) == key)
+        found = self._capability.objects.get(key)
+        return found.code if found is not None and found.bits == word & 0xFF else ""
+
+    def _entries(self, slot: PdoSlot) -> list[PdoEntry]:
+        made = []
+        for word in slot.mapping:
+            key = (word >> 16, word >> 8 & 0xFF)
+            code = self._code(key, slot) or {8: "B", 16: "H", 32: "I"}.get(
+                word & 0xFF, f"{(word & 0xFF) // 8}s"
+            )
+            made.append(PdoEntry(*key, code))
+        return made
+
+    def _lack(self, key: Key, direction: PdoDirection) -> str:
+        """Why no PDO can carry an object."""
+        name = object_name(*key)
+        found = self._capability.objects.get(key)
+        slots = self._capability.of(direction)
+        kind = f"{direction.letter}PDO"
+        if not slots:
+            return f"{name}: there is no {kind}"
+        if found is None:
+            return f"{name} is not in the dictionary"
+        if not any(slot.mapping_writable for slot in slots):
+            return f"{name}: the {kind}s have fixed mappings without it"
+        if not found.code:
+            return f"{name} has {found.bits} bits, which is no whole number of octets that is known here"
+        may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
+        if found.mappable and may:
+            return f"{name}: the {kind}s have no room left for it"
+        return f"{name} cannot be mapped into a {kind}"
+
+    # ---- communication parameters -------------------------------------------------------------------------
+
+    def transmit(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
+        made = []
+        for each in bins:
+            if each.group is not None:
+                made.append(self._map(each, each.group.transmission_type))
+                continue
+            keys = {(entry.index, entry.sub) for entry in each.entries}
+            alone = POSITION in keys and not keys & {STATUS, VELOCITY}
+            kind = wish.position_every_cycles if alone else EVERY_SYNC
+            kind = self._type(each.slot, kind)
+            if kind > SYNCHRONOUS_MAX:
+                self._check_inhibit(each.slot)
+            made.append(self._map(each, kind))
+        return tuple(made)
+
+    def receive(self, bins: Iterable[_Bin], wish: PlanWish) -> tuple[PdoMap, ...]:
+        wanted = EVERY_SYNC if wish.synchronous_command else EVENT_DRIVEN
+        return tuple(self._map(each, self._type(each.slot, wanted)) for each in bins)
+
+    def _type(self, slot: PdoSlot, wanted: int) -> int:
+        held = slot.transmission_type
+        if slot.type_writable or held is None or held == wanted:
+            return wanted
+        if wanted > SYNCHRONOUS_MAX and held > SYNCHRONOUS_MAX:
+            return held
+        self._notes.append(f"{slot.name} keeps its transmission type {held}, {wanted} was wanted")
+        return held
+
+    def _check_inhibit(self, slot: PdoSlot) -> None:
+        if slot.inhibit_time:
+            text = f"{slot.name} is not synchronous and has an inhibit time of {slot.inhibit_time / 10:g} ms"
+            self._notes.append(text)
+
+    def _map(self, each: _Bin, kind: int) -> PdoMap:
+        slot = each.slot
+        cob_id = self._identifier(slot)
+        if cob_id is None:
+            summary = f"{slot.name} has no identifier, and the predefined ones are those of PDO 1 to 4"
+            raise PlanImpossible(summary, "", "give a PDO plan by hand")
+        if slot.cob_id is not None and not slot.valid and not slot.cob_id_writable:
+            raise PlanImpossible(
+                f"{slot.name} is switched off, and cannot be switched on", "1800h:1 is read-only"
+            )
+        inhibit = timer = 0
+        if each.group is not None:
+            inhibit = each.group.inhibit_time_100us if slot.inhibit_writable else 0
+            timer = each.group.event_timer_ms
+            if timer and not inhibit:
+                self._notes.append(
+                    f"{slot.name} has no inhibit time: a statusword that chatters fills the bus"
+                )
+        return PdoMap(slot.direction, slot.number, cob_id, tuple(each.entries), kind, inhibit, timer)
+
+    def _identifier(self, slot: PdoSlot) -> int | None:
+        """The one that cannot be changed, the predefined one, or the one that it has."""
+        predefined = slot.direction.default_cob_id(slot.number, self._node_id) if slot.number <= 4 else None
+        fixed = slot.identifier if not slot.cob_id_writable else None
+        return fixed or predefined or slot.identifier

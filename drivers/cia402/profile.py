@@ -1,0 +1,306 @@
+"""CiA 402 vocabulary: the state machine and its words as tables, modes, option codes.
+
+Shared by the drive client and by the simulated drive, so that both read one table.
+Source: CiA 402-2 (operation modes and application data), also published as IEC 61800-7-201.
+Object indices are in :mod:`drivers.cia402.objects402`, error codes in :mod:`drivers.canopen.error_codes`.
+
+    power on --0--> NOT_READY --1--> SWITCH_ON_DISABLED <--15-- FAULT <--14-- FAULT_REACTION <--13-- any
+    SWITCH_ON_DISABLED --2--> READY --3--> SWITCHED_ON --4--> OPERATION_ENABLED --11--> QUICK_STOP
+    back: 5 disable operation, 6 and 8 shutdown, 7, 9, 10 and 12 to SWITCH_ON_DISABLED, 16 enable again
+"""
+
+from collections import deque
+from enum import Enum, IntEnum
+from typing import Final, NamedTuple
+
+from drivers.canopen.error_codes import ERROR_TEXTS as ERROR_TEXTS
+from drivers.canopen.error_codes import error_text as error_text
+
+
+class State(Enum):
+    """States of the power drive system, CiA 402-2 6.2 (finite state automaton)."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    OPERATION_ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+    # Members are single objects: identity is a sound hash, and far cheaper than Enum's own in a table lookup.
+    __hash__ = object.__hash__
+
+
+class Pattern(NamedTuple):
+    """A word matches if ``word & mask == value``."""
+
+    mask: int
+    value: int
+
+    def matches(self, word: int) -> bool:
+        return word & self.mask == self.value
+
+
+class Status:
+    """Bits of the statusword 0x6041."""
+
+    READY_TO_SWITCH_ON = 1 << 0
+    SWITCHED_ON = 1 << 1
+    OPERATION_ENABLED = 1 << 2
+    FAULT = 1 << 3
+    VOLTAGE_ENABLED = 1 << 4
+    QUICK_STOP = 1 << 5
+    """0 while a quick stop is active."""
+    SWITCH_ON_DISABLED = 1 << 6
+    WARNING = 1 << 7
+    MANUFACTURER = 1 << 8
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT_ACTIVE = 1 << 11
+    MODE_12 = 1 << 12
+    """In the cyclic synchronous modes: the drive follows the command value (CiA 402-2 13.2, 14.2, 15.2)."""
+    MODE_13 = 1 << 13
+    FOLLOWS_COMMAND = MODE_12
+
+
+class Control:
+    """Bits of the controlword 0x6040."""
+
+    SWITCH_ON = 1 << 0
+    ENABLE_VOLTAGE = 1 << 1
+    QUICK_STOP = 1 << 2
+    """0 commands a quick stop."""
+    ENABLE_OPERATION = 1 << 3
+    MODE_4 = 1 << 4
+    MODE_5 = 1 << 5
+    MODE_6 = 1 << 6
+    FAULT_RESET = 1 << 7
+    """Acts on the rising edge."""
+    HALT = 1 << 8
+
+
+STATUS_PATTERNS: dict[State, Pattern] = {
+    State.NOT_READY: Pattern(0x4F, 0x00),
+    State.SWITCH_ON_DISABLED: Pattern(0x4F, 0x40),
+    State.READY: Pattern(0x6F, 0x21),
+    State.SWITCHED_ON: Pattern(0x6F, 0x23),
+    State.OPERATION_ENABLED: Pattern(0x6F, 0x27),
+    State.QUICK_STOP: Pattern(0x6F, 0x07),
+    State.FAULT_REACTION: Pattern(0x4F, 0x0F),
+    State.FAULT: Pattern(0x4F, 0x08),
+}
+"""How the statusword tells the state, CiA 402-2 table "state coding"."""
+
+_STATE_BITS: Final = 0x6F
+_STATE_OF_BITS: tuple[State | None, ...] = tuple(
+    next((state for state, pattern in STATUS_PATTERNS.items() if pattern.matches(bits)), None)
+    for bits in range(_STATE_BITS + 1)
+)
+
+
+def state_of(statusword: int) -> State | None:
+    """The state that a statusword tells; None if its bits are no coding of the standard."""
+    return _STATE_OF_BITS[statusword & _STATE_BITS]
+
+
+class DriveCommand(Enum):
+    """Device control commands of the controlword, CiA 402-2 table "command coding"."""
+
+    SHUTDOWN = "shutdown"
+    SWITCH_ON = "switch on"
+    ENABLE_OPERATION = "enable operation"
+    DISABLE_OPERATION = "disable operation"
+    DISABLE_VOLTAGE = "disable voltage"
+    QUICK_STOP = "quick stop"
+    FAULT_RESET = "fault reset"
+
+    __hash__ = object.__hash__
+
+
+COMMAND_PATTERNS: dict[DriveCommand, Pattern] = {
+    DriveCommand.SHUTDOWN: Pattern(0x87, 0x06),
+    DriveCommand.SWITCH_ON: Pattern(0x8F, 0x07),
+    DriveCommand.ENABLE_OPERATION: Pattern(0x8F, 0x0F),
+    DriveCommand.DISABLE_OPERATION: Pattern(0x8F, 0x07),
+    DriveCommand.DISABLE_VOLTAGE: Pattern(0x82, 0x00),
+    DriveCommand.QUICK_STOP: Pattern(0x86, 0x02),
+}
+"""How the controlword tells a command. Switch on and disable operation share a coding; the state tells
+them apart. Fault reset is not a pattern but the rising edge of bit 7."""
+
+CONTROLWORDS: dict[DriveCommand, int] = {
+    DriveCommand.SHUTDOWN: 0x0006,
+    DriveCommand.SWITCH_ON: 0x0007,
+    DriveCommand.ENABLE_OPERATION: 0x000F,
+    DriveCommand.DISABLE_OPERATION: 0x0007,
+    DriveCommand.DISABLE_VOLTAGE: 0x0000,
+    DriveCommand.QUICK_STOP: 0x0002,
+    DriveCommand.FAULT_RESET: 0x0080,
+}
+"""The word to send for a command, every optional bit 0."""
+
+
+class Event(Enum):
+    """What moves the state machine without a command."""
+
+    POWER_ON = "power on"
+    INITIALISED = "initialisation complete"
+    FAULT_DETECTED = "fault detected"
+    FAULT_REACTION_DONE = "fault reaction complete"
+    QUICK_STOP_DONE = "quick stop complete"
+
+    __hash__ = object.__hash__
+
+
+class Transition(NamedTuple):
+    """One arrow of the state machine; several causes share a number where the standard says so."""
+
+    number: int
+    source: State
+    cause: DriveCommand | Event
+    target: State
+
+
+_POWERED: Final = (
+    State.NOT_READY,
+    State.SWITCH_ON_DISABLED,
+    State.READY,
+    State.SWITCHED_ON,
+    State.OPERATION_ENABLED,
+    State.QUICK_STOP,
+)
+
+TRANSITIONS: tuple[Transition, ...] = (
+    Transition(1, State.NOT_READY, Event.INITIALISED, State.SWITCH_ON_DISABLED),
+    Transition(2, State.SWITCH_ON_DISABLED, DriveCommand.SHUTDOWN, State.READY),
+    Transition(3, State.READY, DriveCommand.SWITCH_ON, State.SWITCHED_ON),
+    Transition(4, State.SWITCHED_ON, DriveCommand.ENABLE_OPERATION, State.OPERATION_ENABLED),
+    Transition(5, State.OPERATION_ENABLED, DriveCommand.DISABLE_OPERATION, State.SWITCHED_ON),
+    Transition(6, State.SWITCHED_ON, DriveCommand.SHUTDOWN, State.READY),
+    Transition(7, State.READY, DriveCommand.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
+    Transition(7, State.READY, DriveCommand.QUICK_STOP, State.SWITCH_ON_DISABLED),
+    Transition(8, State.OPERATION_ENABLED, DriveCommand.SHUTDOWN, State.READY),
+    Transition(9, State.OPERATION_ENABLED, DriveCommand.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
+    Transition(10, State.SWITCHED_ON, DriveCommand.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
+    Transition(10, State.SWITCHED_ON, DriveCommand.QUICK_STOP, State.SWITCH_ON_DISABLED),
+    Transition(11, State.OPERATION_ENABLED, DriveCommand.QUICK_STOP, State.QUICK_STOP),
+    Transition(12, State.QUICK_STOP, DriveCommand.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
+    Transition(12, State.QUICK_STOP, Event.QUICK_STOP_DONE, State.SWITCH_ON_DISABLED),
+    *(Transition(13, state, Event.FAULT_DETECTED, State.FAULT_REACTION) for state in _POWERED),
+    Transition(14, State.FAULT_REACTION, Event.FAULT_REACTION_DONE, State.FAULT),
+    Transition(15, State.FAULT, DriveCommand.FAULT_RESET, State.SWITCH_ON_DISABLED),
+    Transition(16, State.QUICK_STOP, DriveCommand.ENABLE_OPERATION, State.OPERATION_ENABLED),
+)
+"""Every arrow between two states. Transition 0, power on, leads into NOT_READY from nowhere."""
+
+TRANSITION_OF: dict[tuple[State, DriveCommand | Event], Transition] = {
+    (arrow.source, arrow.cause): arrow for arrow in TRANSITIONS
+}
+
+
+def commands_in(controlword: int) -> tuple[DriveCommand, ...]:
+    """The commands that a controlword codes, fault reset apart; two for switch on = disable operation."""
+    return _COMMANDS_OF_BITS[controlword & 0x8F]
+
+
+_COMMANDS_OF_BITS: tuple[tuple[DriveCommand, ...], ...] = tuple(
+    tuple(command for command, pattern in COMMAND_PATTERNS.items() if pattern.matches(bits))
+    for bits in range(0x90)
+)
+
+
+def command_path(source: State, target: State) -> tuple[DriveCommand, ...] | None:
+    """The shortest chain of commands from ``source`` to ``target``; None if commands alone do not lead there.
+
+    A fault is never reset on the way: leaving FAULT is a decision of its own, so from FAULT there is no path.
+    """
+    paths: dict[State, tuple[DriveCommand, ...]] = {source: ()}
+    frontier = deque([source])
+    while frontier and target not in paths:
+        here = frontier.popleft()
+        for arrow in TRANSITIONS:
+            if arrow.source is not here or arrow.target in paths or not isinstance(arrow.cause, DriveCommand):
+                continue
+            if arrow.cause is not DriveCommand.FAULT_RESET:
+                paths[arrow.target] = (*paths[here], arrow.cause)
+                frontier.append(arrow.target)
+    return paths.get(target)
+
+
+class Mode(IntEnum):
+    """Modes of operation, 0x6060 and 0x6061."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    VELOCITY = 2
+    PROFILE_VELOCITY = 3
+    PROFILE_TORQUE = 4
+    HOMING = 6
+    INTERPOLATED_POSITION = 7
+    CYCLIC_SYNCHRONOUS_POSITION = 8
+    CYCLIC_SYNCHRONOUS_VELOCITY = 9
+    CYCLIC_SYNCHRONOUS_TORQUE = 10
+    CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE = 11
+
+
+def supported_mode_bit(mode: Mode) -> int:
+    """The bit of 0x6502 that says that ``mode`` is supported; 0 for NONE, which has no bit."""
+    return 1 << (mode - 1) if mode > 0 else 0
+
+
+class AbortConnectionOption(IntEnum):
+    """0x6007: what to do when the connection to the master is lost; default FAULT_SIGNAL."""
+
+    NO_ACTION = 0
+    FAULT_SIGNAL = 1
+    DISABLE_VOLTAGE = 2
+    QUICK_STOP = 3
+
+
+class QuickStopOption(IntEnum):
+    """0x605A: how to stop on a quick stop, and whether to stay in QUICK_STOP; default QUICK_STOP_RAMP."""
+
+    DISABLE = 0
+    SLOW_DOWN_RAMP = 1
+    QUICK_STOP_RAMP = 2
+    CURRENT_LIMIT = 3
+    VOLTAGE_LIMIT = 4
+    SLOW_DOWN_RAMP_AND_STAY = 5
+    QUICK_STOP_RAMP_AND_STAY = 6
+    CURRENT_LIMIT_AND_STAY = 7
+    VOLTAGE_LIMIT_AND_STAY = 8
+
+
+class ShutdownOption(IntEnum):
+    """0x605B: how to stop on transition 8; default DISABLE."""
+
+    DISABLE = 0
+    SLOW_DOWN_RAMP = 1
+
+
+class DisableOperationOption(IntEnum):
+    """0x605C: how to stop on transition 5; default SLOW_DOWN_RAMP."""
+
+    DISABLE = 0
+    SLOW_DOWN_RAMP = 1
+
+
+class HaltOption(IntEnum):
+    """0x605D: how to stop on a halt; default SLOW_DOWN_RAMP."""
+
+    SLOW_DOWN_RAMP = 1
+    QUICK_STOP_RAMP = 2
+    CURRENT_LIMIT = 3
+    VOLTAGE_LIMIT = 4
+
+
+class FaultReactionOption(IntEnum):
+    """0x605E: how to stop on a fault that leaves the drive able to; default QUICK_STOP_RAMP."""
+
+    DISABLE = 0
+    SLOW_DOWN_RAMP = 1
+    QUICK_STOP_RAMP = 2
+    CURRENT_LIMIT = 3
+    VOLTAGE_LIMIT = 4

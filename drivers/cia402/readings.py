@@ -1,0 +1,344 @@
+"""TPDOs of one drive made into readings in SI units."""
+
+from typing import Final
+
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.cia402.command_watch import CommandWatch
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Status
+from drivers.cia402.scaling import Scaling
+from drivers.exchange import DemandChange, Readback, Reading
+from drivers.timebase import NS_PER_US, Duration, Instant
+
+_WORD: Final = 1 << 32
+_HALF_WORD: Final = 1 << 31
+_REACH_PERIODS: Final = 64
+"""A stamp further than this from the one before is a clock that was set, or a long silence: a speed says
+nothing of the way in between. A bench bears fewer readings lost in a row."""
+NEVER_TOLD: Final = Instant(-1)
+_NAN: Final = float("nan")
+
+
+class Seen:
+    """The last statusword that a drive told, by whatever way it came."""
+
+    __slots__ = ("at", "by_pdo", "statusword")
+
+    def __init__(self) -> None:
+        self.statusword = -1
+        """0x6041, raw; -1 before the first."""
+        self.at = NEVER_TOLD
+        """When it came."""
+        self.by_pdo = -1
+        """The last one that came by PDO."""
+
+    def take(self, statusword: int, at: Instant) -> None:
+        """The drive told its statusword."""
+        self.statusword = statusword
+        self.at = at
+
+
+class ReadingAssembler:
+    """A reading for every frame that carries the speed; everything else as it was told last.
+
+    So no reading mixes two SYNCs: what is of another SYNC bears the instant at which it was told. The drive's
+    stamp is used if it is in that very frame.
+
+    A position is of the SYNC whose frames it travels with, and is carried on by the mean of the speeds of two
+    readings, over the time between them: by the drive's stamps, without them by the SYNCs sent. Each telling
+    anchors it anew:
+
+        SYNC          k          k+1        k+2        ...  k+n
+        TPDO1         speed      speed      speed           speed
+        TPDO2          position                              position
+        reading       carried    + speed T  + speed T  ...  carried
+
+    If the position's frame comes before the speed's (a lower identifier, or the same frame), a reading has
+    the position of its own SYNC.
+    """
+
+    __slots__ = (
+        "_anchored_at",
+        "_carried_rad",
+        "_carried_to_us",
+        "_changes",
+        "_inlets",
+        "_last_at",
+        "_last_us",
+        "_leads",
+        "_period_ns",
+        "_period_us",
+        "_position",
+        "_position_raw",
+        "_pump",
+        "_reach_us",
+        "_readbacks",
+        "_readings",
+        "_stamp_raw",
+        "_stamped",
+        "_told",
+        "_torque_raw",
+        "_velocity_rad_s",
+        "_velocity_sign",
+        "malformed",
+        "position_told_at",
+        "readings_made",
+        "scaling",
+        "torque_told_at",
+        "watch",
+    )
+
+    def __init__(
+        self,
+        network: CanopenNetwork,
+        plan: PdoPlan,
+        scaling: Scaling,
+        period_ns: Duration,
+        told: Seen,
+        velocity_sign: float = 1.0,
+    ) -> None:
+        """``velocity_sign``: -1 for a drive whose velocity counts against its position.
+
+        Raises ValueError if the plan lacks speed, position or statusword.
+        """
+        wanted = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
+        missing = [f"{index:04X}h" for index in wanted if plan.tpdo_with(index) is None]
+        if missing:
+            raise ValueError(f"the PDO plan lacks {', '.join(missing)}")
+        self.scaling = scaling
+        self.malformed = 0
+        """PDOs of a length other than mapped."""
+        self.readings_made = 0
+        self.watch: CommandWatch | None = None
+        """Told of every demand, or torque, that arrives."""
+        self.torque_told_at = NEVER_TOLD
+        self.position_told_at = NEVER_TOLD
+        self._pump = network.frame_pump
+        self._told = told
+        self._velocity_sign = velocity_sign
+        self._period_ns = period_ns
+        self._period_us = max(1, period_ns // NS_PER_US)
+        self._reach_us = _REACH_PERIODS * self._period_us
+        self._readings: list[Reading] = []
+        self._readbacks: list[Readback] = []
+        self._changes: list[DemandChange] = []
+        self._torque_raw: int | None = None
+        self._velocity_rad_s = 0.0
+        self._position = 0
+        self._position_raw: int | None = None
+        self._carried_rad = 0.0
+        self._carried_to_us = 0
+        self._anchored_at = NEVER_TOLD
+        self._last_at = NEVER_TOLD
+        self._last_us = 0
+        self._stamp_raw: int | None = None
+        self._inlets: dict[int, _Inlet] = {}
+        self._subscribe(network, plan)
+
+    def frames_taken(self, cob_id: int) -> int:
+        """How many frames of a TPDO came, malformed ones among them."""
+        return self._inlets[cob_id].frames
+
+    def take(self) -> list[Reading]:
+        """The readings completed since the last call, oldest first."""
+        taken, self._readings = self._readings, []
+        return taken
+
+    def take_readbacks(self) -> list[Readback]:
+        """The torque demands told with a SYNC since the last call, oldest first."""
+        taken = self._readbacks
+        if taken:
+            self._readbacks = []
+        return taken
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """The torque demands told on change since the last call, oldest first."""
+        taken = self._changes
+        if taken:
+            self._changes = []
+        return taken
+
+    @property
+    def torque_nm(self) -> float:
+        """As told last; NaN before the first."""
+        raw = self._torque_raw
+        return _NAN if raw is None else raw * self.scaling.torque_nm
+
+    # ---- what the frames tell -------------------------------------------------------------------------
+
+    def anchor_position(self, raw: int, at: Instant) -> None:
+        """0x6064 as the drive told it at ``at``: what positions are carried on from."""
+        self._unwrap_position(raw)
+        self.position_told_at = at
+        self._carried_rad = 0.0
+        if self._leads:
+            self._anchored_at = at
+        elif self._stamped:
+            # Of the SYNC of the last reading; or of one whose speed was lost on the way.
+            self._carried_to_us = self._last_us + self._periods(at - self._last_at) * self._period_us
+        else:
+            self._carried_to_us = self._pump.sync_count * self._period_us
+
+    def torque_told(self, raw: int, at: Instant) -> None:
+        """0x6077, or the current that stands for it, arrived."""
+        self._torque_raw = raw
+        self.torque_told_at = at
+
+    def demand_told(self, raw: int, at: Instant) -> None:
+        """0x6074 of a SYNC arrived."""
+        self._readbacks.append(Readback(raw, at, self.readings_made))
+
+    def demand_changed(self, raw: int, stamp_raw: int, at: Instant) -> None:
+        """0x6074 arrived because it had changed; ``stamp_raw``: 0x1013 of that moment."""
+        self._changes.append(DemandChange(raw, self._unwrapped(stamp_raw) * NS_PER_US, at))
+
+    def speed_told(self, raw: int, stamp_raw: int, at: Instant) -> None:
+        """0x606C arrived, with its stamp 0x1013 or -1: a reading."""
+        device_time_ns = None
+        if stamp_raw >= 0:
+            us = self._unwrapped(stamp_raw)
+            self._stamp_raw = stamp_raw
+            device_time_ns = us * NS_PER_US
+        else:
+            us = self._pump.sync_count * self._period_us
+        self._last_us, self._last_at = us, at
+        self.readings_made += 1
+        velocity_rad_s = raw * self.scaling.velocity_rad_s
+        told = self._told
+        self._readings.append(
+            Reading(
+                velocity_rad_s,
+                device_time_ns,
+                at,
+                self._position * self.scaling.position_rad + self._carry(us, velocity_rad_s, at),
+                self.position_told_at,
+                self.torque_nm,
+                self.torque_told_at,
+                told.statusword,
+                told.at,
+            )
+        )
+
+    def _carry(self, us: int, velocity_rad_s: float, at: Instant) -> float:
+        """What the shaft turned from the telling of the position until ``us``, rad.
+
+        A reading older than what was carried to, which was overtaken, moves nothing.
+        """
+        if self._anchored_at >= 0:
+            self._carried_to_us = us - self._periods(at - self._anchored_at) * self._period_us
+            self._anchored_at = NEVER_TOLD
+        passed_us = us - self._carried_to_us
+        if not -self._reach_us <= passed_us <= self._reach_us:
+            self._carried_to_us, passed_us = us, 0
+        mean_rad_s = 0.5 * (self._velocity_rad_s + velocity_rad_s) * self._velocity_sign
+        carried_rad = self._carried_rad + mean_rad_s * passed_us * 1e-6
+        if passed_us >= 0:
+            self._carried_rad, self._carried_to_us = carried_rad, us
+            self._velocity_rad_s = velocity_rad_s
+        return carried_rad
+
+    def _periods(self, gap_ns: int) -> int:
+        """Whole SYNCs between two frames by their arrival; those of one SYNC come within half a period."""
+        return (gap_ns + self._period_ns // 2) // self._period_ns
+
+    def _unwrapped(self, stamp_raw: int) -> int:
+        """0x1013 in microseconds, counted on from the last reading's; it counts modulo 2^32, 71.6 minutes."""
+        if self._stamp_raw is None:
+            return stamp_raw
+        return self._last_us + ((stamp_raw - self._stamp_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+
+    def _unwrap_position(self, raw: int) -> None:
+        """0x6064 is an INTEGER32: at 65536 counts a turn it wraps after 22 minutes of 1500 rev/min."""
+        if self._position_raw is None:
+            self._position = raw
+        else:
+            self._position += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+        self._position_raw = raw
+
+    def _subscribe(self, network: CanopenNetwork, plan: PdoPlan) -> None:
+        speed = plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
+        position = plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
+        assert speed is not None
+        assert position is not None
+        self._leads = position.cob_id <= speed.cob_id
+        self._stamped = speed.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None
+        watched = (
+            Object.TORQUE_DEMAND
+            if any(pdo.synchronous and pdo.place_of(Object.TORQUE_DEMAND) is not None for pdo in plan.tpdos)
+            else Object.TORQUE_ACTUAL_VALUE
+        )
+        for pdo in plan.tpdos:
+            self._inlets[pdo.cob_id] = inlet = _Inlet(self, pdo, self._told, watched)
+            network.listen(pdo.cob_id, inlet.take)
+
+
+class _Inlet:
+    """Takes the frames of one TPDO apart for an assembler; objects that nobody asks for are passed over."""
+
+    __slots__ = (
+        "_assembler",
+        "_demand",
+        "_on_change",
+        "_position",
+        "_size",
+        "_stamp",
+        "_status",
+        "_told",
+        "_torque",
+        "_unpack",
+        "_velocity",
+        "_watched",
+        "frames",
+    )
+
+    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: Seen, watched: int) -> None:
+        codec = pdo.codec()
+        self.frames = 0
+        self._assembler = assembler
+        self._told = told
+        self._unpack = codec.unpack
+        self._size = codec.size
+        self._status = _place(pdo, Object.STATUSWORD)
+        self._torque = _place(pdo, Object.TORQUE_ACTUAL_VALUE, Object.CURRENT_ACTUAL_VALUE)
+        self._position = _place(pdo, Object.POSITION_ACTUAL_VALUE)
+        self._velocity = _place(pdo, Object.VELOCITY_ACTUAL_VALUE)
+        self._stamp = _place(pdo, HIGH_RESOLUTION_TIME_STAMP)
+        self._demand = _place(pdo, Object.TORQUE_DEMAND)
+        self._watched = _place(pdo, watched)
+        self._on_change = not pdo.synchronous and self._demand >= 0 and self._stamp >= 0
+
+    def take(self, data: bytes, at: Instant) -> None:
+        assembler = self._assembler
+        self.frames += 1
+        if len(data) != self._size:
+            assembler.malformed += 1
+            return
+        fields = self._unpack(data)
+        if self._on_change:
+            assembler.demand_changed(fields[self._demand], fields[self._stamp], at)
+            return
+        if self._status >= 0:
+            self._told.take(fields[self._status], at)
+            self._told.by_pdo = fields[self._status]
+        if self._torque >= 0:
+            assembler.torque_told(fields[self._torque], at)
+        if self._position >= 0:
+            assembler.anchor_position(fields[self._position], at)
+        if self._velocity >= 0:
+            assembler.speed_told(fields[self._velocity], fields[self._stamp] if self._stamp >= 0 else -1, at)
+        if self._demand >= 0:
+            assembler.demand_told(fields[self._demand], at)
+        watch = assembler.watch
+        # A torque that the drive itself limits is no command's; its demand is.
+        if (
+            watch is not None
+            and self._watched >= 0
+            and (self._demand >= 0 or not self._told.statusword & Status.INTERNAL_LIMIT_ACTIVE)
+        ):
+            watch.told(fields[self._watched])
+
+
+def _place(pdo: PdoMap, *indices: int) -> int:
+    """Position among the entries of the first of the objects that is there; -1 if none is."""
+    return next((place for index in indices if (place := pdo.place_of(index)) is not None), -1)

@@ -1,0 +1,41 @@
+"""When the shaft of a drive counts as at rest: it is slow, and stays so."""
+
+from typing import Final
+
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402.objects402 import Object
+from drivers.cia402.readings import ReadingAssembler
+from drivers.cia402.state_control import StateControl
+from drivers.timebase import NS_PER_MS, Duration, Instant
+
+REST_RAD_S: Final = 1.0
+"""A shaft that turns slower counts as slow."""
+REST_FOR: Final = Duration(100 * NS_PER_MS)
+"""A shaft that is slow for so long rests. A single reading may be that of one that turns round, or that a
+load begins to turn: 0.01 N m give the motor of [Ling2012] 1 rad/s in 80 ms."""
+_POLL: Final = Duration(10 * NS_PER_MS)
+
+
+def slow(objects: RemoteObjects, assembler: ReadingAssembler | None) -> bool:
+    """By 0x606C, now; a drive that was never configured was never moved by this bench."""
+    if assembler is None:
+        return True
+    raw = objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
+    return abs(raw * assembler.scaling.velocity_rad_s) < REST_RAD_S
+
+
+def resting_since(control: StateControl, assembler: ReadingAssembler | None, deadline: Instant) -> Instant:
+    """Wait until every reading was slow for :data:`REST_FOR`; when that time began.
+
+    Raises DriveInFault if the shaft still turns at the deadline, PeerFault if the drive does not tell.
+    """
+    now = control.network.clock.now
+    since = now()
+    while True:
+        if not slow(control.objects, assembler):
+            since = now()
+            if since >= deadline:
+                raise control.stuck("stay at rest")
+        if now() - since >= REST_FOR:
+            return since
+        control.network.pump(control.network.deadline_after(_POLL))

@@ -1,0 +1,279 @@
+"""Raw drive units <-> SI, the only place. Factors come from the drive's own objects, or from overrides.
+
+    position      60A8h in turns, else 6092h (feed), else 6093h, else 608Fh
+    velocity      60A9h, else 6094h, else 6096h, else position units per second
+    acceleration  60AAh, else 6097h, else velocity units per second
+    jerk          60ABh, else acceleration units per second
+    torque        thousandths of 6076h
+
+Positions, speeds and accelerations here are those of the motor shaft. Turns in a unit word, and the feed, are
+those of the driving shaft behind the gear 6091h.
+Sources: CiA 402-2 clause 8 (factor group), CiA 303-2 (unit codes). 6093h and 6094h are of DSP 402 version 2;
+a drive that has 6094h means 6097h as that version does, in increments.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from drivers.cia402.objects402 import Object, Unit, unit_parts
+from drivers.errors import PeerFault
+
+RAD_PER_REVOLUTION = 2.0 * math.pi
+RAD_S_PER_RPM = RAD_PER_REVOLUTION / 60.0
+
+ObjectValues = Mapping[tuple[int, int], int | None]
+"""(index, sub) -> value; None or absent if the drive does not have it."""
+
+FACTOR_OBJECTS: tuple[tuple[int, int], ...] = (
+    (Object.MOTOR_RATED_TORQUE, 0),
+    (Object.MOTOR_RATED_CURRENT, 0),
+    (Object.POSITION_ENCODER_RESOLUTION, 1),
+    (Object.POSITION_ENCODER_RESOLUTION, 2),
+    (Object.GEAR_RATIO, 1),
+    (Object.GEAR_RATIO, 2),
+    (Object.FEED_CONSTANT, 1),
+    (Object.FEED_CONSTANT, 2),
+    (Object.VELOCITY_ENCODER_RESOLUTION, 1),
+    (Object.VELOCITY_ENCODER_RESOLUTION, 2),
+    (Object.POSITION_FACTOR, 1),
+    (Object.POSITION_FACTOR, 2),
+    (Object.VELOCITY_ENCODER_FACTOR, 1),
+    (Object.VELOCITY_ENCODER_FACTOR, 2),
+    (Object.VELOCITY_FACTOR, 1),
+    (Object.VELOCITY_FACTOR, 2),
+    (Object.ACCELERATION_FACTOR, 1),
+    (Object.ACCELERATION_FACTOR, 2),
+    (Object.SI_UNIT_POSITION, 0),
+    (Object.SI_UNIT_VELOCITY, 0),
+    (Object.SI_UNIT_ACCELERATION, 0),
+    (Object.SI_UNIT_JERK, 0),
+)
+"""What :func:`scaling_from` wants to know of a drive."""
+
+_TURNS_PER_UNIT = {
+    Unit.REVOLUTION: 1.0,
+    Unit.RADIAN: 1.0 / RAD_PER_REVOLUTION,
+    Unit.DEGREE: 1.0 / 360.0,
+}
+_TURNING = frozenset({*_TURNS_PER_UNIT, Unit.REVOLUTION_PER_MINUTE})
+_SECONDS_PER_UNIT = {Unit.SECOND: 1.0, Unit.MINUTE: 60.0, Unit.HOUR: 3600.0}
+_POWERED_SECONDS = {Unit.SQUARE_SECOND: 2, Unit.CUBIC_SECOND: 3}
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleOverride:
+    """Factors that the user knows better than the drive's objects tell; None: believe the drive."""
+
+    position_rad: float | None = None
+    """rad of one raw position unit."""
+    velocity_rad_s: float | None = None
+    """rad/s of one raw velocity unit."""
+    acceleration_rad_s2: float | None = None
+    """rad/s^2 of one raw acceleration unit."""
+    rated_torque_nm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """SI value = raw value times factor."""
+
+    position_rad: float
+    velocity_rad_s: float
+    acceleration_rad_s2: float
+    rated_torque_nm: float
+    torque_nm: float
+    """N m of one raw torque unit, a thousandth of the rated torque."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """Which object each factor rests on, for a report."""
+    notes: tuple[str, ...] = ()
+    """What is to be known of them."""
+    jerk_rad_s3: float = 0.0
+    """rad/s^3 of one raw jerk unit; 0 if nobody asked."""
+    rated_current_a: float | None = None
+    """What per-thousand currents refer to, 0x6075; None if the drive does not tell it."""
+    gear_ratio: float = 1.0
+    """Motor revolutions per revolution of the driving shaft, 0x6091."""
+
+    def torque_raw(self, torque_nm: float) -> int:
+        """The nearest raw torque."""
+        return round(torque_nm / self.torque_nm)
+
+
+def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) -> Scaling:
+    """Work out the factors. Raises PeerFault if the drive tells too little and no override helps."""
+    given = override or ScaleOverride()
+    sources: dict[str, str] = {}
+
+    def choose(
+        name: str, overridden: float | None, derive: Callable[[], tuple[float, str] | None], remedy: str
+    ) -> float:
+        found = (overridden, "override") if overridden is not None else derive()
+        if found is None or not (math.isfinite(found[0]) and found[0] > 0.0):
+            raise PeerFault(f"the drive does not tell its {name} unit", "", remedy)
+        sources[name] = found[1]
+        return found[0]
+
+    rated = choose("torque", given.rated_torque_nm, lambda: _rated_torque(values), "give its rated torque")
+    position = choose("position", given.position_rad, lambda: _position(values), "give rad per position unit")
+    velocity = choose(
+        "velocity", given.velocity_rad_s, lambda: _velocity(values, position), "give rad/s per velocity unit"
+    )
+    acceleration = choose(
+        "acceleration",
+        given.acceleration_rad_s2,
+        lambda: _acceleration(values, position, velocity),
+        "give rad/s^2 per acceleration unit",
+    )
+    jerk, sources["jerk"] = _jerk(values, position, acceleration)
+    raw_ma = values.get((Object.MOTOR_RATED_CURRENT, 0))
+    return Scaling(
+        position,
+        velocity,
+        acceleration,
+        rated,
+        rated / 1000.0,
+        sources,
+        jerk_rad_s3=jerk,
+        rated_current_a=raw_ma / 1000.0 if raw_ma else None,
+        gear_ratio=_gear(values)[0],
+    )
+
+
+def _ratio(values: ObjectValues, index: int) -> float | None:
+    """Sub 1 over sub 2, both positive; None if the object is not there or not set."""
+    numerator, denominator = values.get((index, 1)), values.get((index, 2))
+    if not numerator or not denominator or numerator < 0 or denominator < 0:
+        return None
+    return numerator / denominator
+
+
+def _rated_torque(values: ObjectValues) -> tuple[float, str] | None:
+    raw_mnm = values.get((Object.MOTOR_RATED_TORQUE, 0))
+    return (raw_mnm / 1000.0, "6076h") if raw_mnm else None
+
+
+def _gear(values: ObjectValues) -> tuple[float, str]:
+    """Motor revolutions per revolution of the driving shaft, and what tells it."""
+    ratio = _ratio(values, Object.GEAR_RATIO)
+    return (1.0, "") if ratio is None or ratio == 1.0 else (ratio, ", 6091h")
+
+
+def _turn_rad(values: ObjectValues) -> tuple[float, str] | None:
+    """rad of the motor shaft per increment of its encoder."""
+    resolution = _ratio(values, Object.POSITION_ENCODER_RESOLUTION)
+    if resolution is not None:
+        return RAD_PER_REVOLUTION / resolution, "608Fh"
+    resolution = _ratio(values, Object.VELOCITY_ENCODER_RESOLUTION)
+    return (RAD_PER_REVOLUTION / resolution, "6090h (no 608Fh)") if resolution is not None else None
+
+
+def _position(values: ObjectValues) -> tuple[float, str] | None:
+    """rad of the motor shaft per position unit."""
+    gear, by_gear = _gear(values)
+    word = values.get((Object.SI_UNIT_POSITION, 0))
+    if word:
+        exponent, numerator, _ = unit_parts(word)
+        turns = _TURNS_PER_UNIT.get(Unit(numerator)) if _is_unit(numerator) else None
+        if turns is not None:
+            return RAD_PER_REVOLUTION * gear * turns * 10.0**exponent, f"60A8h{by_gear}"
+    feed = _ratio(values, Object.FEED_CONSTANT)
+    # A feed constant of 1 is a factory default that nobody set: whole turns are no unit of position.
+    if feed is not None and feed != 1.0:
+        return RAD_PER_REVOLUTION * gear / feed, "6092h, 6091h"
+    increment = _turn_rad(values)
+    if increment is None:
+        return None
+    factor = _ratio(values, Object.POSITION_FACTOR)
+    if factor is not None and factor != 1.0:
+        # DSP 402: increments = position in user units, times 6093h.
+        return increment[0] * factor, f"6093h, {increment[1]}"
+    return increment
+
+
+def _velocity(values: ObjectValues, position_rad: float) -> tuple[float, str] | None:
+    """rad/s per velocity unit; position units per second where nothing says otherwise."""
+    gear, by_gear = _gear(values)
+    word = values.get((Object.SI_UNIT_VELOCITY, 0))
+    told = _rate(word, values, position_rad, power=1) if word else None
+    if told is not None:
+        return told * gear if _turning(word) else told, f"60A9h{by_gear if _turning(word) else ''}"
+    factor, increment = _ratio(values, Object.VELOCITY_ENCODER_FACTOR), _turn_rad(values)
+    if factor is not None and increment is not None:
+        # DSP 402: increments per second = velocity in user units, times 6094h.
+        return increment[0] * factor, f"6094h, {increment[1]}"
+    factor = _ratio(values, Object.VELOCITY_FACTOR)
+    if factor is not None:
+        # CiA 402-2: velocity in user units = velocity in position units per second, times 6096h.
+        return position_rad / factor, "6096h"
+    return position_rad, "position unit per second (no 60A9h)"
+
+
+def _acceleration(
+    values: ObjectValues, position_rad: float, velocity_rad_s: float
+) -> tuple[float, str] | None:
+    """rad/s^2 per acceleration unit; velocity units per second where nothing says otherwise."""
+    gear, by_gear = _gear(values)
+    word = values.get((Object.SI_UNIT_ACCELERATION, 0))
+    told = _rate(word, values, position_rad, power=2) if word else None
+    if told is not None:
+        return told * gear if _turning(word) else told, f"60AAh{by_gear if _turning(word) else ''}"
+    factor, increment = _ratio(values, Object.ACCELERATION_FACTOR), _turn_rad(values)
+    of_dsp_402 = _ratio(values, Object.VELOCITY_ENCODER_FACTOR) is not None
+    if factor is not None and of_dsp_402 and increment is not None:
+        # DSP 402: increments per second squared = acceleration in user units, times 6097h.
+        return increment[0] * factor, f"6097h, {increment[1]}"
+    if factor is not None and not of_dsp_402:
+        # As 6096h: acceleration in user units = position units per second squared, times 6097h.
+        return position_rad / factor, "6097h"
+    return velocity_rad_s, "velocity unit per second (no 60AAh)"
+
+
+def _jerk(values: ObjectValues, position_rad: float, acceleration_rad_s2: float) -> tuple[float, str]:
+    """rad/s^3 per jerk unit; acceleration units per second where no unit word says otherwise."""
+    gear, by_gear = _gear(values)
+    word = values.get((Object.SI_UNIT_JERK, 0))
+    told = _rate(word, values, position_rad, power=3) if word else None
+    if told is None:
+        return acceleration_rad_s2, "acceleration unit per second (no 60ABh)"
+    return told * gear if _turning(word) else told, f"60ABh{by_gear if _turning(word) else ''}"
+
+
+def _turning(word: int | None) -> bool:
+    """The unit counts turns of the driving shaft."""
+    return word is not None and unit_parts(word)[1] in _TURNING
+
+
+def _rate(word: int, values: ObjectValues, position_rad: float, power: int) -> float | None:
+    """rad/s^power of one unit of a unit word, gear apart; None if it uses codes that are not known here."""
+    exponent, numerator, denominator = unit_parts(word)
+    if not _is_unit(numerator) or not _is_unit(denominator):
+        return None
+    scale = 10.0**exponent
+    unit = Unit(numerator)
+    if unit is Unit.REVOLUTION_PER_MINUTE:
+        powered = _POWERED_SECONDS.get(Unit(denominator)) == power - 1
+        seconds = 1.0 if powered else _SECONDS_PER_UNIT.get(Unit(denominator), 1.0)
+        return scale * RAD_S_PER_RPM / seconds ** (power - 1)
+    powered = _POWERED_SECONDS.get(Unit(denominator)) == power
+    seconds = 1.0 if powered else _SECONDS_PER_UNIT.get(Unit(denominator), 0.0)
+    if not seconds:
+        return None
+    turns = _TURNS_PER_UNIT.get(unit)
+    if turns is not None:
+        return scale * RAD_PER_REVOLUTION * turns / seconds**power
+    if unit is Unit.METRE:
+        metre_rad = _metre_rad(values, position_rad)
+        return None if metre_rad is None else scale * metre_rad / seconds**power
+    return scale * position_rad / seconds**power if unit is Unit.INCREMENT else None
+
+
+def _metre_rad(values: ObjectValues, position_rad: float) -> float | None:
+    """rad of the motor shaft per metre, for a drive whose position unit is a length."""
+    word = values.get((Object.SI_UNIT_POSITION, 0))
+    exponent, numerator, _ = unit_parts(word or 0)
+    return position_rad / 10.0**exponent if numerator == Unit.METRE else None
+
+
+def _is_unit(code: int) -> bool:
+    return code in Unit.__members__.values()

@@ -1,0 +1,398 @@
+"""A CiA 402 servo drive, simulated or real: its set-up, its states, its modes, and its part in a loop."""
+
+from typing import Final
+
+from drivers.canopen.heartbeats import HostWatch, forget_host, write_heartbeats
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.drive_setup import (
+    DriveSettings,
+    Identity,
+    map_pdos,
+    read_identity,
+    read_scaling,
+    write_limits,
+    write_reactions,
+)
+from drivers.cia402.drive_watch import DriveWatch
+from drivers.cia402.mode_control import MODE_BITS, ModeControl
+from drivers.cia402.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import DriveCommand, Mode, State, state_of
+from drivers.cia402.readings import ReadingAssembler, Seen
+from drivers.cia402.rest import resting_since, slow
+from drivers.cia402.setpoint import SetPoint
+from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
+from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
+from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+
+RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
+_CONNECT_TRY_S: Final = 0.1
+_SETTLE_NS: Final = 50 * NS_PER_MS
+
+
+class ServoDrive(Drive):
+    """One drive: connect, configure, enable, exchange, stop, release.
+
+        drive = ServoDrive(network, node_id=1, name="axis1")
+        drive.connect(deadline); drive.configure(settings); drive.enable(deadline)
+        each cycle: network.send_sync(), network.pump_one(until), drive.take_readings(), drive.write(command)
+        at last: drive.release()
+
+    Nothing runs by itself. Methods with a ``deadline`` pump the network until the drive has done what it was
+    asked, and raise NoAnswer or DriveInFault if it has not by then. ``take_readings``, ``write`` and
+    ``check`` never wait. A fault is reset only by ``reset_fault``.
+    """
+
+    def __init__(self, network: CanopenNetwork, node_id: int, name: str = "") -> None:
+        self.network = network
+        self._now = network.clock.now
+        self.node_id = node_id
+        self.name = name or f"node {node_id}"
+        self.objects = RemoteObjects(network, node_id)
+        self.status = network.status(node_id)
+        self.identity: Identity | None = None
+        self.notes: list[str] = []
+        """What the drive has not, refused or holds otherwise, in words; of the last ``configure``."""
+        self.unsent_commands = 0
+        """Commands that had expired when ``write`` was called."""
+        self.plan: PdoPlan | None = None
+        """What was mapped; None before ``configure``."""
+        self._told = Seen()
+        self.control = StateControl(self.objects, self.name, self._told)
+        self.modes = ModeControl(self.control)
+        self.motion: Motion | None = None
+        self._assembler: ReadingAssembler | None = None
+        self._host_watch: HostWatch | None = None
+        self._beats = True
+        self._watch = DriveWatch(self.control, self.status, self._told)
+        self.supervision = CommandSupervision(self.objects)
+        """Ended by whatever stops the drive. Where several are let go one after the other, end that of all
+        first: the timers of the last run out meanwhile."""
+
+    # ---- set-up ---------------------------------------------------------------------------------------
+
+    def connect(self, deadline: Instant) -> Identity:
+        """Wait until the node answers, and read its identity. Raises NoAnswer, AnswersTwice, PeerFault."""
+        clock = self.network.clock
+        while True:
+            try:
+                self.network.upload(self.node_id, 0x1000, timeout_s=_CONNECT_TRY_S, attempts=1)
+                break
+            except NoAnswer as error:
+                if clock.now() >= deadline:
+                    raise nobody_there(self.network, self.node_id, self.control.title) from error
+        self.identity = identity = read_identity(self.objects)
+        self.network.refuse_two(self.node_id)
+        self.control.make = (identity.vendor, identity.device_name)
+        return identity
+
+    def configure(self, settings: DriveSettings) -> list[str]:
+        """Write PDO plan, heartbeats, reactions, limits and mode, and start the node (NMT operational).
+
+        The master's heartbeat is started if it is not running. Returns :attr:`notes`. Raises SettingRefused
+        or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
+        """
+        network = self.network
+        if not network.produces_heartbeat:
+            network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
+        beats = write_heartbeats(self.objects, settings)
+        self._host_watch, self._beats = beats.host_watch, beats.produced
+        watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
+        network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))
+        self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
+        scaling = read_scaling(self.objects, settings.scale)
+        notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
+        notes += write_limits(self.objects, settings, scaling)
+        plan, pdo_notes = map_pdos(self.objects, settings)
+        self._assembler = ReadingAssembler(
+            network, plan, scaling, settings.sync_period_ns, self._told, settings.velocity_sign
+        )
+        position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+        self._assembler.anchor_position(position, network.clock.now())
+        self.control.set_point = SetPoint(
+            network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
+        )
+        self.control.controlword = NONE_SENT
+        self.plan = plan
+        self._watch.configure(beats.produced, plan, settings.drive_heartbeat_timeout_ms)
+        self.supervision.configure(settings, plan, self._assembler)
+        self.motion = Motion(self.control, self.modes, scaling)
+        network.refuse_two(self.node_id)
+        self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
+        self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
+        self.notes = notes + pdo_notes
+        return self.notes
+
+    # ---- state ----------------------------------------------------------------------------------------
+
+    def enable(self, deadline: Instant) -> None:
+        """Walk to OPERATION ENABLED with a set-point that leaves the drive at rest."""
+        self._configured()
+        self.control.clear_bits(MODE_BITS)
+        self.modes.prime(self.modes.mode)
+        self.control.walk(State.OPERATION_ENABLED, deadline)
+        self.control.await_older_words(self.plan, deadline)
+        self._watch.begin()
+
+    def disable(self, deadline: Instant) -> None:
+        """Leave OPERATION ENABLED by the drive's own ramp (0x605C) and end in SWITCH ON DISABLED."""
+        self.supervision.end()
+        self._stop_following()
+        if self.control.read_state() is State.OPERATION_ENABLED:
+            self.control.command(DriveCommand.DISABLE_OPERATION)
+            self.control.await_state(
+                lambda state: state is not State.OPERATION_ENABLED, deadline, "leave operation enabled"
+            )
+        self.control.walk(State.SWITCH_ON_DISABLED, deadline)
+
+    def stop(self, *, asking: bool = True) -> None:
+        """Quick stop by RPDO and, if ``asking``, by SDO, without waiting for the shaft. Raises PeerFault."""
+        self._stop_following()
+        if self.identity is None:
+            return
+        self.control.command_by_pdo(DriveCommand.QUICK_STOP)
+        if not asking:
+            return
+        if self.control.read_state() in (State.OPERATION_ENABLED, State.QUICK_STOP):
+            self.control.command(DriveCommand.QUICK_STOP)
+        self.supervision.end()
+
+    def quick_stop(self, deadline: Instant) -> None:
+        """Command a quick stop and wait until the shaft is slow and the drive disabled, or in fault."""
+        self.stop()
+        moving = (State.OPERATION_ENABLED, State.FAULT_REACTION)
+        state = self.control.await_state(
+            lambda now: now not in moving and slow(self.objects, self._assembler),
+            deadline,
+            "come to rest",
+            faults=False,
+        )
+        if state is not State.FAULT:
+            self.control.walk(State.SWITCH_ON_DISABLED, deadline)
+
+    def release(self, limit: Duration = RELEASE_LIMIT) -> Release:
+        """Leave the drive at rest and disabled; raises nothing for what the drive or the bus does.
+
+        Take every load off before: nothing holds the shaft then. Takes ``limit`` at most, REST_FOR and one
+        SDO time-out. The drive then watches the host no more, and is pre-operational. If it cannot be brought
+        to rest, it goes on watching, and the host's heartbeat ends, so that it stops by itself; so does every
+        other drive of this network that is still watching.
+        """
+        self._watch.active = False
+        if self.identity is None:
+            return Release(True, None, "it was never connected")
+        deadline = self.network.deadline_after(limit)
+        try:
+            rested_at = self._bring_to_rest(deadline)
+        except PeerFault as failure:
+            done = end_heartbeat(self.network, watched=self._host_watch is not None)
+            return Release(False, self.state, f"{failure}; {done}")
+        try:
+            unwatched = self._leave()
+        except PeerFault as error:
+            return Release(True, self.state, str(error), rested_at)
+        return Release(True, self.state, rested_at=rested_at, unwatched=unwatched)
+
+    def reset_fault(self, deadline: Instant) -> None:
+        """Send a rising edge of the fault reset bit; raises DriveInFault if the fault stays."""
+        if self.control.read_state() not in FAULTY:
+            return
+        self.control.await_state(
+            lambda state: state is State.FAULT, deadline, "finish its fault reaction", faults=False
+        )
+        self.control.command(DriveCommand.DISABLE_VOLTAGE)
+        self.control.command(DriveCommand.FAULT_RESET)
+        self.control.await_state(lambda state: state not in FAULTY, deadline, "leave its fault", faults=False)
+        self.control.command(DriveCommand.DISABLE_VOLTAGE)
+        self.control.emergencies.clear()
+
+    @property
+    def state(self) -> State | None:
+        """State in the last statusword seen, by PDO or SDO; None before the first."""
+        word = self._told.statusword
+        return state_of(word) if word >= 0 else None
+
+    # ---- the cycle ------------------------------------------------------------------------------------
+
+    def take_readings(self) -> list[Reading]:
+        """The readings completed since the last call, oldest first."""
+        return [] if self._assembler is None else self._assembler.take()
+
+    def take_readbacks(self) -> list[Readback]:
+        """The torque demands 0x6074 that came with SYNCs since the last call, oldest first."""
+        return [] if self._assembler is None else self._assembler.take_readbacks()
+
+    def take_demand_changes(self) -> list[DemandChange]:
+        """As :meth:`take_readbacks`, of a plan with ``demand_changes``: each when the demand changed."""
+        return [] if self._assembler is None else self._assembler.take_demand_changes()
+
+    def write(self, command: Command) -> SentCommand | None:
+        """Send a torque set-point; None and nothing sent if it has expired.
+
+        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number.
+        """
+        if self._expired(command.expires_at):
+            return None
+        sent = self._configured().send_torque(command.torque_nm, command.sequence)
+        self.supervision.sent(sent.raw)
+        return sent
+
+    def check(self) -> None:
+        """As :meth:`.drive_watch.DriveWatch.check`; DriveInFault too if it follows no command."""
+        self._watch.check()
+        if not self.supervision.follows:
+            self._watch.active = False
+            raise DriveInFault(f"{self.control.title} follows no command any more", self.control.evidence())
+
+    def supervise_commands(self) -> str:
+        """As :meth:`.supervision.CommandSupervision.begin`, called right before the first cycle."""
+        return self.supervision.begin(self.modes.mode)
+
+    @property
+    def enabled(self) -> bool:
+        """``enable`` succeeded, and since then nothing was seen or done that ended it."""
+        return self._watch.active
+
+    @property
+    def reading_bytes(self) -> int:
+        """Length of the frame that carries the speed. RuntimeError before ``configure``."""
+        speed = None if self.plan is None else self.plan.tpdo_with(Object.VELOCITY_ACTUAL_VALUE)
+        if speed is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return speed.bits // 8
+
+    @property
+    def assembler(self) -> ReadingAssembler:
+        """What takes the drive's TPDOs. RuntimeError before ``configure``."""
+        if self._assembler is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self._assembler
+
+    @property
+    def torque_shown(self) -> tuple[float, Instant]:
+        """The torque that the drive told last, N m, and when; NaN and -1 before the first."""
+        assembler = self.assembler
+        return assembler.torque_nm, assembler.torque_told_at
+
+    @property
+    def rated_torque_nm(self) -> float:
+        """What the drive's per-thousand torques refer to. RuntimeError before ``configure``."""
+        return self.assembler.scaling.rated_torque_nm
+
+    # ---- modes ----------------------------------------------------------------------------------------
+
+    def change_mode(self, mode: Mode, deadline: Instant) -> None:
+        """As :meth:`drivers.cia402.mode_control.ModeControl.change`."""
+        self._configured()
+        self.modes.change(mode, deadline)
+
+    def move_to(
+        self,
+        position_rad: float,
+        deadline: Instant,
+        profile: Profile = AS_THE_DRIVE_HOLDS,
+        *,
+        relative: bool = False,
+    ) -> None:
+        """Profile position: move, and wait until the drive has reached the target.
+
+        Moves that are not waited for, or are queued in the drive: :meth:`.motion.Motion.start_move`.
+        """
+        motion = self._moving()
+        motion.start_move(position_rad, deadline, profile, relative=relative)
+        motion.await_target(deadline)
+
+    def run_at(self, speed_rad_s: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS) -> None:
+        """Profile velocity: go to a speed by the drive's ramps, and wait until it is reached."""
+        motion = self._moving()
+        motion.start_speed(speed_rad_s, deadline, profile)
+        motion.await_target(deadline)
+
+    def apply_torque(
+        self, torque_nm: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS
+    ) -> None:
+        """Profile torque: go to a torque by the drive's slope, and wait until it is reached."""
+        motion = self._moving()
+        motion.start_torque(torque_nm, deadline, profile)
+        motion.await_target(deadline)
+
+    def home(self, method: int, deadline: Instant, how: Homing = HOMING_AS_THE_DRIVE_HOLDS) -> None:
+        """Homing by a method of CiA 402-2, to its end."""
+        self._moving().home(method, deadline, how)
+
+    def halt(self, deadline: Instant) -> None:
+        """Stop and stay enabled; ``resume`` goes on. For the profile modes and homing."""
+        self._moving().halt(deadline)
+
+    def resume(self) -> None:
+        """Take a halt back."""
+        self._moving().resume()
+
+    def write_speed(self, speed_rad_s: float, expires_at: Instant, sequence: int = 0) -> SentCommand | None:
+        """As :meth:`write`, for cyclic synchronous velocity."""
+        if self._expired(expires_at):
+            return None
+        return self._configured().send_speed(speed_rad_s, sequence)
+
+    def write_position(
+        self, position_rad: float, expires_at: Instant, sequence: int = 0
+    ) -> SentCommand | None:
+        """As :meth:`write`, for cyclic synchronous position; counted as in a reading."""
+        if self._expired(expires_at):
+            return None
+        return self._configured().send_position(position_rad, sequence)
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _expired(self, expires_at: Instant) -> bool:
+        if self._now() <= expires_at:
+            return False
+        self.unsent_commands += 1
+        return True
+
+    def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
+        if not self._beats:
+            # Nobody tells what became of the command: give the drive its time.
+            self.network.pump(Instant(self.network.command(command, self.node_id) + _SETTLE_NS))
+            return
+        heartbeat = Duration(settings.drive_heartbeat_ms * NS_PER_MS)
+        change_nmt(self.network, self.node_id, self.control.title, command, wanted, heartbeat)
+
+    def _moving(self) -> Motion:
+        if self.motion is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self.motion
+
+    def _configured(self) -> SetPoint:
+        if self.control.set_point is None:
+            raise RuntimeError(f"{self.name} was not configured")
+        return self.control.set_point
+
+    def _bring_to_rest(self, deadline: Instant) -> Instant:
+        """Quick stop until it succeeds or the deadline comes. Since when it rests. Raises PeerFault."""
+        while True:
+            try:
+                self.quick_stop(deadline)
+                return resting_since(self.control, self._assembler, deadline)
+            except PeerFault as error:
+                if isinstance(error, BusDown) or self._now() >= deadline:
+                    raise
+
+    def _leave(self) -> str:
+        """End the watch on either side, and the PDOs; as :func:`drivers.canopen.heartbeats.forget_host`."""
+        self.network.watch(self.node_id, Duration(0))
+        unwatched = "" if self._host_watch is None else forget_host(self.objects, self._host_watch)
+        self.network.command(NmtCommand.ENTER_PRE_OPERATIONAL, self.node_id)
+        return unwatched
+
+    def _stop_following(self) -> None:
+        """No frame from now on carries torque, and ``check`` no longer asks for OPERATION ENABLED."""
+        self._watch.active = False
+        if self.control.set_point is not None:
+            self.control.set_point.hold_torque(0.0)

@@ -1,0 +1,199 @@
+"""Controlword and set-points of one drive, and the RPDOs that carry them."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import PdoMap, PdoPlan
+from drivers.cia402.objects402 import Object
+from drivers.cia402.scaling import Scaling
+from drivers.exchange import SentCommand
+from drivers.timebase import Instant
+from drivers.wire.frame_port import UNTOLD
+from drivers.wire.link import BusLink
+
+_TORQUE_RAW_MAX: Final = 0x7FFF
+_VELOCITY_RAW_MAX: Final = 0x7FFF_FFFF
+_WORD: Final = 1 << 32
+_HALF_WORD: Final = 1 << 31
+_TARGET_TORQUE: Final = int(Object.TARGET_TORQUE)
+_round: Final = round
+"""As constants of this module: found without a look-up where it is compiled."""
+_AWAITED_MAX: Final = 256
+"""Commands that wait for their echo on a bus that has none, or has stopped giving them."""
+_OVERTAKEN_MAX: Final = 16
+"""Commands whose echo may yet come after a later one's, on a bus that delays frames by so many cycles; older
+ones never came to the bus, and one of equal data must not be taken for them."""
+
+
+class _Awaited:
+    """The commands of one RPDO that wait for their echo: by when they were handed over, or, where the bus
+    does not tell that, by the data of their frames."""
+
+    __slots__ = ("_overtaken", "_waiting")
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[bytes, SentCommand]] = deque(maxlen=_AWAITED_MAX)
+        self._overtaken: deque[tuple[bytes, SentCommand]] = deque(maxlen=_OVERTAKEN_MAX)
+
+    def sent(self, data: bytes, command: SentCommand) -> None:
+        """A command was handed to the bus."""
+        self._waiting.append((data, command))
+
+    def echoed(self, data: bytes, at: Instant, handed_at: Instant) -> None:
+        """A frame of this RPDO was on the bus. Where nobody tells which, it is that of the first command that
+        sent such data since the last one seen there; or, if the bus let frames overtake each other, of the
+        last one before."""
+        waiting = self._waiting
+        for place, (awaited, command) in enumerate(waiting):
+            if awaited == data and handed_at in (UNTOLD, command.handed_at):
+                command.on_bus_at = at
+                for _ in range(place):
+                    self._overtaken.append(waiting.popleft())
+                waiting.popleft()
+                return
+        overtaken = self._overtaken
+        for place in range(len(overtaken) - 1, -1, -1):
+            awaited, command = overtaken[place]
+            if awaited == data and handed_at in (UNTOLD, command.handed_at):
+                command.on_bus_at = at
+                del overtaken[place]
+                return
+
+
+class _Carrier:
+    """One RPDO and its present values."""
+
+    __slots__ = ("awaited", "cob_id", "pack", "values")
+
+    def __init__(self, pdo: PdoMap) -> None:
+        self.cob_id = pdo.cob_id
+        self.pack: Callable[..., bytes] = pdo.codec().pack
+        self.values: list[Any] = [b"" if entry.code[-1] == "s" else 0 for entry in pdo.entries]
+        self.awaited = _Awaited()
+
+
+class _Place:
+    """Where an object stands in an RPDO."""
+
+    __slots__ = ("carrier", "place")
+
+    def __init__(self, carrier: _Carrier, place: int) -> None:
+        self.carrier = carrier
+        self.place = place
+
+
+class SetPoint:
+    """What the drive is told each cycle. Every RPDO carries the one controlword that is in force.
+
+    So a set-point never repeats an old controlword, in whatever number of RPDOs 0x6040 is mapped; and since
+    every RPDO carries the set-points in force too, a controlword never repeats an old set-point.
+    """
+
+    __slots__ = (
+        "_link",
+        "_per_nm",
+        "_per_rad",
+        "_per_rad_s",
+        "_places",
+        "_torque",
+        "_torque_raw_max",
+        "_velocity_raw_max",
+        "clipped",
+    )
+
+    def __init__(
+        self,
+        network: CanopenNetwork,
+        plan: PdoPlan,
+        scaling: Scaling,
+        torque_max_nm: float | None,
+        speed_max_rad_s: float | None = None,
+    ) -> None:
+        self.clipped = 0
+        """Set-points beyond their limit."""
+        self._link: BusLink = network.link
+        self._per_nm = 1.0 / scaling.torque_nm
+        self._per_rad_s = 1.0 / scaling.velocity_rad_s
+        self._per_rad = 1.0 / scaling.position_rad
+        self._torque_raw_max = _raw_limit(torque_max_nm, self._per_nm, _TORQUE_RAW_MAX)
+        self._velocity_raw_max = _raw_limit(speed_max_rad_s, self._per_rad_s, _VELOCITY_RAW_MAX)
+        self._places: dict[int, list[_Place]] = {}
+        for pdo in plan.rpdos:
+            carrier = _Carrier(pdo)
+            network.frame_pump.echo_handlers[pdo.cob_id] = carrier.awaited.echoed
+            for place, entry in enumerate(pdo.entries):
+                if entry.sub == 0:
+                    self._places.setdefault(entry.index, []).append(_Place(carrier, place))
+        self._torque = self._places.get(Object.TARGET_TORQUE, [])
+
+    # ---- any object -----------------------------------------------------------------------------------
+
+    def hold(self, index: int, raw: int) -> None:
+        """Put a value in force without sending it: the next frame that maps the object carries it."""
+        for place in self._places.get(index, ()):
+            place.carrier.values[place.place] = raw
+
+    def send(self, index: int) -> None:
+        """Send every RPDO that carries an object; nothing if none does."""
+        for place in self._places.get(index, ()):
+            carrier = place.carrier
+            self._link.send(carrier.cob_id, carrier.pack(*carrier.values))
+
+    def send_controlword(self, controlword: int) -> None:
+        """Put a controlword in force and send every RPDO that carries it."""
+        self.hold(Object.CONTROLWORD, controlword)
+        self.send(Object.CONTROLWORD)
+
+    # ---- the cyclic modes -----------------------------------------------------------------------------
+
+    def hold_torque(self, torque_nm: float) -> int:
+        """Set the torque that the next frame carries, N m; it, as sent. Raises ValueError for no number."""
+        raw = _round(torque_nm * self._per_nm)
+        limit = self._torque_raw_max
+        if not -limit <= raw <= limit:
+            raw = limit if raw > 0 else -limit
+            self.clipped += 1
+        for place in self._torque:
+            place.carrier.values[place.place] = raw
+        return raw
+
+    def send_torque(self, torque_nm: float, sequence: int) -> SentCommand:
+        """Set and send; what was sent, of which the bus may tell more later.
+
+        ``sequence``: the cycle that produced it. Raises RuntimeError if no RPDO carries 0x6071.
+        """
+        raw = self.hold_torque(torque_nm)
+        return self._send_first(self._torque, _TARGET_TORQUE, raw, sequence)
+
+    def send_speed(self, speed_rad_s: float, sequence: int) -> SentCommand:
+        """As :meth:`send_torque`, for 0x60FF."""
+        raw = round(speed_rad_s * self._per_rad_s)
+        limit = self._velocity_raw_max
+        if not -limit <= raw <= limit:
+            raw = limit if raw > 0 else -limit
+            self.clipped += 1
+        self.hold(Object.TARGET_VELOCITY, raw)
+        places = self._places.get(Object.TARGET_VELOCITY, [])
+        return self._send_first(places, Object.TARGET_VELOCITY, raw, sequence)
+
+    def send_position(self, position_rad: float, sequence: int) -> SentCommand:
+        """As :meth:`send_torque`, for 0x607A, which wraps as the position in a reading is unwrapped."""
+        raw = (round(position_rad * self._per_rad) + _HALF_WORD) % _WORD - _HALF_WORD
+        self.hold(Object.TARGET_POSITION, raw)
+        places = self._places.get(Object.TARGET_POSITION, [])
+        return self._send_first(places, Object.TARGET_POSITION, raw, sequence)
+
+    def _send_first(self, places: list[_Place], index: int, raw: int, sequence: int) -> SentCommand:
+        if not places:
+            raise RuntimeError(f"no RPDO of the plan carries {index:04X}h")
+        carrier = places[0].carrier
+        data = carrier.pack(*carrier.values)
+        command = SentCommand(sequence, raw, self._link.send(carrier.cob_id, data))
+        carrier.awaited.sent(data, command)
+        return command
+
+
+def _raw_limit(limit: float | None, per_unit: float, raw_max: int) -> int:
+    return raw_max if limit is None else min(int(limit * per_unit + 1e-9), raw_max)

@@ -1,0 +1,218 @@
+"""Moving a drive through the state machine of CiA 402-2, with deadlines and with evidence when it fails."""
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+from drivers.canopen.error_codes import fault_text, register_text
+from drivers.canopen.nmt import Emergency
+from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import (
+    CONTROLWORDS,
+    DriveCommand,
+    State,
+    command_path,
+    state_of,
+)
+from drivers.cia402.readings import NEVER_TOLD, Seen
+from drivers.cia402.setpoint import SetPoint
+from drivers.errors import DriveInFault, PeerFault
+from drivers.timebase import NS_PER_MS, Duration, Instant
+
+ERROR_REGISTER, ERROR_HISTORY = 0x1001, 0x1003
+NONE_SENT = -1
+FAULTY = (State.FAULT, State.FAULT_REACTION)
+POLL_NS = NS_PER_MS
+_RESEND_NS = 50 * NS_PER_MS
+"""A controlword that shows no effect for so long is sent again."""
+_ASK_S = 0.01
+"""Wait for a statusword that is asked for in the middle of a cycle: ten SDO transfers on a full bus."""
+_OLDER_WORDS_LIMIT = Duration(50 * NS_PER_MS)
+"""A statusword told by PDO is not longer on its way than this; if it was lost, its event timer repeats it."""
+_FAULT_SPAN = Duration(100 * NS_PER_MS)
+"""The EMCY of a fault is no longer before the statusword that tells of it: the event timer of such a TPDO, or
+the SDO that asks for it, takes less."""
+_EMERGENCIES_KEPT = 8
+_EMERGENCIES_SHOWN = 2
+
+
+class StateControl:
+    """Commands and states of one drive. Every method but the properties pumps the network."""
+
+    def __init__(self, objects: RemoteObjects, name: str, told: Seen) -> None:
+        self.objects = objects
+        self.network = objects.network
+        self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"
+        """How an error names the drive."""
+        self.set_point: SetPoint | None = None
+        """What carries the controlword by RPDO; None before the PDOs are mapped."""
+        self.controlword = NONE_SENT
+        """What is in force: the last one sent."""
+        self.make = (0, "")
+        """Vendor and device name, for the words of its maker; nothing before they are read."""
+        self._told = told
+        self.emergencies: deque[Emergency] = deque(maxlen=_EMERGENCIES_KEPT)
+        self.emergency_came = False
+        """Since this was cleared."""
+        self.network.on_emergency(self._on_emergency)
+
+    def read_state(self) -> State | None:
+        """The state by SDO, now; None if the statusword is no coding of the standard."""
+        return state_of(self.read_status())
+
+    def await_older_words(self, plan: PdoPlan | None, deadline: Instant) -> None:
+        """Let the statuswords of the way to OPERATION ENABLED come in by PDO: a slow one would tell later
+        that the drive fell back."""
+        status = None if plan is None else plan.tpdo_with(Object.STATUSWORD)
+        if status is None or status.synchronous:
+            return
+        until = min(deadline, self.network.deadline_after(_OLDER_WORDS_LIMIT))
+        while state_of(self._told.by_pdo) is not State.OPERATION_ENABLED and self.network.pump_one(until):
+            pass
+
+    def read_status(self) -> int:
+        """The statusword by SDO, now."""
+        word = self.objects.read(Object.STATUSWORD, 0, "H")
+        self._told.take(word, self.network.clock.now())
+        return word
+
+    def ask_after_emergency(self) -> None:
+        """Ask for the statusword, once: an EMCY may be a warning, and what told of a fault be lost."""
+        self.emergency_came = False
+        with suppress(PeerFault):
+            node, status = self.objects.node_id, int(Object.STATUSWORD)
+            data = self.network.upload(node, status, timeout_s=_ASK_S, attempts=1)
+            self._told.take(int.from_bytes(data[:2], "little"), self.network.clock.now())
+
+    def command(self, command: DriveCommand) -> None:
+        """Put a controlword in force: by RPDO, so that none that waits for a SYNC undoes it, and by SDO."""
+        self._put_in_force(CONTROLWORDS[command])
+
+    def command_by_pdo(self, command: DriveCommand) -> None:
+        """Put a controlword in force without waiting for anything; nothing happens before the mapping."""
+        self.controlword = CONTROLWORDS[command]
+        if self.set_point is not None:
+            self.set_point.send_controlword(self.controlword)
+
+    def set_bits(self, mask: int, value: int) -> None:
+        """Change some bits of the controlword in force, by RPDO and by SDO."""
+        held = max(self.controlword, 0)
+        self._put_in_force(held & ~mask | value)
+
+    def clear_bits(self, mask: int) -> None:
+        """Clear bits of the controlword in force; nothing is sent if they are clear."""
+        if self.controlword != NONE_SENT and self.controlword & mask:
+            self.set_bits(mask, 0)
+
+    def write_value(self, index: int, code: str, raw: int) -> None:
+        """Give a set-point or the mode to the drive, by SDO and then in every RPDO that carries it.
+
+        An RPDO that waits for a SYNC, or is sent later, so repeats the new value, not the old one. Before the
+        first command no RPDO is sent, as it would be the one that brings a controlword. Raises ValueError if
+        the value does not fit, TransferAborted if the drive refuses it; RPDOs then stay as they were.
+        """
+        self.objects.write(index, 0, code, raw)
+        if self.set_point is not None:
+            self.set_point.hold(index, raw)
+            if self.controlword != NONE_SENT:
+                self.set_point.send(index)
+
+    def walk(self, target: State, deadline: Instant) -> None:
+        """Go by the shortest path of the state machine; a command without effect is repeated.
+
+        Raises DriveInFault if a fault is met, or if the deadline comes first.
+        """
+        clock = self.network.clock
+        sent: tuple[State | None, DriveCommand] | None = None
+        resend_at = Instant(0)
+        while (state := self.read_state()) is not target:
+            now = clock.now()
+            if state in FAULTY:
+                raise self.in_fault()
+            if now >= deadline:
+                raise self.stuck(f"reach {target.value!r}")
+            path = command_path(state, target) if state is not None else None
+            if path and ((state, path[0]) != sent or now >= resend_at):
+                self.command(path[0])
+                sent, resend_at = (state, path[0]), Instant(now + _RESEND_NS)
+            else:
+                self.network.pump(Instant(now + POLL_NS))
+
+    def await_state(
+        self, reached: Callable[[State | None], bool], deadline: Instant, action: str, faults: bool = True
+    ) -> State | None:
+        """Poll the state until it is as wanted, and return it.
+
+        Raises DriveInFault at the deadline and, with ``faults``, when a fault is met.
+        """
+        while not reached(state := self.read_state()):
+            if faults and state in FAULTY:
+                raise self.in_fault()
+            now = self.network.clock.now()
+            if now >= deadline:
+                raise self.stuck(action)
+            self.network.pump(Instant(now + POLL_NS))
+        return state
+
+    def evidence(self) -> str:
+        """Statusword, error code and last emergencies, as far as the drive tells them."""
+        parts = []
+        try:
+            parts.append(f"statusword {self.objects.read(Object.STATUSWORD, 0, 'H'):04X}h")
+            parts += self._told_of_the_fault()
+        except PeerFault as error:
+            parts.append(str(error))
+        now = self.network.clock.now()
+        last = list(self.emergencies)[-_EMERGENCIES_SHOWN:]
+        parts += [f"{each.told(*self.make)}, {(now - each.at) / NS_PER_MS:.0f} ms ago" for each in last]
+        return ", ".join(parts)
+
+    def _told_of_the_fault(self) -> list[str]:
+        """0x603F, or in its place the newest entry of 0x1003; and 0x1001."""
+        parts = []
+        code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
+        if code is None and self.objects.read_if_there(ERROR_HISTORY, 0, "B"):
+            code = (self.objects.read_if_there(ERROR_HISTORY, 1) or 0) & 0xFFFF
+        if code is not None:
+            parts.append(f"error code {code:04X}h ({fault_text(code, *self.make)})")
+        register = self.objects.read_if_there(ERROR_REGISTER, 0, "B")
+        if register:
+            parts.append(f"error register {register:02X}h ({register_text(register)})")
+        return parts
+
+    @property
+    def status_told_at(self) -> Instant | None:
+        """When the last statusword came, by whatever way; None before the first."""
+        return None if self._told.at == NEVER_TOLD else self._told.at
+
+    @property
+    def fault_seen_at(self) -> Instant:
+        """When the fault that the statusword tells showed first: by its EMCY, or by the statusword itself."""
+        since = self._told.at - _FAULT_SPAN
+        return min(
+            (each.at for each in self.emergencies if each.code and each.at >= since), default=self._told.at
+        )
+
+    def in_fault(self) -> DriveInFault:
+        """The error for a drive that reports a fault."""
+        seen_at = self.fault_seen_at
+        return DriveInFault(
+            f"{self.title} is in fault", self.evidence(), "mend the cause, then reset the fault", seen_at
+        )
+
+    def stuck(self, action: str) -> DriveInFault:
+        """The error for a drive that did not do what it was asked by the deadline."""
+        return DriveInFault(f"{self.title} did not {action} in time", self.evidence())
+
+    def _put_in_force(self, controlword: int) -> None:
+        self.controlword = controlword
+        if self.set_point is not None:
+            self.set_point.send_controlword(controlword)
+        self.objects.write(Object.CONTROLWORD, 0, "H", controlword)
+
+    def _on_emergency(self, emergency: Emergency) -> None:
+        if emergency.node_id == self.objects.node_id:
+            self.emergencies.append(emergency)
+            self.emergency_came = True

@@ -1,0 +1,141 @@
+"""Who notices that a drive does not hear its host any more, and what is left when nothing else stops it.
+
+commands cease to arrive    the drive, by the event timer of its RPDO (1400h:05), and stops by 6007h;
+                            else the host, by the torque that the drive tells, and stops it by SDO
+the statusword ceases       the host, by the event timer of the TPDO
+nothing stops the drive     the host withholds its heartbeat: 1016h and 6007h of the drive
+"""
+
+from contextlib import suppress
+from typing import Final, NamedTuple
+
+from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
+from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_planner import features_of
+from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.profile import Mode, State
+from drivers.cia402.readings import ReadingAssembler
+from drivers.errors import BusDown, PeerFault, TransferAborted
+from drivers.timebase import NS_PER_MS, Duration, Instant
+
+_EVENT_TIMER: Final = 5
+"""Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
+
+
+class Release(NamedTuple):
+    """How a drive was left."""
+
+    at_rest: bool
+    state: State | None
+    evidence: str = ""
+    """What went wrong on the way; empty if nothing did."""
+    rested_at: Instant | None = None
+    """Since when it was at rest; None if it was not, or never moved."""
+    unwatched: str = ""
+    """In words, if its 1016h held something else at the end than was written into it."""
+
+
+class CommandSupervision:
+    """Of one drive, while a run sends it a command in every cycle."""
+
+    def __init__(self, objects: RemoteObjects) -> None:
+        self._objects = objects
+        self._settings: DriveSettings | None = None
+        self._plan = PdoPlan((), ())
+        self._assembler: ReadingAssembler | None = None
+        self._timed: int | None = None
+        self._watch: CommandWatch | None = None
+
+    def configure(self, settings: DriveSettings, plan: PdoPlan, assembler: ReadingAssembler) -> None:
+        """What the drive was set up with; nobody looks after its commands yet."""
+        self._settings, self._plan, self._assembler = settings, plan, assembler
+        self._timed = self._watch = None
+
+    def begin(self, mode: Mode) -> str:
+        """Have the drive, or in its place the host, look after the commands of ``mode`` from now on.
+
+        Says who does, and when the drive begins to stop and is at rest; empty without ``command_timeout_ms``.
+        """
+        settings = self._settings
+        if settings is None or settings.command_timeout_ms is None:
+            return ""
+        timeout_ms = settings.command_timeout_ms
+        index = self._timer_of(mode)
+        if index is not None and self._set_timer(index, timeout_ms):
+            return f"the drive itself ({index:04X}h:05), after {timeout_ms} ms{_rest_text(settings)}"
+        target = TARGETS.get(mode)
+        features, torque = features_of(self._plan), self._plan.tpdo_with(Object.TORQUE_ACTUAL_VALUE)
+        if target is None or target.index != Object.TARGET_TORQUE or not (features.demand or torque):
+            return "nobody: the drive does not look after its RPDO (1400h:05), nor tell a torque to compare"
+        cycles = max(2, timeout_ms * NS_PER_MS // settings.sync_period_ns)
+        self._watch_torque(CommandWatch(cycles, DEMAND_MARGIN_RAW if features.demand else ACTUAL_MARGIN_RAW))
+        told = "6074h" if features.demand else "6077h"
+        return f"the host by {told}, after {cycles} cycles ({timeout_ms} ms){_rest_text(settings)}"
+
+    def sent(self, raw: int) -> None:
+        """A command was handed to the bus."""
+        if self._watch is not None:
+            self._watch.sent(raw)
+
+    @property
+    def follows(self) -> bool:
+        """By what the host sees, the drive follows its commands."""
+        return self._watch is None or self._watch.follows
+
+    @property
+    def active(self) -> bool:
+        """Whether the drive or the host looks after the commands."""
+        return self._timed is not None or self._watch is not None
+
+    def end(self) -> None:
+        """Before the commands cease. A drive that does not take it stops by it, which is meant as well."""
+        self._watch_torque(None)
+        if self._timed is not None:
+            with suppress(PeerFault):
+                self._objects.write(self._timed, _EVENT_TIMER, "H", 0)
+            self._timed = None
+
+    def _timer_of(self, mode: Mode) -> int | None:
+        """Communication parameter of the RPDO with the set-point, if it has an event timer."""
+        target = TARGETS.get(mode)
+        rpdo = None if target is None else self._plan.rpdo_with(target.index)
+        if rpdo is None or self._objects.read_if_there(rpdo.communication_index, _EVENT_TIMER, "H") is None:
+            return None
+        return rpdo.communication_index
+
+    def _set_timer(self, index: int, timeout_ms: int) -> bool:
+        try:
+            self._objects.write_verified(index, _EVENT_TIMER, "H", timeout_ms)
+        except (TransferAborted, SettingRefused):
+            return False
+        self._timed = index
+        return True
+
+    def _watch_torque(self, watch: CommandWatch | None) -> None:
+        self._watch = watch
+        if self._assembler is not None:
+            self._assembler.watch = watch
+
+
+def end_heartbeat(network: CanopenNetwork, *, watched: bool) -> str:
+    """The last resort for a drive that nothing else stops; what was done, in words.
+
+    ``watched``: the drive has an entry in 1016h for the host.
+    """
+    if not watched:
+        return "it does not watch the host's heartbeat: stop it by hand"
+    with suppress(BusDown):
+        network.produce_heartbeat(Duration(0))
+    return f"the host's heartbeat ended: each drive on {network.link.name} that watches it (1016h) stops"
+
+
+def _rest_text(settings: DriveSettings) -> str:
+    """How long a stop takes from the highest speed that the settings allow."""
+    speed, deceleration = settings.speed_max_rad_s, settings.quick_stop_deceleration_rad_s2
+    if speed is None or deceleration is None:
+        return ", then by the drive's own quick stop"
+    return f", and at rest within {1e3 * speed / deceleration:.0f} ms from then"

@@ -1,0 +1,271 @@
+"""A serial load machine: torque set-points out, readings of torque and speed in, nothing that waits.
+
+    set_torque  -->  command, no answer            repeated now and then, as a spoilt one goes unnoticed
+    pump        -->  OD ....... data string        one request at a time
+                     |-- too late: asked again, three times, then the instrument counts as lost
+                     |-- spoilt:   asked again
+
+The instrument puts no time on what it says. A reading is taken to be of the middle between the end of the
+request on the line and the beginning of the answer, and knows how far off that may be.
+
+``pump`` is called in each cycle of a loop; it reads and writes what the port has and takes, and returns.
+What has to wait (connecting, taking the load off) does so by a function of the caller's that lets time pass.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drivers.errors import NoAnswer, PeerFault
+from drivers.instruments.magtrol import Dialect
+from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
+from drivers.wire.serial_line import ByteLine, LineFull
+
+BITS_A_BYTE = 10
+BAUD = 9600
+ANSWER_TIMEOUT = Duration(NS_PER_S)
+READING_EVERY = Duration(20 * NS_PER_MS)
+ATTEMPTS_MAX = 3
+"""Requests for one reading before the instrument counts as lost."""
+SPOILT_MAX = 10
+"""Spoilt answers in a row, as of a wrong baud rate or another instrument, that end it too."""
+REPEAT_NS = Duration(NS_PER_S // 2)
+"""A set-point is sent again so often."""
+QUIET_NS = Duration(20 * NS_PER_MS)
+"""After an answer that came late or spoilt, so long nothing is asked, and what still comes is thrown away."""
+RELEASE_S = 3
+"""In which a load must be gone."""
+RESIDUE_NM, RESIDUE_SHARE = 0.02, 0.05
+"""What may be left of a load, of itself and of the largest one asked for: drag and the instrument's zero."""
+_LINE_BYTES_MAX = 256
+_STEP_NS = 5 * NS_PER_MS
+
+
+class LoadReading(NamedTuple):
+    """What the instrument measured."""
+
+    at: Instant
+    """On the bench's clock."""
+    error_ns: Duration
+    """It may have been so much earlier or later."""
+    torque_nm: float
+    """What the brake takes from the shaft."""
+    speed_rad_s: float
+    alarm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DynamometerSettings:
+    """How to deal with one instrument."""
+
+    baud: int = BAUD
+    answer_timeout: Duration = ANSWER_TIMEOUT
+    """The manuals ask for at least a second."""
+    reading_every: Duration = READING_EVERY
+    """From one request to the next; longer if the line is slower than that."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """What went over the line."""
+
+    readings: int = 0
+    late: int = 0
+    """Answers that did not come in time."""
+    spoilt: int = 0
+    """Lines that were no reading."""
+    unasked: int = 0
+    """Lines that nobody had asked for."""
+    error_ns_max: int = 0
+
+
+class Dynamometer:
+    """One load machine on one serial line."""
+
+    def __init__(
+        self, line: ByteLine, clock: Clock, dialect: Dialect, settings: DynamometerSettings | None = None
+    ) -> None:
+        self.identity = ""
+        self.tally = Tally()
+        self._line = line
+        self._clock = clock
+        self._dialect = dialect
+        self._settings = settings or DynamometerSettings()
+        self._rest = b""
+        self._asked_at: Instant | None = None
+        self._late = self._spoilt = 0
+        """In a row."""
+        self._next_at = Instant(0)
+        self._quiet_until = Instant(0)
+        self._wanted_nm = 0.0
+        self._largest_nm = 0.0
+        self._repeat_at = Instant(0)
+        self._readings: list[LoadReading] = []
+        self._text: bytes | None = None
+        self._identifying = False
+
+    def connect(self, wait: Callable[[Instant], None]) -> str:
+        """Open the brake and learn who is there; ``wait`` lets time pass until an instant.
+
+        Raises NoAnswer.
+        """
+        self._send(self._dialect.release)
+        for _ in range(ATTEMPTS_MAX):
+            self._identifying, self._text = True, None
+            self._send(self._dialect.identify)
+            deadline = Instant(self._clock.now() + self._settings.answer_timeout)
+            while self._text is None and self._clock.now() < deadline:
+                wait(self._step(deadline))
+                self._take_in(self._clock.now())
+            self._identifying = False
+            if self._text is not None:
+                self.identity = self._text.decode("ascii", "replace")
+                self.read_now(wait)
+                return self.identity
+        raise NoAnswer(
+            f"no load machine answers on {self._line.name}",
+            f"{ATTEMPTS_MAX} times asked for its identity in"
+            f" {ATTEMPTS_MAX * self._settings.answer_timeout / NS_PER_S:g} s",
+            "check port, cable (null modem) and the instrument's baud rate",
+        )
+
+    def set_torque(self, torque_nm: float) -> None:
+        """Ask for ``torque_nm``, N m, against the motion of the shaft; sent at once. Raises PeerFault."""
+        self._wanted_nm = torque_nm
+        self._largest_nm = max(self._largest_nm, abs(torque_nm))
+        self._send_torque(self._clock.now())
+
+    def pump(self, now: Instant) -> None:
+        """Take in what has come and send what is due; returns at once.
+
+        Raises NoAnswer if the instrument is lost, PeerFault if its port is, or if it reports an alarm.
+        """
+        self._take_in(now)
+        asked_at = self._asked_at
+        if asked_at is not None and now - asked_at > self._settings.answer_timeout:
+            self.tally.late += 1
+            self._late += 1
+            self._ask_again(now)
+        if now >= self._repeat_at:
+            self._send_torque(now)
+        if self._asked_at is None and now >= self._next_at and now >= self._quiet_until:
+            self._send(self._dialect.ask)
+            self._asked_at = now
+            self._next_at = Instant(now + self._settings.reading_every)
+
+    def take_readings(self) -> list[LoadReading]:
+        """The readings since the last call, oldest first."""
+        readings, self._readings = self._readings, []
+        return readings
+
+    def read_now(self, wait: Callable[[Instant], None]) -> LoadReading:
+        """The next reading, waited for. Raises as :meth:`pump` does."""
+        known = self.tally.readings
+        while self.tally.readings == known:
+            self.pump(self._clock.now())
+            wait(self._step())
+        return self._readings[-1]
+
+    def take_off(self, wait: Callable[[Instant], None]) -> None:
+        """Take the load off and see that it is gone. Raises PeerFault."""
+        self.set_torque(0.0)
+        deadline = Instant(self._clock.now() + RELEASE_S * NS_PER_S)
+        residue_nm = max(RESIDUE_NM, RESIDUE_SHARE * self._largest_nm)
+        self._asked_at, self._quiet_until = None, Instant(self._clock.now() + QUIET_NS)
+        while True:
+            reading = self.read_now(wait)
+            if abs(reading.torque_nm) <= residue_nm:
+                return
+            if self._clock.now() > deadline:
+                raise PeerFault(
+                    f"the load machine on {self._line.name} still brakes",
+                    f"{reading.torque_nm:.3g} N m {RELEASE_S} s after it was told to open",
+                    "switch its brake off by hand",
+                )
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.close()
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _step(self, latest: Instant | None = None) -> Instant:
+        step = Instant(self._clock.now() + _STEP_NS)
+        return step if latest is None else min(step, latest)
+
+    def _send_torque(self, now: Instant) -> None:
+        self._send(self._dialect.set_torque(self._wanted_nm))
+        self._repeat_at = Instant(now + REPEAT_NS)
+
+    def _send(self, command: bytes) -> None:
+        try:
+            self._line.write(command)
+        except LineFull as error:
+            raise NoAnswer("the load machine takes no commands", str(error), "switch it on") from error
+        except OSError as error:
+            raise self._gone(error) from error
+
+    def _take_in(self, now: Instant) -> None:
+        try:
+            data = self._line.read()
+        except OSError as error:
+            raise self._gone(error) from error
+        if not data:
+            return
+        # CR LF, either alone, or the other way round: instruments and their settings differ
+        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        self._rest = rest[-_LINE_BYTES_MAX:]
+        for line in lines:
+            if line:
+                self._take(line, now)
+
+    def _take(self, line: bytes, now: Instant) -> None:
+        seen = self._dialect.read(line)
+        if self._identifying and seen is None:
+            if len(line) >= 3 and line.isascii() and line.decode("ascii").isprintable():
+                self._text = line.strip()
+            return
+        asked_at = self._asked_at
+        if asked_at is None:
+            self.tally.unasked += 1
+            return
+        if seen is None:
+            self.tally.spoilt += 1
+            self._spoilt += 1
+            self._ask_again(now)
+            return
+        self._asked_at, self._late, self._spoilt = None, 0, 0
+        earliest = asked_at + self._on_line(len(self._dialect.ask))
+        latest = now - self._on_line(len(line) + 2)
+        middle = (earliest + latest) // 2 if latest > earliest else (asked_at + now) // 2
+        error = Duration(max(latest - earliest, 0) // 2 + 1)
+        self.tally.readings += 1
+        self.tally.error_ns_max = max(self.tally.error_ns_max, error)
+        reading = LoadReading(Instant(middle), error, seen.torque_nm, seen.speed_rad_s, seen.alarm)
+        self._readings.append(reading)
+        if seen.alarm:
+            raise PeerFault(
+                f"the load machine on {self._line.name} is in alarm",
+                f"{seen.torque_nm:.3g} N m at {abs(seen.speed_rad_s):.0f} rad/s",
+                "see its display, clear the cause and switch the alarm off there",
+            )
+
+    def _ask_again(self, now: Instant) -> None:
+        self._asked_at = None
+        if self._late >= ATTEMPTS_MAX or self._spoilt >= SPOILT_MAX:
+            late, spoilt = self._late, self._spoilt
+            self._late = self._spoilt = 0
+            raise NoAnswer(
+                f"the load machine on {self._line.name} gives no readings",
+                f"since the last one {late} answers did not come and {spoilt} were spoilt",
+                "check its cable, its supply and its baud rate",
+            )
+        self._rest = b""
+        self._quiet_until = Instant(now + QUIET_NS)
+        self._next_at = self._quiet_until
+
+    def _on_line(self, count: int) -> int:
+        return count * BITS_A_BYTE * NS_PER_S // self._settings.baud
+
+    def _gone(self, error: OSError) -> PeerFault:
+        return PeerFault("the load machine's port is gone", str(error), "check its cable")

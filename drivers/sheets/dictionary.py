@@ -1,0 +1,98 @@
+"""EDS and DCF files (CiA 306-1) as object dictionaries, tolerant of vendors' faults.
+
+How a file is read stands in :mod:`drivers.sheets.eds`. Each thing that was mended on the way is a
+:class:`Repair`; nothing is mended silently.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from canopen.objectdictionary import ObjectDictionary
+
+from drivers.bounded_file import read_bytes
+from drivers.errors import BadInput
+from drivers.sheets.eds.compact_pdo import add_compact_pdos
+from drivers.sheets.eds.information import (
+    Commissioning,
+    DeviceInformation,
+    FileInformation,
+    check_lists,
+    read_commissioning,
+    read_device_information,
+    read_dummies,
+    read_file_information,
+)
+from drivers.sheets.eds.model import to_canopen
+from drivers.sheets.eds.objects import EdsObject, build_objects
+from drivers.sheets.eds.repairs import Repair, RepairLog
+from drivers.sheets.eds.sections import object_of, read_sections
+from drivers.sheets.eds.text import lines_of
+
+__all__ = ["LoadedDictionary", "Repair", "load_dictionary", "parse_dictionary"]
+
+_WHAT = "EDS or DCF file (CiA 306-1)"
+_EXPECTED = f"an {_WHAT}"
+_SIZE_MAX_BYTES = 8_000_000
+"""The largest data sheets of servo drives have one or two million."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedDictionary:
+    """An object dictionary and the repairs without which it could not be read."""
+
+    dictionary: ObjectDictionary
+    repairs: tuple[Repair, ...]
+    file: FileInformation = field(default_factory=FileInformation)
+    device: DeviceInformation = field(default_factory=DeviceInformation)
+    commissioning: Commissioning | None = None
+    """What a DCF says of the node that it is for; None for an EDS."""
+    dummies: tuple[int, ...] = ()
+    objects: Mapping[int, EdsObject] = field(default_factory=dict)
+    """As the file has them: formulas of $NODEID, denotations, flags."""
+
+
+def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:
+    """Read an EDS or DCF file; ``node_id`` takes the place of $NODEID, a DCF's own if it is None.
+
+    Raises BadInput if the file cannot be read, or holds no object.
+    """
+    return parse_dictionary(read_bytes(path, _WHAT, size_max_bytes=_SIZE_MAX_BYTES), str(path), node_id)
+
+
+def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> LoadedDictionary:
+    """As :func:`load_dictionary`, of the bytes of a file."""
+    _refuse_other_formats(data, source)
+    log = RepairLog()
+    sections = read_sections(lines_of(data, log), log)
+    if not any(object_of(name) for name in sections):
+        raise BadInput(source, "", "no object section", _EXPECTED)
+    commissioning = read_commissioning(sections, log)
+    if node_id is None and commissioning is not None:
+        node_id = commissioning.node_id
+    device = read_device_information(sections, log)
+    dummies = read_dummies(sections, log)
+    check_lists(sections, log)
+    objects = build_objects(sections, node_id, log)
+    add_compact_pdos(objects, device)
+    if not objects:
+        raise BadInput(source, "", "no object that is defined", _EXPECTED)
+    return LoadedDictionary(
+        to_canopen(objects, dummies, device, commissioning, node_id),
+        log.in_order_of_lines(),
+        read_file_information(sections),
+        device,
+        commissioning,
+        dummies,
+        objects,
+    )
+
+
+def _refuse_other_formats(data: bytes, source: str) -> None:
+    """Files that people mistake for data sheets, each with what to do instead."""
+    head = data[:200].lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n").replace(b"\0", b"").lower()
+    if head.startswith((b"<?xml", b"<iso15745", b"<ethercatinfo")):
+        remedy = "an XML description (CiA 311 or EtherCAT) is not read; ask the vendor for the EDS"
+        raise BadInput(source, "", "an XML file", _EXPECTED, remedy)
+    if head.startswith((b"pk\x03\x04", b"\x1f\x8b", b"rar!", b"7z\xbc\xaf")):
+        raise BadInput(source, "", "an archive", _EXPECTED, "unpack it first")

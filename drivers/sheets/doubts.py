@@ -1,0 +1,60 @@
+"""What in a dictionary contradicts itself, beyond the form: the values stay as they are, and are told."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import canopen.objectdictionary as od
+
+from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
+from drivers.canopen.sdo import object_name
+
+_COUNTS_ITSELF = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+"""Objects whose sub-index 0 counts the entries in use (CiA 301 7.5.2.3, 7.5.2.36, 7.5.2.38)."""
+_NAMED_MAX = 4
+_PDO_BITS = 64
+_FIRST_OBJECT = 0x1000
+
+
+def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[str, ...]:
+    """Default mappings that cannot be, and objects whose sub-index 0 is not their highest sub-index."""
+    found = [doubt for slot in capability.slots for doubt in _of_mapping(slot, capability)]
+    counts = [doubt for index, entry in dictionary.items() if (doubt := _of_count(index, entry))]
+    if counts:
+        found.append(f"sub-index 0 is not the highest sub-index: {_some(counts)}")
+    return tuple(found)
+
+
+def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
+    wrong = []
+    for word in slot.mapping:
+        index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        named = f"{object_name(index, sub)}/{bits}"
+        if index < _FIRST_OBJECT:
+            if index not in capability.dummies:
+                wrong.append(f"{named} is no placeholder that it offers")
+            continue
+        entry = capability.objects.get((index, sub))
+        if entry is None:
+            wrong.append(f"{named} is no object of its own with a length")
+        elif entry.bits != bits:
+            wrong.append(f"{named} has {entry.bits} bits")
+    if wrong:
+        yield f"the mapping of {slot.name} in the file cannot be: {_some(wrong)}"
+    total = sum(word & 0xFF for word in slot.mapping)
+    if total > _PDO_BITS:
+        yield f"the mapping of {slot.name} in the file has {total} bits, and a PDO holds {_PDO_BITS}"
+
+
+def _of_count(index: int, entry: Any) -> str:
+    if isinstance(entry, od.ODVariable) or any(index in known for known in _COUNTS_ITSELF):
+        return ""
+    first = entry.subindices.get(0)
+    if first is None or first.access_type not in ("ro", "const") or not isinstance(first.default, int):
+        return ""
+    highest = max(entry.subindices)
+    return "" if first.default == highest else f"{index:04X}h says {first.default} and has {highest}"
+
+
+def _some(named: list[str]) -> str:
+    more = len(named) - _NAMED_MAX
+    return "; ".join(named[:_NAMED_MAX]) + (f"; and {more} more" if more > 0 else "")

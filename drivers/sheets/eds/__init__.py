@@ -1,0 +1,11 @@
+"""Electronic data sheets and device configuration files of CiA 306-1, as vendors write them.
+
+    text.py        bytes -> lines: code page, byte order mark, line ends
+    sections.py    lines -> sections with options, each with its line
+    numbers.py     the spellings of numbers and of $NODEID
+    objects.py     sections -> objects with typed entries, by the rules of types.py and values.py
+    information.py what a file says of itself: file, device, configuration
+    model.py       objects -> the object dictionary of python canopen
+
+Every stage tells a :class:`drivers.sheets.eds.repairs.RepairLog` what it had to mend.
+"""

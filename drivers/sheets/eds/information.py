@@ -1,0 +1,217 @@
+"""What a file says of itself: its making, the device it is for, the node that it configures, its lists."""
+
+from dataclasses import dataclass
+
+from drivers.sheets.eds.numbers import integer
+from drivers.sheets.eds.objects import FIRST_OBJECT
+from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.sections import COMMISSIONING, Section, Sections, object_of, section_name
+
+BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
+LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+_DUMMIES = range(1, 8)
+_COUNT = "supportedobjects"
+
+
+@dataclass(frozen=True, slots=True)
+class FileInformation:
+    """[FileInfo], as it stands."""
+
+    name: str = ""
+    version: str = ""
+    revision: str = ""
+    eds_version: str = ""
+    description: str = ""
+    created: str = ""
+    modified: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInformation:
+    """[DeviceInfo]; None for what the file does not say, or says without sense."""
+
+    vendor_name: str = ""
+    product_name: str = ""
+    order_code: str = ""
+    vendor_number: int | None = None
+    product_number: int | None = None
+    revision_number: int | None = None
+    bit_rates_kbit_s: tuple[int, ...] = ()
+    receive_pdos: int | None = None
+    transmit_pdos: int | None = None
+    granularity: int | None = None
+    """Bits: the smallest piece that can be mapped; 0 if the mapping is fixed."""
+    compact_pdo: int = 0
+    """Bit n: PDOs without a section of their own have sub-index n + 1 of the communication parameter."""
+    lss_supported: bool | None = None
+    simple_boot_up_slave: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioning:
+    """[DeviceComissioning] of a DCF."""
+
+    node_id: int | None = None
+    node_name: str = ""
+    bit_rate_kbit_s: int | None = None
+    net_number: int | None = None
+    network_name: str = ""
+    serial_number: int | None = None
+
+
+def read_file_information(sections: Sections) -> FileInformation:
+    """[FileInfo]; empty where the file has none."""
+    section = sections.get("FileInfo")
+    if section is None:
+        return FileInformation()
+    text = section.text
+
+    def moment(what: str) -> str:
+        return f"{text(what + 'Date')} {text(what + 'Time')}".strip()
+
+    return FileInformation(
+        name=text("FileName"),
+        version=text("FileVersion"),
+        revision=text("FileRevision"),
+        eds_version=text("EDSVersion"),
+        description=text("Description"),
+        created=moment("Creation"),
+        modified=moment("Modification"),
+    )
+
+
+def read_device_information(sections: Sections, log: RepairLog) -> DeviceInformation:
+    """[DeviceInfo]."""
+    section = sections.get("DeviceInfo")
+    if section is None:
+        log.add("DeviceInfo", "the section is missing", "taken for empty")
+        return DeviceInformation()
+    read = _Numbers(section, log)
+    rates = tuple(rate for rate in BIT_RATES_KBIT_S if read.flag(f"BaudRate_{rate}"))
+    return DeviceInformation(
+        vendor_name=section.text("VendorName"),
+        product_name=section.text("ProductName"),
+        order_code=section.text("OrderCode"),
+        vendor_number=read.number("VendorNumber"),
+        product_number=read.number("ProductNumber"),
+        revision_number=read.number("RevisionNumber"),
+        bit_rates_kbit_s=rates,
+        receive_pdos=read.number("NrOfRXPDO"),
+        transmit_pdos=read.number("NrOfTXPDO"),
+        granularity=read.number("Granularity"),
+        compact_pdo=read.number("CompactPDO") or 0,
+        lss_supported=read.flag("LSS_Supported"),
+        simple_boot_up_slave=read.flag("SimpleBootUpSlave"),
+    )
+
+
+def read_commissioning(sections: Sections, log: RepairLog) -> Commissioning | None:
+    """[DeviceComissioning]; None for an EDS."""
+    section = sections.get(COMMISSIONING)
+    if section is None:
+        return None
+    read = _Numbers(section, log)
+    node_id = read.number("NodeID")
+    if node_id is not None and not 1 <= node_id <= 127:
+        option = section.options["nodeid"]
+        log.add(section.name, f"NodeID is {node_id}, not in 1..127", "left out", option.line)
+        node_id = None
+    return Commissioning(
+        node_id=node_id,
+        node_name=section.text("NodeName"),
+        bit_rate_kbit_s=read.number("Baudrate"),
+        net_number=read.number("NetNumber"),
+        network_name=section.text("NetworkName"),
+        serial_number=read.number("LSS_SerialNumber"),
+    )
+
+
+def read_dummies(sections: Sections, log: RepairLog) -> tuple[int, ...]:
+    """Data types that may be mapped as placeholders (CiA 301 7.4.7)."""
+    section = sections.get("DummyUsage")
+    if section is None:
+        return ()
+    read = _Numbers(section, log)
+    return tuple(number for number in _DUMMIES if read.flag(f"Dummy{number:04d}"))
+
+
+def check_lists(sections: Sections, log: RepairLog) -> None:
+    """Hold the lists of objects against the objects; those that are defined count."""
+    defined = {found.index for found in map(object_of, sections) if found is not None}
+    defined = {index for index in defined if index >= FIRST_OBJECT}
+    lists = [sections[name] for name in LISTS if name in sections]
+    if not lists:
+        log.add("file", "the lists of objects are missing", "every object that is defined counts")
+        return
+    listed: dict[int, str] = {}
+    for section in lists:
+        _check_list(section, defined, listed, log)
+    for index in sorted(defined - listed.keys()):
+        name = section_name(index)
+        line = sections[name].line if name in sections else 0
+        log.add(name, "the object is defined, but in no list", "taken for supported", line)
+
+
+def _check_list(section: Section, defined: set[int], listed: dict[int, str], log: RepairLog) -> None:
+    entries = 0
+    for key, option in section.options.items():
+        if key == _COUNT or integer(option.name) is None:
+            continue
+        entries += 1
+        index = _listed_index(option.value, defined)
+        if index is None:
+            log.add(
+                section.name, f"entry {option.name} is {option.value!r}, no index", "left out", option.line
+            )
+            continue
+        if index not in defined:
+            fault = f"object {index:04X}h is listed, but not defined"
+            log.add(section.name, fault, "left out", option.line)
+        elif index in listed:
+            fault = f"object {index:04X}h is listed twice, first in [{listed[index]}]"
+            log.add(section.name, fault, "counted once", option.line)
+        listed.setdefault(index, section.name)
+    count = section.options.get(_COUNT)
+    told = integer(count.value) if count is not None else None
+    if count is None:
+        log.add(section.name, "SupportedObjects is missing", f"{entries} are listed", section.line)
+    elif told is None or told.value != entries:
+        fault = f"SupportedObjects is {count.value or 'empty'}, {entries} are listed"
+        log.add(section.name, fault, "those that are listed count", count.line)
+
+
+def _listed_index(text: str, defined: set[int]) -> int | None:
+    """An index; digits without 0x are hexadecimal if only so they name an object of the file."""
+    found = integer(text)
+    if found is None:
+        return None
+    if text.strip().isdigit() and found.value not in defined and int(text, 16) in defined:
+        return int(text, 16)
+    return found.value
+
+
+class _Numbers:
+    """Numbers of a section that is no object's."""
+
+    def __init__(self, section: Section, log: RepairLog) -> None:
+        self._section = section
+        self._log = log
+
+    def number(self, name: str) -> int | None:
+        option = self._section.option(name)
+        if option is None:
+            return None
+        found = integer(option.value)
+        if found is None:
+            self._log.add(
+                self._section.name, f"{name} is {option.value!r}, no number", "left out", option.line
+            )
+            return None
+        if found.oddity:
+            fault = f"{name} is {option.value!r}"
+            self._log.add(self._section.name, fault, f"{found.oddity}: read as {found.value}", option.line)
+        return found.value
+
+    def flag(self, name: str) -> bool | None:
+        value = self.number(name)
+        return None if value is None else bool(value)

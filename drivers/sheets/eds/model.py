@@ -1,0 +1,108 @@
+"""Objects of a file as the object dictionary of python canopen."""
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any, cast
+
+import canopen.objectdictionary as od
+
+from drivers.sheets.eds import types
+from drivers.sheets.eds.entries import Entry
+from drivers.sheets.eds.information import Commissioning, DeviceInformation
+from drivers.sheets.eds.numbers import Formula
+from drivers.sheets.eds.objects import EdsObject
+from drivers.sheets.eds.values import Scalar
+
+_FLAGS = 0xE000_0000
+"""Of a COB-ID: not valid, no remote frames, 29-bit identifier."""
+
+
+def to_canopen(
+    objects: Mapping[int, EdsObject],
+    dummies: Iterable[int],
+    device: DeviceInformation,
+    commissioning: Commissioning | None,
+    node_id: int | None,
+) -> od.ObjectDictionary:
+    """The dictionary; ``node_id`` takes the place of $NODEID, a value that needs it is None without."""
+    made = od.ObjectDictionary()  # type: ignore[no-untyped-call]
+    made.node_id = node_id
+    if commissioning is not None and commissioning.bit_rate_kbit_s:
+        made.bitrate = commissioning.bit_rate_kbit_s * 1000
+    _describe(made, device)
+    for number in dummies:
+        dummy = od.ODVariable(f"Dummy{number:04d}", number, 0)
+        dummy.data_type, dummy.access_type = number, "const"
+        made.add_object(dummy)
+    configured_for = commissioning.node_id if commissioning is not None else None
+    for index in sorted(objects):
+        made.add_object(_object(objects[index], node_id, configured_for))
+    return made
+
+
+def _describe(made: od.ObjectDictionary, device: DeviceInformation) -> None:
+    information: Any = made.device_information
+    information.vendor_name, information.vendor_number = device.vendor_name, device.vendor_number
+    information.product_name, information.product_number = device.product_name, device.product_number
+    information.revision_number, information.order_code = device.revision_number, device.order_code
+    information.nr_of_RXPDO, information.nr_of_TXPDO = device.receive_pdos, device.transmit_pdos
+    information.granularity = device.granularity
+    information.LSS_supported = device.lss_supported
+    information.simple_boot_up_slave = device.simple_boot_up_slave
+    information.allowed_baudrates.update(rate * 1000 for rate in device.bit_rates_kbit_s)
+
+
+def _object(
+    made: EdsObject, node_id: int | None, configured_for: int | None
+) -> od.ODVariable | od.ODArray | od.ODRecord:
+    if made.is_variable:
+        return _variable(made.entries[0], node_id, configured_for)
+    kind = od.ODArray if made.object_type == types.ARRAY else od.ODRecord
+    parent: Any = kind(made.name, made.index)
+    parent.storage_location = made.storage
+    for entry in made.entries.values():
+        parent.add_member(_variable(entry, node_id, configured_for))
+    return cast(od.ODArray | od.ODRecord, parent)
+
+
+def _variable(entry: Entry, node_id: int | None, configured_for: int | None) -> od.ODVariable:
+    made: Any = od.ODVariable(entry.name, entry.index, entry.sub)
+    made.data_type, made.access_type = entry.data_type, entry.access
+    made.pdo_mappable, made.storage_location = entry.mappable, entry.storage
+    made.min, made.max = _limit(entry.low), _limit(entry.high)
+    made.default = entry.default.at(node_id)
+    made.value = entry.configured.at(node_id)
+    followed = _followed(entry, configured_for)
+    made.relative = followed is not None
+    if followed is not None and made.value is not None and node_id is not None:
+        made.value = followed.at(node_id)
+    if entry.default.text:
+        made.default_raw = entry.default.text
+    if entry.configured.text:
+        made.value_raw = entry.configured.text
+    made.unit = entry.extras.get("Unit", "")
+    made.description = entry.extras.get("Description", "")
+    with suppress(ValueError):
+        made.factor = float(entry.extras.get("Factor", "1"))
+    return cast(od.ODVariable, made)
+
+
+def _followed(entry: Entry, configured_for: int | None) -> Formula | None:
+    """The formula that the value follows: that of the parameter value if there is one, else the default's.
+
+    Tools write the parameter values of a DCF as plain numbers. One that is the default's identifier on the
+    node of the DCF, be it with other flags (bits 29 to 31), goes on following the node-ID.
+    """
+    configured, default = entry.configured, entry.default.formula
+    if configured.formula is not None:
+        return configured.formula if configured.formula.factor == 1 else None
+    if default is None or default.factor != 1 or configured.value is None:
+        return default if default is not None and default.factor == 1 else None
+    if configured_for is None or not isinstance(configured.value, int):
+        return None
+    base = configured.value - configured_for
+    return Formula(1, base) if not (base ^ default.base) & ~_FLAGS else None
+
+
+def _limit(value: Scalar | None) -> int | float | None:
+    return value if isinstance(value, int | float) else None

@@ -1,0 +1,283 @@
+"""Sections into objects: variables, arrays, records, and the short forms of them (CiA 306-1 clause 4.6)."""
+
+from dataclasses import dataclass, field, replace
+
+from drivers.sheets.eds import types
+from drivers.sheets.eds.entries import Entry, EntryReader
+from drivers.sheets.eds.numbers import integer
+from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.sections import (
+    COMMISSIONING,
+    Option,
+    Section,
+    Sections,
+    object_of,
+    section_name,
+    table_of,
+)
+from drivers.sheets.eds.standard import standard_object_type, standard_type
+from drivers.sheets.eds.values import Place, Value, read_value
+
+FIRST_OBJECT = 0x1000
+"""Below are data types."""
+_SUBS_MAX = 254
+
+
+@dataclass(slots=True)
+class EdsObject:
+    """An object and its entries by sub-index; a variable has the one entry 0."""
+
+    index: int
+    name: str
+    object_type: int
+    """VARIABLE, DOMAIN_OBJECT, ARRAY or RECORD."""
+    entries: dict[int, Entry] = field(default_factory=dict)
+    storage: str | None = None
+
+    @property
+    def is_variable(self) -> bool:
+        return self.object_type in (types.VARIABLE, types.DOMAIN_OBJECT)
+
+
+def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> dict[int, EdsObject]:
+    """Every object that the sections define, by index."""
+    builder = _Builder(sections, node_id, log)
+    heads: dict[int, Section | None] = {}
+    for name, section in sections.items():
+        found = object_of(name)
+        if found is None or found.index < FIRST_OBJECT:
+            continue
+        if found.sub is None:
+            heads[found.index] = section
+        else:
+            heads.setdefault(found.index, None)
+            builder.subs.setdefault(found.index, {})[found.sub] = section
+    made = (builder.build(index, heads[index]) for index in sorted(heads))
+    objects = {entry.index: entry for entry in made if entry is not None}
+    builder.note_stray_tables(objects)
+    return objects
+
+
+class _Builder:
+    def __init__(self, sections: Sections, node_id: int | None, log: RepairLog) -> None:
+        self.subs: dict[int, dict[int, Section]] = {}
+        self._sections = sections
+        self._configured = COMMISSIONING in sections
+        """It is a DCF: its tables of values hold what is configured, those of an EDS the defaults."""
+        self._log = log
+        self._read = EntryReader(sections, node_id, log)
+
+    def build(self, index: int, head: Section | None) -> EdsObject | None:
+        subs = self.subs.get(index, {})
+        if head is None:
+            head = self._made_up_head(index, subs)
+        elif not head.options and not subs:
+            return self._empty(index, head)
+        kind = self._object_type(index, head, subs)
+        if kind in (types.DEFTYPE, types.DEFSTRUCT):
+            return None
+        if kind == types.NULL_OBJECT:
+            self._log.add(head.name, "the object is of type NULL", "left out", head.line)
+            return None
+        made = EdsObject(index, self._read.name(head), kind, storage=head.text("StorageLocation") or None)
+        compact = self._compact_count(head, made)
+        if compact:
+            self._expand(made, head, compact)
+        if made.is_variable:
+            made.entries[0] = self._read.entry(head, index, None)
+            return made
+        for sub in sorted(subs):
+            made.entries[sub] = self._read.entry(subs[sub], index, sub)
+        if not made.entries and not self._without_subs(made, head):
+            return None
+        if not made.is_variable:
+            self._check_count(made, head, compact)
+            self._add_sub_0(made, head)
+        made.entries = dict(sorted(made.entries.items()))
+        return made
+
+    # ---- what kind of object ------------------------------------------------------------------------------
+
+    def _made_up_head(self, index: int, subs: dict[int, Section]) -> Section:
+        first = subs[min(subs)]
+        head = Section(section_name(index), first.line)
+        kind = standard_object_type(index)
+        array = kind == types.ARRAY
+        for name, value in (
+            ("ParameterName", f"Object {index:04X}h"),
+            ("ObjectType", "0x8" if array else "0x9"),
+        ):
+            head.options[name.lower()] = Option(name, value, first.line)
+        taken = "an array" if array else "a record"
+        self._log.add(
+            head.name, "its sub-objects are there, but not the object", f"taken for {taken}", first.line
+        )
+        return head
+
+    def _empty(self, index: int, head: Section) -> EdsObject | None:
+        """A section without a single option: the object is named, but not defined."""
+        data_type = standard_type(index, None)
+        if data_type is None:
+            self._log.add(head.name, "the section is empty", "left out", head.line)
+            return None
+        name = types.type_name(data_type)
+        self._log.add(
+            head.name,
+            "the section is empty",
+            f"taken for a variable of {name}, as in the standard",
+            head.line,
+        )
+        entry = Entry(index, 0, f"Object {head.name}", data_type, line=head.line)
+        return EdsObject(index, entry.name, types.VARIABLE, {0: entry})
+
+    def _object_type(self, index: int, head: Section, subs: dict[int, Section]) -> int:
+        option = head.option("ObjectType")
+        kind = None
+        if option is not None:
+            named = types.OBJECT_TYPES.get(option.value.strip().upper())
+            if named is not None:
+                self._log.add(head.name, f"ObjectType is {option.value!r}", f"read as {named}", option.line)
+            kind = named if named is not None else self._read.number(head, "ObjectType")
+        if kind is None or kind not in types.OBJECT_TYPES.values():
+            return self._supposed_type(index, head, subs, kind)
+        if kind in (types.VARIABLE, types.DOMAIN_OBJECT) and subs:
+            if set(subs) == {0} and head.option("DataType"):
+                self._log.add(
+                    head.name, "a variable with a sub-object 0", "the sub-object is left out", head.line
+                )
+                subs.clear()
+                return kind
+            self._log.add(head.name, "a variable with sub-objects", "taken for a record", head.line)
+            return types.RECORD
+        return kind
+
+    def _supposed_type(self, index: int, head: Section, subs: dict[int, Section], kind: int | None) -> int:
+        """CiA 306-1: without ObjectType it is a variable; sub-objects, or the standard, say more."""
+        if subs:
+            supposed = types.ARRAY if standard_object_type(index) == types.ARRAY else types.RECORD
+        elif head.text("CompactSubObj") not in ("", "0"):
+            supposed = types.ARRAY
+        else:
+            supposed = types.VARIABLE
+        if kind is not None or subs:
+            fault = "ObjectType is missing" if kind is None else f"ObjectType {kind} is unknown"
+            name = {types.VARIABLE: "a variable", types.ARRAY: "an array"}.get(supposed, "a record")
+            self._log.add(head.name, fault, f"taken for {name}", head.line)
+        return supposed
+
+    # ---- short forms --------------------------------------------------------------------------------------
+
+    def _compact_count(self, head: Section, made: EdsObject) -> int:
+        """CompactSubObj: how many entries like one another the object has; 0 if it is not compact."""
+        if not head.text("CompactSubObj"):
+            return 0
+        count = self._read.number(head, "CompactSubObj") or 0
+        if not 0 <= count <= _SUBS_MAX:
+            self._log.add(head.name, f"CompactSubObj is {count}", f"{_SUBS_MAX} taken", head.line)
+            count = min(max(count, 0), _SUBS_MAX)
+        if count and made.is_variable:
+            self._log.add(head.name, "a variable with CompactSubObj", "taken for an array", head.line)
+            made.object_type = types.ARRAY
+        return count
+
+    def _expand(self, made: EdsObject, head: Section, count: int) -> None:
+        """Entries 1 to ``count`` like the head; names and values that differ stand in tables of their own."""
+        template = self._read.entry(head, made.index, 1)
+        made.entries[0] = Entry(made.index, 0, "Number of entries", types.UNSIGNED8, "ro", line=head.line)
+        made.entries[0].default = Value(count, text=str(count))
+        for sub in range(1, count + 1):
+            made.entries[sub] = replace(
+                template, sub=sub, name=f"{made.name}{sub}", extras=dict(template.extras)
+            )
+        for kind in ("name", "value", "denotation"):
+            table = self._sections.get(f"{made.index:04X}{kind.capitalize()}")
+            if table is not None:
+                self._apply_table(made, table, kind, template.data_type)
+
+    def _apply_table(self, made: EdsObject, table: Section, kind: str, data_type: int) -> None:
+        listed = 0
+        for option in table.options.values():
+            found = integer(option.name)
+            if found is None:
+                continue
+            listed += 1
+            entry = made.entries.get(found.value)
+            if entry is None or not found.value:
+                self._log.add(
+                    table.name, f"entry {option.name} is beyond the object", "left out", option.line
+                )
+            elif kind == "name":
+                entry.name = option.value or entry.name
+            elif kind == "denotation":
+                entry.denotation = option.value
+            elif option.value:
+                place = Place(table.name, made.index, found.value, data_type)
+                value = read_value(option, place, self._log)
+                if self._configured:
+                    entry.configured = value
+                else:
+                    entry.default = value
+        self._check_table_count(table, listed)
+
+    def _check_table_count(self, table: Section, listed: int) -> None:
+        option = table.option("NrOfEntries")
+        told = integer(option.value) if option is not None else None
+        if option is None:
+            self._log.add(
+                table.name, "NrOfEntries is missing", f"the {listed} entries that are there count", table.line
+            )
+        elif told is None or told.value != listed:
+            fault = f"NrOfEntries is {option.value}, {listed} are there"
+            self._log.add(table.name, fault, "those that are there count", option.line)
+
+    # ---- counts and sub-index 0 ---------------------------------------------------------------------------
+
+    def _without_subs(self, made: EdsObject, head: Section) -> bool:
+        """An array or record of which no entry is defined; False if it is to be left out."""
+        data_type = integer(head.text("DataType") or "0")
+        typed = data_type is not None and data_type.value in types.KNOWN_TYPES
+        told = integer(head.text("SubNumber") or "0")
+        count = min((told.value if told is not None else 0) - 1, _SUBS_MAX)
+        kind = "an array" if made.object_type == types.ARRAY else "a record"
+        if typed and count > 0:
+            self._log.add(head.name, f"{kind} without sub-objects", f"given {count} like its head", head.line)
+            self._expand(made, head, count)
+            return True
+        if typed:
+            self._log.add(head.name, f"{kind} without sub-objects", "taken for a variable", head.line)
+            made.object_type = types.VARIABLE
+            made.entries[0] = self._read.entry(head, made.index, None)
+            return True
+        self._log.add(head.name, f"{kind} of which no sub-object is defined", "left out", head.line)
+        return False
+
+    def _check_count(self, made: EdsObject, head: Section, compact: int) -> None:
+        option = head.options.get("subnumber")
+        if option is None or (compact and not option.value):
+            return
+        told = self._read.number(head, "SubNumber")
+        there = len(made.entries)
+        # A compact object has none that stand in the file; some tools count those it stands for.
+        if told is not None and told != there and not (compact and told in (0, compact)):
+            fault = f"SubNumber is {told}, {there} sub-objects are there"
+            self._log.add(head.name, fault, "those that are there count", option.line)
+
+    def _add_sub_0(self, made: EdsObject, head: Section) -> None:
+        if 0 in made.entries:
+            return
+        highest = max(made.entries)
+        entry = Entry(made.index, 0, "Highest sub-index", types.UNSIGNED8, "ro", line=head.line)
+        entry.default = Value(highest, text=str(highest))
+        made.entries[0] = entry
+        self._log.add(head.name, "sub-object 0 is missing", f"made, UNSIGNED8 = {highest}", head.line)
+
+    def note_stray_tables(self, objects: dict[int, EdsObject]) -> None:
+        """Tables of names or values that belong to no compact object."""
+        for name, section in self._sections.items():
+            table = table_of(name)
+            if table is None or table[1] == "objectlinks":
+                continue
+            head = self._sections.get(section_name(table[0]))
+            compact = head is not None and head.text("CompactSubObj") not in ("", "0")
+            if table[0] not in objects or not compact:
+                self._log.add(name, "no compact object has this table", "left out", section.line)

@@ -1,0 +1,174 @@
+"""Values of defaults, limits and parameters, by the data type of their object."""
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drivers.sheets.eds import types
+from drivers.sheets.eds.numbers import Formula, Spelled, formula, integer, is_formula, real
+from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.sections import Option
+from drivers.sheets.eds.standard import COB_ID_OBJECTS, is_communication, is_mapping
+
+Scalar = int | float | str | bytes
+_NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", "var", "variable"})
+_DEVICE_TYPE = 0x1000
+_DRIVE_PROFILE = 402
+
+
+class Value(NamedTuple):
+    """What an option says: a value, or a formula of the node-ID; neither if it says nothing."""
+
+    value: Scalar | None = None
+    formula: Formula | None = None
+    text: str = ""
+
+    def at(self, node_id: int | None) -> Scalar | None:
+        """The value on a node; None if it needs a node-ID and there is none."""
+        if self.formula is None:
+            return self.value
+        return None if node_id is None else self.formula.at(node_id)
+
+
+NOTHING = Value()
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Which object a value belongs to, and where its option stands."""
+
+    section: str
+    index: int
+    sub: int | None
+    data_type: int
+
+
+def read_value(option: Option | None, place: Place, log: RepairLog) -> Value:
+    """A default, limit or parameter value of the type of its object; what is none is left out."""
+    if option is None:
+        return NOTHING
+    if place.data_type in types.TEXT_TYPES:
+        return Value(option.value, text=option.value)
+    if place.data_type in types.BYTE_TYPES:
+        return _bytes(option, place, log)
+    if place.data_type in types.REAL_BITS:
+        return _real(option, place, log)
+    if is_formula(option.value):
+        return _formula(option, place, log)
+    return _integer(option, place, log)
+
+
+def _bytes(option: Option, place: Place, log: RepairLog) -> Value:
+    tidy = option.value.replace(" ", "").replace(",", "")
+    digits = tidy[2:] if tidy[:2].lower() == "0x" else tidy
+    try:
+        return Value(bytes.fromhex(digits), text=option.value)
+    except ValueError:
+        pass
+    if place.data_type == types.OCTET_STRING:
+        _note(option, place, log, "read as text")
+        return Value(option.value.encode("latin-1", errors="replace"), text=option.value)
+    _note(option, place, log, "left out, for a DOMAIN holds octets")
+    return NOTHING
+
+
+def _real(option: Option, place: Place, log: RepairLog) -> Value:
+    bits = types.REAL_BITS[place.data_type]
+    text = option.value.strip()
+    if text[:2].lower() == "0x":
+        pattern = integer(text)
+        if pattern is not None and 0 <= pattern.value < 1 << bits:
+            if not pattern.value:
+                return Value(0.0, text=text)
+            raw = pattern.value.to_bytes(bits // 8, "little")
+            value = struct.unpack("<f" if bits == 32 else "<d", raw)[0]
+            _note(option, place, log, f"taken for the bits of {value:g}")
+            return Value(value, text=text)
+    found = real(text)
+    if found is None:
+        _note(option, place, log, "left out, for it is no number")
+        return NOTHING
+    if found[1]:
+        _note(option, place, log, f"{found[1]}: read as {found[0]:g}")
+    return Value(found[0], text=text)
+
+
+def _formula(option: Option, place: Place, log: RepairLog) -> Value:
+    found = formula(option.value)
+    if found is None:
+        _note(option, place, log, "left out, for it is no formula of $NODEID")
+        return NOTHING
+    read = _formula_text(found)
+    if found.oddity:
+        _note(option, place, log, f"{found.oddity}: read as {read}")
+    return Value(None, found, read)
+
+
+def _formula_text(found: Formula) -> str:
+    node = "$NODEID" if found.factor == 1 else f"{found.factor}*$NODEID"
+    return f"{node}+0x{found.base & 0xFFFF_FFFF:X}"
+
+
+def _integer(option: Option, place: Place, log: RepairLog) -> Value:
+    found = _spelled(option.value, place)
+    if found is None:
+        if option.value.strip().lower() not in _NO_NUMBER:
+            _note(option, place, log, "left out, for it is no number")
+        else:
+            _note(option, place, log, "left out")
+        return NOTHING
+    value, oddity = fitted(found.value, place.data_type, option.value)
+    if value is None:
+        name = types.type_name(place.data_type)
+        _note(option, place, log, f"left out, for {name} does not hold it")
+        return NOTHING
+    oddity = found.oddity or oddity
+    if oddity:
+        _note(option, place, log, f"{oddity}: read as {value}")
+    return Value(value, text=option.value)
+
+
+def _spelled(text: str, place: Place) -> Spelled | None:
+    """A number; digits that make sense only as hexadecimal are taken for that."""
+    found = integer(text)
+    if found is None or not text.strip().isdigit():
+        return found
+    digits = text.strip()
+    wide = int(digits, 16)
+    if is_mapping(place.index) and place.sub:
+        hexadecimal = len(digits) == 8 and wide >> 16 >= 0x1000 and 1 <= wide & 0xFF <= 64
+    elif place.index == _DEVICE_TYPE:
+        hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and found.value & 0xFFFF != _DRIVE_PROFILE
+    elif (is_communication(place.index) and place.sub == 1) or place.index in COB_ID_OBJECTS:
+        # Bits 11 to 29 of a COB-ID of 11 bits are 0.
+        hexadecimal = len(digits) == 8 and wide & 0x3FFF_F800 == 0
+    else:
+        hexadecimal = False
+    return Spelled(wide, "hexadecimal without 0x") if hexadecimal else found
+
+
+def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:
+    """The value as its type holds it, and what is odd about that; None if it does not fit.
+
+    A signed value may be written as its bits: FFFFFFFFh for -1 is common, and no fault in hexadecimal.
+    """
+    signed = types.SIGNED_BITS.get(data_type)
+    if signed is not None:
+        if -1 << (signed - 1) <= value < 1 << (signed - 1):
+            return value, ""
+        if 0 <= value < 1 << signed:
+            odd = "" if "x" in text.lower() else "beyond its signed type"
+            return value - (1 << signed), odd
+        return None, ""
+    bits = types.UNSIGNED_BITS.get(data_type) or types.TIME_BITS.get(data_type)
+    if bits is None or 0 <= value < 1 << bits:
+        return value, ""
+    if data_type == types.BOOLEAN:
+        return 1, "beyond BOOLEAN"
+    if -1 << (bits - 1) <= value < 0:
+        return value + (1 << bits), "negative in an unsigned type"
+    return None, ""
+
+
+def _note(option: Option, place: Place, log: RepairLog, action: str) -> None:
+    log.add(place.section, f"{option.name} is {option.value[:60]!r}", action, option.line)

@@ -1,0 +1,330 @@
+"""Whether a drive can serve a bench, by its dictionary: identity, modes, PDOs, and what it lacks.
+
+An obstacle is what no bench can do without. Everything else degrades by itself, with a word on what is then
+lost: of real dictionaries of drives one in four defines 603Fh, one in three 6091h.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import canopen.objectdictionary as od
+
+from drivers.canopen.pdo_capability import PdoCapability, capability_of
+from drivers.canopen.sdo import object_name
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
+from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.doubts import doubts
+
+DRIVE_PROFILE = 402
+INTERPOLATION_DATA = 0x60C1
+AXIS_STEP = 0x800
+"""CiA 402-2: the objects of a second axis lie so much higher."""
+PREFERENCE = (
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE,
+    Mode.PROFILE_TORQUE,
+    Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
+    Mode.PROFILE_VELOCITY,
+    Mode.CYCLIC_SYNCHRONOUS_POSITION,
+    Mode.PROFILE_POSITION,
+)
+"""Modes that a bench can use, the best first: torque closes the loop on the host."""
+_TORQUE_MODES = PREFERENCE[:2]
+_NEEDED_OBJECTS = {
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE: Object.TARGET_TORQUE,
+    Mode.PROFILE_TORQUE: Object.TARGET_TORQUE,
+    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Object.TARGET_VELOCITY,
+    Mode.PROFILE_VELOCITY: Object.TARGET_VELOCITY,
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: Object.TARGET_POSITION,
+    Mode.PROFILE_POSITION: Object.TARGET_POSITION,
+    Mode.HOMING: Object.HOMING_METHOD,
+}
+_SUPPOSED_MODES = (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING)
+"""What the set-point objects alone are evidence of; the cyclic modes share them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """A recommended object that a dictionary does not define."""
+
+    index: int
+    name: str
+    consequence: str
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h {self.name}: {self.consequence}"
+
+
+class FileIdentity(NamedTuple):
+    """Who the dictionary is for; None and empty for what it does not tell."""
+
+    vendor_name: str
+    product_name: str
+    order_code: str
+    vendor: int | None
+    product: int | None
+    revision: int | None
+    device_name: str
+    device_type: int | None
+
+
+class PdoDefault(NamedTuple):
+    """A PDO as the drive has it before anybody writes to it."""
+
+    name: str
+    cob_id: int | None
+    valid: bool
+    transmission_type: int | None
+    inhibit_time_us: int | None
+    event_timer_ms: int | None
+    mapping: tuple[str, ...]
+    mapping_writable: bool
+    entries_max: int
+
+
+@dataclass(frozen=True, slots=True)
+class ModeFitness:
+    """One mode that the drive has, or seems to have."""
+
+    mode: Mode
+    plan: PlanResult | None
+    """None if the bench has no PDO plan for it."""
+    reason: str = ""
+    """Why there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fitness:
+    """What a dictionary offers a bench."""
+
+    identity: FileIdentity
+    profile: int | None
+    axes: int
+    """Axes with a controlword of their own."""
+    modes: tuple[Mode, ...]
+    modes_told_by: str
+    """"6502h", or what they were concluded from."""
+    usable: tuple[ModeFitness, ...]
+    """The modes that a bench could use, the best first."""
+    pdos: tuple[PdoDefault, ...]
+    lacks: tuple[Lack, ...]
+    obstacles: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def serves(self) -> bool:
+        """It can serve a bench."""
+        return not self.obstacles
+
+    @property
+    def best(self) -> ModeFitness | None:
+        """The mode to use."""
+        return next((mode for mode in self.usable if mode.plan is not None), None)
+
+
+RECOMMENDED = (
+    (0x1003, "pre-defined error field", "no history of faults"),
+    (0x1005, "COB-ID SYNC", "its PDOs cannot follow the SYNC"),
+    (0x1008, "manufacturer device name", "it does not say its name"),
+    (0x1010, "store parameters", "what is set is lost when it is switched off"),
+    (0x1011, "restore default parameters", "factory settings cannot be recalled"),
+    (0x1013, "high resolution time stamp", "samples are dated by their arrival"),
+    (0x1014, "COB-ID EMCY", "it may send no emergencies"),
+    (0x1016, "consumer heartbeat time", "it does not notice by itself that the host is gone"),
+    (0x1017, "producer heartbeat time", "the host does not notice by itself that it is gone"),
+    (0x6007, "abort connection option code", "what it does when the host is gone is its own choice"),
+    (0x603F, "error code", "the cause of a fault comes with the EMCY only"),
+    (0x605A, "quick stop option code", "how it stops is its own choice"),
+    (0x605E, "fault reaction option code", "how it stops in a fault is its own choice"),
+    (0x6061, "modes of operation display", "a change of mode cannot be verified"),
+    (0x6064, "position actual value", "no position"),
+    (0x6065, "following error window", "it does not watch its following error"),
+    (0x606C, "velocity actual value", "no velocity"),
+    (0x6071, "target torque", "no torque set-point"),
+    (0x6072, "max torque", "its torque limit cannot be set"),
+    (0x6075, "motor rated current", "currents have no unit"),
+    (0x6076, "motor rated torque", "torques have no unit: give rated_torque_nm"),
+    (0x6077, "torque actual value", "no torque feedback"),
+    (0x607D, "software position limit", "no position limit in the drive"),
+    (0x6080, "max motor speed", "its speed limit cannot be set"),
+    (0x6085, "quick stop deceleration", "its quick stop ramp cannot be set"),
+    (0x608F, "position encoder resolution", "position units need 60A8h or an override"),
+    (0x6091, "gear ratio", "no gear in the units"),
+    (0x60A8, "SI unit position", "position units are concluded from the factors"),
+    (0x60A9, "SI unit velocity", "velocity units are concluded from the factors"),
+    (0x6502, "supported drive modes", "its modes are concluded from its objects"),
+)
+"""Objects that a bench makes use of, and what is lost without."""
+
+
+def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
+    """Hold a dictionary, loaded for ``node_id``, against what a bench needs."""
+    dictionary = loaded.dictionary
+    identity = _identity(loaded)
+    profile = None if identity.device_type is None else identity.device_type & 0xFFFF
+    capability = capability_of(loaded)
+    modes, told_by = _modes(dictionary)
+    usable = tuple(
+        _mode_fitness(mode, dictionary, capability, node_id) for mode in PREFERENCE if mode in modes
+    )
+    return Fitness(
+        identity=identity,
+        profile=profile,
+        axes=_axes(dictionary),
+        modes=modes,
+        modes_told_by=told_by,
+        usable=usable,
+        pdos=_pdo_defaults(capability),
+        lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
+        obstacles=_obstacles(dictionary, profile, modes, usable),
+        remarks=(*_remarks(dictionary, profile, usable), *doubts(dictionary, capability)),
+    )
+
+
+def held(dictionary: od.ObjectDictionary, index: int, sub: int = 0) -> Any:
+    """The value of an object by its file: a DCF's parameter value first; None if it gives none."""
+    entry = dictionary.get(index)
+    if entry is None:
+        return None
+    if not isinstance(entry, od.ODVariable):
+        entry = entry.subindices.get(sub)
+    elif sub:
+        return None
+    if entry is None:
+        return None
+    return entry.value if entry.value is not None else entry.default
+
+
+def _identity(loaded: LoadedDictionary) -> FileIdentity:
+    dictionary, device = loaded.dictionary, loaded.device
+
+    def number(sub: int, other: int | None) -> int | None:
+        value = held(dictionary, 0x1018, sub)
+        return value if isinstance(value, int) and value else other
+
+    device_type = held(dictionary, 0x1000)
+    name = held(dictionary, 0x1008)
+    return FileIdentity(
+        vendor_name=device.vendor_name,
+        product_name=device.product_name,
+        order_code=device.order_code,
+        vendor=number(1, device.vendor_number),
+        product=number(2, device.product_number),
+        revision=number(3, device.revision_number),
+        device_name=name if isinstance(name, str) else "",
+        device_type=device_type if isinstance(device_type, int) else None,
+    )
+
+
+def _axes(dictionary: od.ObjectDictionary) -> int:
+    """How many axes have a controlword; up to eight share a device."""
+    return sum(Object.CONTROLWORD + AXIS_STEP * axis in dictionary for axis in range(8))
+
+
+def _modes(dictionary: od.ObjectDictionary) -> tuple[tuple[Mode, ...], str]:
+    """What 6502h tells; else what the set-point objects are evidence of."""
+    word = held(dictionary, Object.SUPPORTED_DRIVE_MODES)
+    if isinstance(word, int) and word & 0x3FF:
+        return tuple(mode for mode in Mode if word & supported_mode_bit(mode)), "6502h"
+    supposed = [*_SUPPOSED_MODES, *_cyclic_modes(dictionary)]
+    supposed = [mode for mode in supposed if _NEEDED_OBJECTS[mode] in dictionary]
+    if INTERPOLATION_DATA in dictionary:
+        supposed.append(Mode.INTERPOLATED_POSITION)
+    return tuple(sorted(set(supposed))), "its set-point objects (6502h gives no value)"
+
+
+def _cyclic_modes(dictionary: od.ObjectDictionary) -> list[Mode]:
+    """Modes of which an object speaks that no other mode has: the offsets, and 60C2h without 60C1h."""
+    evidence = {
+        Mode.CYCLIC_SYNCHRONOUS_POSITION: Object.POSITION_OFFSET,
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Object.VELOCITY_OFFSET,
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE: Object.TORQUE_OFFSET,
+    }
+    timed = Object.INTERPOLATION_TIME_PERIOD in dictionary and INTERPOLATION_DATA not in dictionary
+    return [mode for mode, index in evidence.items() if timed or index in dictionary]
+
+
+def _mode_fitness(
+    mode: Mode, dictionary: od.ObjectDictionary, capability: PdoCapability, node_id: int
+) -> ModeFitness:
+    needed = _NEEDED_OBJECTS[mode]
+    if needed not in dictionary:
+        return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
+    try:
+        return ModeFitness(mode, plan_pdos(capability, node_id, PlanWish(mode)))
+    except PlanImpossible as error:
+        return ModeFitness(mode, None, error.evidence or error.summary)
+
+
+def _pdo_defaults(capability: PdoCapability) -> tuple[PdoDefault, ...]:
+    made = []
+    for slot in capability.slots:
+        mapping = tuple(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in slot.mapping)
+        inhibit = None if slot.inhibit_time is None else slot.inhibit_time * 100
+        made.append(
+            PdoDefault(
+                slot.name,
+                slot.identifier,
+                slot.valid,
+                slot.transmission_type,
+                inhibit,
+                slot.event_timer,
+                mapping,
+                slot.mapping_writable,
+                slot.entries_max,
+            )
+        )
+    return tuple(made)
+
+
+def _obstacles(
+    dictionary: od.ObjectDictionary,
+    profile: int | None,
+    modes: tuple[Mode, ...],
+    usable: tuple[ModeFitness, ...],
+) -> tuple[str, ...]:
+    found = []
+    if profile is not None and profile not in (0, DRIVE_PROFILE):
+        found.append(f"1000h says device profile {profile}, and a servo drive has {DRIVE_PROFILE}")
+    missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if index not in dictionary]
+    if missing:
+        names = " and ".join(object_name(index, 0) for index in missing)
+        found.append(f"{names} missing: it has no CiA 402 state machine")
+        return tuple(found)
+    if Object.MODES_OF_OPERATION not in dictionary:
+        found.append("6060h:00 missing: its mode cannot be chosen")
+    if not usable:
+        has = ", ".join(mode_name(mode) for mode in modes) or "none"
+        found.append(f"it has no mode for torque, velocity or position set-points (modes: {has})")
+    elif not any(mode.plan is not None for mode in usable):
+        found += [f"no PDO plan for {mode_name(mode.mode)}: {mode.reason}" for mode in usable]
+    return tuple(found)
+
+
+def _remarks(
+    dictionary: od.ObjectDictionary, profile: int | None, usable: tuple[ModeFitness, ...]
+) -> tuple[str, ...]:
+    found = []
+    if profile in (None, 0):
+        found.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
+    served = [mode.mode for mode in usable if mode.plan is not None]
+    if served and not any(mode in _TORQUE_MODES for mode in served):
+        best = mode_name(served[0])
+        found.append(f"no torque mode for the loop of `hil run`; the bench can use {best}")
+    guarded = 0x100C in dictionary and 0x100D in dictionary
+    if 0x1016 not in dictionary:
+        instead = (
+            "node guarding (100Ch, 100Dh) stands in the dictionary instead"
+            if guarded
+            else "nothing stands in"
+        )
+        found.append(f"without 1016h nothing stops the drive when the host is gone; {instead}")
+    if _axes(dictionary) > 1:
+        found.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
+    return tuple(found)
+
+
+def mode_name(mode: Mode) -> str:
+    """``cyclic synchronous torque``."""
+    return mode.name.lower().replace("_", " ")

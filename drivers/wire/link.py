@@ -1,0 +1,126 @@
+"""Frames in and out of a bus, stamped on the bench's clock."""
+
+from typing import NoReturn
+
+import can
+
+from drivers.errors import BusDown
+from drivers.timebase import Clock, Instant
+from drivers.wire.frame_port import ERROR_FLAG, UNTOLD, CallbackTap, EchoBasis, FramePort, FrameTap, WireFrame
+from drivers.wire.frame_port import Direction as Direction
+from drivers.wire.frame_port import Tap as Tap
+from drivers.wire.message_port import MessagePort
+from drivers.wire.message_port import StampSource as StampSource
+
+Received = tuple[int, bytes, Instant]
+"""Identifier, data, and the bus's stamp of the frame."""
+
+
+class BusLink:
+    """The one place through which a master's frames leave and arrive.
+
+    Only data frames with an 11-bit identifier are handed on: CANopen uses no others. Remote frames and
+    extended frames reach the tap and the count ``ignored_frames``, error frames the count ``error_frames``.
+
+    A frame sent here that has been on the bus comes back as an *echo* where the bus has them (``echoes``).
+    Echoes reach no tap and are not counted as received.
+    """
+
+    def __init__(
+        self, bus: can.BusABC, clock: Clock, stamps: StampSource = StampSource.RECEIPT, name: str = ""
+    ) -> None:
+        """``stamps``: those of a bus without a ``frame_port``."""
+        self.bus = bus
+        self.name = name or str(getattr(bus, "channel_info", "") or type(bus).__name__)
+        """How an error names this bus."""
+        self.sent_frames = 0
+        self.received_frames = 0
+        self.echoed_frames = 0
+        self.ignored_frames = 0
+        self.error_frames = 0
+        self.last_id = 0
+        """Identifier of the frame that was last fetched; ``last_data`` and ``last_at`` are its own too."""
+        self.last_data = b""
+        self.last_at = Instant(0)
+        self.last_own = False
+        """Whether it is an echo."""
+        self.last_handed_at = UNTOLD
+        """If so, when the frame had been handed over, where the bus tells that."""
+        self._now = clock.now
+        self._taps: list[FrameTap] = []
+        port: FramePort | None = getattr(bus, "frame_port", None)
+        self._port = MessagePort(bus, clock, stamps) if port is None else port
+
+    @property
+    def echoes(self) -> EchoBasis:
+        """Whether frames sent come back once they were on the bus, and where their instants come from."""
+        return self._port.echoes
+
+    @property
+    def needs_watching(self) -> bool:
+        """Whether somebody has to receive while time passes, or frames are stamped or sent late."""
+        return self._port.needs_watching
+
+    def tap(self, tap: Tap | FrameTap) -> None:
+        """Have ``tap`` see every frame from now on."""
+        self._taps.append(tap if isinstance(tap, FrameTap) else CallbackTap(tap))
+
+    def recv(self, until: Instant) -> Received | None:
+        """The next data frame of another node, or None once ``until`` has come and nothing is waiting.
+
+        Lets time pass. Raises BusDown if the bus is gone.
+        """
+        while self.fetch(until):
+            if not self.last_own:
+                return (self.last_id, self.last_data, self.last_at)
+        return None
+
+    def fetch(self, until: Instant) -> bool:
+        """Whether a data frame or an echo came by ``until``; left in ``last_id``, ``last_data``, ``last_at``
+        and ``last_own``. Lets time pass. Raises BusDown if the bus is gone."""
+        port = self._port
+        while True:
+            try:
+                item = port.receive(until)
+            except (can.CanError, OSError) as error:
+                self._fail("receive from", error)
+            if item is None:
+                return False
+            can_id = item.can_id
+            if can_id >= ERROR_FLAG:
+                self.error_frames += 1
+                continue
+            data, extended, remote = item.data, item.extended, item.remote
+            at, own = port.came_at, port.came_own
+            if own:
+                self.echoed_frames += 1
+            else:
+                self.received_frames += 1
+                for tap in self._taps:
+                    tap.frame("rx", can_id, data, extended, remote, at)
+            if not (extended or remote):
+                self.last_id, self.last_data, self.last_at, self.last_own = can_id, data, at, own
+                self.last_handed_at = item.handed_at
+                return True
+            self.ignored_frames += 1
+
+    def send(self, can_id: int, data: bytes) -> Instant:
+        """Queue a frame; returns the instant just before the bus was given it.
+
+        Raises BusDown if the bus is gone or its transmit queue is full.
+        """
+        frame = WireFrame(can_id, data)
+        frame.handed_at = at = self._now()
+        try:
+            self._port.transmit(frame)
+        except (can.CanError, OSError) as error:
+            self._fail("send on", error)
+        self.sent_frames += 1
+        for tap in self._taps:
+            tap.frame("tx", can_id, data, False, False, at)
+        return at
+
+    def _fail(self, action: str, error: Exception) -> NoReturn:
+        raise BusDown(
+            f"cannot {action} {self.name}", str(error), "check that the interface is up and the cable is in"
+        ) from error

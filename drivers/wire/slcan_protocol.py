@@ -1,0 +1,166 @@
+"""The Lawicel protocol of serial CAN adapters ("SLCAN"): lines of ASCII, each frame a line.
+
+Source: Lawicel AB, CAN232 Manual, version 3.0 (February 2010), "CAN232 Commands"; the same set in the CANUSB
+manual. A command ends with CR; it is answered with CR, with a value and CR, or with BEL if it was refused.
+Received frames come as lines between the answers, with four digits of a time stamp behind the data if
+that was asked for (Z1; ms, 0..59999). The lines of error states and bus errors ("s", "e") are those that
+Linux's slcan driver understands, an extension of some firmwares.
+"""
+
+from enum import IntFlag
+from typing import NamedTuple
+
+from drivers.wire.frame_port import WireFrame
+
+CR, BEL = b"\r", b"\a"
+BITRATE_CODES = {
+    10_000: 0,
+    20_000: 1,
+    50_000: 2,
+    100_000: 3,
+    125_000: 4,
+    250_000: 5,
+    500_000: 6,
+    800_000: 7,
+    1_000_000: 8,
+}
+"""bit/s -> n of the command Sn."""
+STAMP_PERIOD_MS = 60_000
+LINE_LENGTH_MAX = 128
+"""Of a line that is still taken for one; the longest frame has 30 characters."""
+
+
+class Status(IntFlag):
+    """The flags that the command F returns, and clears."""
+
+    RECEIVE_FIFO_FULL = 0x01
+    TRANSMIT_FIFO_FULL = 0x02
+    ERROR_WARNING = 0x04
+    DATA_OVERRUN = 0x08
+    ERROR_PASSIVE = 0x20
+    ARBITRATION_LOST = 0x40
+    BUS_ERROR = 0x80
+
+
+_STATUS_TEXTS = {
+    Status.RECEIVE_FIFO_FULL: "its receive queue overflowed",
+    Status.TRANSMIT_FIFO_FULL: "its transmit queue is full",
+    Status.ERROR_WARNING: "error warning",
+    Status.DATA_OVERRUN: "data overrun",
+    Status.ERROR_PASSIVE: "error passive",
+    Status.ARBITRATION_LOST: "arbitration lost",
+    Status.BUS_ERROR: "bus error",
+}
+
+
+def status_text(status: Status) -> str:
+    """The flags in words; ``no error`` for none."""
+    return ", ".join(text for flag, text in _STATUS_TEXTS.items() if status & flag) or "no error"
+
+
+class Line(NamedTuple):
+    """What stands before a terminator."""
+
+    text: bytes
+    refused: bool
+    """It ended with BEL."""
+
+
+class LineSplitter:
+    """Cuts a stream of bytes into lines, however it arrives in pieces."""
+
+    def __init__(self) -> None:
+        self.overlong = 0
+        """Lines given up because no terminator came."""
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[Line]:
+        """The lines that ``data`` completes."""
+        lines: list[Line] = []
+        rest = self._rest + data
+        while True:
+            end, bell = rest.find(CR), rest.find(BEL)
+            if end < 0 or 0 <= bell < end:
+                end = bell
+            if end < 0:
+                break
+            lines.append(Line(rest[:end], rest[end : end + 1] == BEL))
+            rest = rest[end + 1 :]
+        if len(rest) > LINE_LENGTH_MAX:
+            self.overlong += 1
+            rest = b""
+        self._rest = rest
+        return lines
+
+
+def encode_frame(frame: WireFrame, stamp_ms: int | None = None) -> bytes:
+    """A frame as a line with its CR; ``stamp_ms``: as an adapter sends it with time stamps on."""
+    can_id, data, extended = frame.can_id, frame.data, frame.extended
+    remote, remote_length = frame.remote, frame.remote_length
+    kind = ("R" if extended else "r") if remote else ("T" if extended else "t")
+    digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
+    length = remote_length if remote else len(data)
+    stamp = "" if stamp_ms is None else f"{stamp_ms:04X}"
+    return f"{kind}{digits}{length}{data.hex().upper()}{stamp}\r".encode("ascii")
+
+
+def decode_frame(text: bytes) -> WireFrame | None:
+    """The frame in a line, with or without a time stamp; None for anything else, also if it is spoilt.
+
+    The protocol has no checksum: a line in which digits were changed into other digits passes.
+    """
+    kind = text[:1]
+    if kind in (b"t", b"r"):
+        head, limit = 5, 0x7FF
+    elif kind in (b"T", b"R"):
+        head, limit = 10, 0x1FFFFFFF
+    else:
+        return None
+    length = text[head - 1 : head]
+    if len(length) != 1 or not b"0" <= length <= b"8":
+        return None
+    dlc = length[0] - 0x30
+    remote = kind in (b"r", b"R")
+    end = head if remote else head + 2 * dlc
+    if len(text) not in (end, end + 4):
+        return None
+    can_id, data = _hex(text[1 : head - 1]), _data(text[head:end])
+    if can_id is None or can_id > limit or data is None or (len(text) > end and _hex(text[end:]) is None):
+        return None
+    return WireFrame(can_id, data, kind in (b"T", b"R"), remote, dlc if remote else 0)
+
+
+def decode_status(text: bytes) -> Status | None:
+    """The flags in an answer ``Fxx``; None if it is none."""
+    if len(text) != 3 or text[:1] != b"F":
+        return None
+    flags = _hex(text[1:])
+    return None if flags is None else Status(flags & 0xEF)
+
+
+def is_error_report(text: bytes) -> bool:
+    """A line by which some firmwares tell an error state (``sb256256``) or a bus error (``e1a``)."""
+    if text[:1] == b"s":
+        return len(text) == 8 and text[1:2] in (b"a", b"w", b"p", b"b") and text[2:].isdigit()
+    return text[:1] == b"e" and text[1:2].isdigit() and len(text) == 2 + text[1] - 0x30
+
+
+def _hex(text: bytes) -> int | None:
+    """Digits only: Python's own ``int`` would let signs, blanks and underscores pass."""
+    if not text.isalnum():
+        return None
+    try:
+        return int(text, 16)
+    except ValueError:
+        return None
+
+
+def _data(text: bytes) -> bytes | None:
+    if not text:
+        return b""
+    if not text.isalnum():
+        return None
+    try:
+        return bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        return None

@@ -1,0 +1,130 @@
+"""python-can's SocketCAN bus with a frame port: stamps on the bench's axis, echoes, no message objects."""
+
+import select
+import socket
+from contextlib import suppress
+from struct import Struct
+from typing import Any
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+from drivers.timebase import NS_PER_S, Clock, Instant, MonotonicClock, wall_between
+from drivers.wire.frame_port import ERROR_FLAG, EchoBasis, FramePort, WireFrame
+from drivers.wire.socketcan_stamps import (
+    ANCILLARY_BYTES,
+    HARDWARE_STAMPS,
+    SO_RXQ_OVFL,
+    SO_TIMESTAMPING,
+    AdapterClock,
+    Ancillary,
+    WallStamps,
+    parse_ancillary,
+)
+
+RECEIVE_BUFFER_BYTES = 4 << 20
+"""Some 5000 frames; the kernel's default holds under 300, and drops what does not fit."""
+
+_FRAME = Struct("=IB3x8s")
+"""struct can_frame: identifier with flags, length, data."""
+_EXTENDED, _REMOTE = 0x80000000, 0x40000000
+_SO_RCVBUFFORCE = 33
+_MSG_CONFIRM = 0x800
+"""On an own frame that comes back (linux/can.h). MSG_DONTROUTE, by which python-can tells own frames, stands
+on every frame of this machine, on a virtual interface on all."""
+
+
+class SocketcanPort(FramePort):
+    """The frames of a SocketCAN socket, with the adapter's stamps if it has some, else the kernel's.
+
+    Hardware stamps were never seen here but in tests that make them up.
+    """
+
+    def __init__(self, opened: socket.socket, clock: Clock, receive_own: bool) -> None:
+        super().__init__()
+        if receive_own:
+            self.echoes = EchoBasis.KERNEL
+        self.lost_frames = 0
+        """Frames that the kernel dropped because the receive buffer was full, as far as is known."""
+        self._socket = opened
+        self._now = clock.now
+        self._wall = WallStamps()
+        self._adapter = AdapterClock()
+
+    def receive(self, until: Instant) -> WireFrame | None:
+        """The next frame, error frames among them; None once ``until`` has come."""
+        now = self._now()
+        try:
+            if not select.select([self._socket], [], [], max(0, until - now) / NS_PER_S)[0]:
+                self._compare()
+                self._wall.emptied(max(now, until))
+                return None
+            frame, ancillary, flags, _ = self._socket.recvmsg(_FRAME.size, ANCILLARY_BYTES)
+        except OSError as error:
+            raise can.CanOperationError(f"cannot receive: {error.strerror}", error.errno) from error
+        self.came_own = bool(flags & _MSG_CONFIRM)
+        self.came_at = self._stamp(ancillary)
+        word, length, data = _FRAME.unpack(frame)
+        remote, extended = bool(word & _REMOTE), bool(word & _EXTENDED)
+        if word & ERROR_FLAG:
+            return WireFrame(word & (ERROR_FLAG | 0x1FFFFFFF), data[:length])
+        can_id = word & (0x1FFFFFFF if extended else 0x7FF)
+        payload = b"" if remote else data[:length]
+        return WireFrame(can_id, payload, extended, remote, length if remote else 0)
+
+    def transmit(self, frame: WireFrame) -> None:
+        """Queue a frame; raises can.CanOperationError if the interface is down or its queue is full."""
+        can_id, data, extended = frame.can_id, frame.data, frame.extended
+        remote, remote_length = frame.remote, frame.remote_length
+        word = can_id | (_EXTENDED if extended else 0) | (_REMOTE if remote else 0)
+        length = remote_length if remote else len(data)
+        try:
+            self._socket.send(_FRAME.pack(word, length, data), socket.MSG_DONTWAIT)
+        except OSError as error:
+            raise can.CanOperationError(f"cannot transmit: {error.strerror}", error.errno) from error
+
+    def _compare(self) -> Instant:
+        before, wall, after = wall_between()
+        self._wall.compare(before, wall, after)
+        return after
+
+    def _stamp(self, ancillary: Ancillary) -> Instant:
+        now = self._compare()
+        stamps = parse_ancillary(ancillary)
+        if stamps.lost_frames is not None:
+            self.lost_frames = stamps.lost_frames
+        if stamps.software_ns is None:
+            return now
+        at = self._wall.instant(stamps.software_ns, now)
+        if stamps.hardware_ns is None:
+            return at
+        if self.came_own:
+            self.echoes = EchoBasis.HARDWARE
+        return self._adapter.instant(stamps.hardware_ns, at)
+
+
+class StampedSocketcanBus(SocketcanBus):
+    """A SocketCAN interface with a ``frame_port``."""
+
+    def __init__(
+        self, channel: str, clock: Clock | None = None, receive_own_messages: bool = False, **options: Any
+    ) -> None:
+        try:
+            super().__init__(channel=channel, receive_own_messages=receive_own_messages, **options)
+        except OSError:
+            opened = getattr(self, "socket", None)  # python-can leaves it open when it cannot bind it
+            if opened is not None:
+                opened.close()
+            raise
+        self._enlarge_buffer()
+        with suppress(OSError):  # a kernel without them: the software stamps stay
+            self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, HARDWARE_STAMPS)
+        self.frame_port = SocketcanPort(self.socket, clock or MonotonicClock(), receive_own_messages)
+
+    def _enlarge_buffer(self) -> None:
+        """Beyond net.core.rmem_max where the process may, up to it where not; losses are counted."""
+        try:
+            self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
+        except PermissionError:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        self.socket.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)

@@ -1,0 +1,87 @@
+"""The CAN controller of one port: its error counters, and how it is connected."""
+
+from drivers.timebase import Instant
+from virtual_bus.bus.error_frame import Node
+from virtual_bus.bus.error_state import BUS_OFF_FROM, ErrorState, after_reception, error_state
+
+RECEIVE_ERRORS_MAX = 255
+"""Where the receive error counter stops, as in a controller with a counter of eight bits."""
+
+
+class Controller:
+    """What the fault confinement of ISO 11898-1 knows about one node."""
+
+    __slots__ = (
+        "bitrate_bit_s",
+        "listen_only",
+        "plugged",
+        "receive_errors",
+        "recovery_from",
+        "recovery_left",
+        "state",
+        "suspended_until",
+        "transmit_errors",
+    )
+
+    def __init__(self, bitrate_bit_s: int) -> None:
+        self.bitrate_bit_s = bitrate_bit_s
+        self.listen_only = False
+        self.plugged = True
+        self.transmit_errors = 0
+        self.receive_errors = 0
+        self.state = ErrorState.ACTIVE
+        self.suspended_until = Instant(0)
+        """It does not begin to send before this."""
+        self.recovery_left = 0
+        """Sequences of 11 recessive bits that it has still to see; 0: it does not try to come back."""
+        self.recovery_from = Instant(0)
+        """Since when it sees the recessive bits that are not yet counted."""
+
+    @property
+    def on_bus(self) -> bool:
+        """Whether it takes part at all."""
+        return self.plugged and self.state is not ErrorState.BUS_OFF
+
+    @property
+    def can_send(self) -> bool:
+        """Whether it may compete for the bus."""
+        return self.on_bus and not self.listen_only
+
+    def hears(self, bitrate_bit_s: int) -> bool:
+        """Whether it understands a frame at that rate."""
+        return self.on_bus and self.bitrate_bit_s == bitrate_bit_s
+
+    def sent_well(self) -> None:
+        """A frame of its own went out (rule 7)."""
+        if self.transmit_errors:
+            self.transmit_errors -= 1
+            self._judge()
+
+    def received_well(self) -> None:
+        """A frame of another came in (rule 8)."""
+        if self.receive_errors:
+            self.receive_errors = after_reception(self.receive_errors)
+            self._judge()
+
+    def take(self, node: Node) -> None:
+        """Count what it went through as ``node`` of one attempt."""
+        self.transmit_errors = min(self.transmit_errors + node.transmit_errors, BUS_OFF_FROM)
+        self.receive_errors = min(self.receive_errors + node.receive_errors, RECEIVE_ERRORS_MAX)
+        if node.completed:
+            self.transmit_errors = max(self.transmit_errors - 1, 0)
+        elif node.accepted and not node.receive_errors:
+            self.receive_errors = after_reception(self.receive_errors)
+        self._judge()
+
+    def force_off(self) -> None:
+        """Bus-off, whatever the counters were."""
+        self.transmit_errors = BUS_OFF_FROM
+        self._judge()
+
+    def come_back(self) -> None:
+        """Recovery is complete: error active, with both counters at 0 (rule 12)."""
+        self.transmit_errors = self.receive_errors = self.recovery_left = 0
+        self._judge()
+
+    def _judge(self) -> None:
+        self.state = error_state(self.transmit_errors, self.receive_errors)

@@ -1,0 +1,280 @@
+"""A segment on which things go wrong: error frames, repetition, and the fault confinement of its ports.
+
+A segment works without this as long as nobody asks for it. From then on each attempt to send is
+settled 1 ns after its start of frame, when the arbitration is closed, for all its length; only a port
+that is pulled off the wire meanwhile changes it. Clauses: Bosch CAN 2.0, part B (ISO 11898-1).
+
+A controller that comes back from bus-off counts 11 recessive bits once for each frame that it sees
+end (ACK or error delimiter, end of frame, intermission) and once for every 11 bits of idle bus.
+"""
+
+from typing import TYPE_CHECKING
+
+from drivers.timebase import NS_PER_S, Duration, Instant
+from virtual_bus.bus.arbitration import arbitration_key
+from virtual_bus.bus.bit_length import bits_duration
+from virtual_bus.bus.controller import Controller
+from virtual_bus.bus.disturbance import BusError
+from virtual_bus.bus.error_state import (
+    RECOVERY_SEQUENCE_BITS,
+    RECOVERY_SEQUENCES,
+    SUSPEND_BITS,
+    ErrorState,
+)
+from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
+from virtual_bus.frame import Frame
+
+if TYPE_CHECKING:
+    from virtual_bus.bus.segment import Port, Segment
+
+INTEGRATION_BITS = 11
+"""Recessive bits that a node sees before it takes part (ISO 11898-1, bus integration)."""
+_TAIL_BITS = 8
+"""Recessive bits at the end of a frame (ACK delimiter, end of frame) and of an error frame."""
+
+
+class ErrorHandling:
+    """Takes over the arbitration of ``segment``."""
+
+    def __init__(self, segment: "Segment") -> None:
+        self._segment = segment
+        self._timeline = segment.timeline
+        self._under_way = False
+        self._sender: Port | None = None
+        self._frame: Frame | None = None
+        self._start_at = Instant(0)
+        self._end_at = Instant(0)
+        self._trial: Trial | None = None
+        self._conditions = Conditions(segment.bitrate_bit_s, segment.acknowledged)
+        self._leaving: list[Port] = []
+        self._adopt()
+
+    def choose(self) -> None:
+        """Let the port begin that can do so first and, among several, wins the arbitration."""
+        segment = self._segment
+        if self._under_way or segment._delivering:
+            return
+        free_at = max(self._timeline.now, segment._free_at)
+        best: tuple[Instant, int, int] | None = None
+        sender: Port | None = None
+        for port in (*segment._ports, *self._leaving):
+            controller = port.controller
+            if not port._queue or not controller.can_send:
+                continue
+            rank = max(free_at, controller.suspended_until), arbitration_key(port._queue[0]), port._rank
+            if best is None or rank < best:
+                best, sender = rank, port
+        if best is None or (sender is self._sender and best[0] == self._start_at):
+            self._sender = sender
+            return
+        self._sender = sender
+        self._start_at = best[0]
+        self._timeline.post(Instant(best[0] + 1), self._begin)
+
+    def left(self, port: "Port") -> None:
+        """``port`` was detached; what it has queued still goes out."""
+        if port._queue:
+            self._leaving.append(port)
+
+    def pull_off(self, port: "Port") -> None:
+        """``port`` has just left the wire: a frame of its own under way breaks off."""
+        if self._under_way and self._trial is not None and self._trial.error is None:
+            bit = (self._timeline.now - self._start_at) * self._segment.bitrate_bit_s // NS_PER_S
+            if port is self._sender:
+                self._settle(self._conditions._replace(cut_at=bit))
+            elif port._rank in self._trial.accepted and bit < self._trial.frame_bits - 9:
+                self._settle(self._conditions)
+        self.choose()
+
+    def plug(self, port: "Port") -> None:
+        """``port`` is on the wire again: it waits for 11 recessive bits."""
+        integrated = self._timeline.now + self._bits(INTEGRATION_BITS)
+        port.controller.suspended_until = max(port.controller.suspended_until, Instant(integrated))
+        self.choose()
+
+    def force_off(self, port: "Port") -> None:
+        """``port`` goes bus-off at once."""
+        if port.controller.state is ErrorState.BUS_OFF:
+            return
+        port.controller.force_off()
+        self.pull_off(port)
+        self._enter(port, ErrorState.BUS_OFF, self._timeline.now)
+
+    def recover(self, port: "Port") -> None:
+        """``port`` begins to look for 128 times 11 recessive bits (rule 12)."""
+        controller = port.controller
+        if controller.state is not ErrorState.BUS_OFF or controller.recovery_left:
+            return
+        controller.recovery_left = RECOVERY_SEQUENCES
+        controller.recovery_from = self._timeline.now
+        if not self._under_way:
+            self._await_recovery(controller)
+
+    def _adopt(self) -> None:
+        """Go on from where the segment is."""
+        segment = self._segment
+        waiting = list(segment._contenders)
+        if segment._sender is not None:
+            waiting.append(segment._sender)
+        self._leaving = [port for port in waiting if port not in segment._ports]
+        segment._contenders.clear()
+        sender, segment._sender = segment._sender, None
+        if sender is None or self._timeline.now <= segment._start_at:
+            self.choose()
+            return
+        self._sender, self._under_way = sender, True
+        self._start_at, self._end_at = segment._start_at, segment._end_at
+        self._frame = sender._queue[0]
+        controllers = self._controllers()
+        self._trial = undisturbed(self._frame, sender._rank, controllers, segment.bitrate_bit_s)
+        self._timeline.post(self._end_at, self._finish)
+
+    def _controllers(self) -> dict[int, Controller]:
+        found = {port._rank: port.controller for port in self._segment._ports}
+        if self._sender is not None:
+            found.setdefault(self._sender._rank, self._sender.controller)
+        return found
+
+    def _bits(self, bits: int) -> Duration:
+        return bits_duration(bits, self._segment.bitrate_bit_s)
+
+    def _begin(self, now: Instant) -> None:
+        """The start of frame has passed: nobody else can begin any more."""
+        sender = self._sender
+        if self._under_way or sender is None or now != self._start_at + 1:
+            return  # another port, or another instant, was chosen since
+        segment = self._segment
+        self._under_way = True
+        self._frame = frame = sender._queue[0]
+        self._count_idle_bits()
+        judge = segment._judge
+        disturbance = None if judge is None else judge(sender.name, frame, self._start_at)
+        self._settle(Conditions(segment.bitrate_bit_s, segment.acknowledged, disturbance))
+
+    def _settle(self, conditions: Conditions) -> None:
+        """Work out how the attempt goes, and wait for its end."""
+        segment, sender, frame = self._segment, self._sender, self._frame
+        assert sender is not None
+        assert frame is not None
+        self._conditions = conditions
+        controllers = self._controllers()
+        rate, rank = segment.bitrate_bit_s, sender._rank
+        quiet = conditions.disturbance is None and sender.controller.on_bus
+        if quiet and is_plain(rank, controllers, rate, segment.acknowledged):
+            self._trial = trial = undisturbed(frame, rank, controllers, rate)
+        else:
+            names = {port._rank: port.name for port in segment._ports}
+            self._trial = trial = bit_by_bit(frame, rank, controllers, names, conditions)
+        self._end_at = Instant(max(self._start_at + self._bits(trial.frame_bits), self._timeline.now))
+        self._timeline.post(self._end_at, self._finish)
+
+    def _finish(self, now: Instant) -> None:
+        """The frame or its error frame is over: count, hand out, and choose the next."""
+        segment, sender, trial, frame = self._segment, self._sender, self._trial, self._frame
+        if not self._under_way or now != self._end_at:
+            return  # the end of an attempt that took another course
+        assert sender is not None
+        assert trial is not None
+        assert frame is not None
+        self._under_way, self._sender = False, None
+        wire_free_at = max(self._start_at + self._bits(trial.bits), now)
+        segment._free_at = free_at = Instant(wire_free_at + segment._intermission)
+        segment._load.add(free_at - self._start_at, free_at)
+        if trial.completed:
+            sender._queue.pop(0)
+            segment.frames += 1
+        states = self._count(sender, trial)
+        if sender.controller.state is ErrorState.PASSIVE:
+            sender.controller.suspended_until = Instant(free_at + self._bits(SUSPEND_BITS))
+        if sender in self._leaving and not sender._queue:
+            self._leaving.remove(sender)
+        self._restart_recoveries(Instant(wire_free_at - self._bits(_TAIL_BITS)))
+        segment._delivering = True
+        try:
+            self._hand_out(sender, frame, trial, now)
+            for port, state in states:
+                self._enter(port, state, now)
+        finally:
+            segment._delivering = False
+            self.choose()
+
+    def _hand_out(self, sender: "Port", frame: Frame, trial: Trial, now: Instant) -> None:
+        segment = self._segment
+        if trial.completed or trial.accepted:
+            for monitor in segment._monitors:
+                monitor(frame, now)
+        for port in segment._ports:
+            if port._rank in trial.accepted and port.controller.on_bus:
+                port.listener.on_frame(frame, now)
+        if trial.completed and sender.on_sent is not None:
+            sender.on_sent(frame, now)
+        if trial.error is not None and not trial.completed:
+            segment.errors += 1
+            bit, kind = trial.error
+            error = BusError(now, kind, sender.name, frame, bit, trial.bits)
+            for on_error in segment._error_monitors:
+                on_error(error)
+
+    def _count(self, sender: "Port", trial: Trial) -> list[tuple["Port", ErrorState]]:
+        """Move the counters; returns who is in another state now."""
+        ports = (*self._segment._ports, *(port for port in self._leaving if port is sender))
+        changed = []
+        for port in ports:
+            controller = port.controller
+            before = controller.state
+            if before is ErrorState.BUS_OFF:
+                continue
+            if (node := trial.nodes.get(port._rank)) is not None:
+                controller.take(node)
+            elif port is sender:
+                controller.sent_well()
+            elif port._rank in trial.accepted:
+                controller.received_well()
+            if controller.state is not before:
+                changed.append((port, controller.state))
+        return changed
+
+    def _enter(self, port: "Port", state: ErrorState, now: Instant) -> None:
+        """Tell the port's owner; a controller that went off forgets what it had to send."""
+        if state is ErrorState.BUS_OFF:
+            port._queue.clear()
+            port._room = 0
+            if port in self._leaving:
+                self._leaving.remove(port)
+            if port.recover_after_ns is not None:
+                due = Instant(now + port.recover_after_ns)
+                self._timeline.post(due, lambda _now: self.recover(port))
+        if port.on_error_state is not None:
+            port.on_error_state(state, now)
+
+    def _count_idle_bits(self) -> None:
+        """A frame begins: what recovering controllers have seen of the idle bus before it counts."""
+        sequence = self._bits(RECOVERY_SEQUENCE_BITS)
+        for controller in self._recovering():
+            seen = max(self._start_at - controller.recovery_from, 0) // sequence
+            controller.recovery_left = max(controller.recovery_left - seen, 1)
+
+    def _restart_recoveries(self, recessive_from: Instant) -> None:
+        for controller in self._recovering():
+            controller.recovery_from = max(controller.recovery_from, recessive_from)
+            self._await_recovery(controller)
+
+    def _recovering(self) -> list[Controller]:
+        return [port.controller for port in self._segment._ports if port.controller.recovery_left]
+
+    def _await_recovery(self, controller: Controller) -> None:
+        bits = controller.recovery_left * RECOVERY_SEQUENCE_BITS
+        self._timeline.post(Instant(controller.recovery_from + self._bits(bits)), self._end_recoveries)
+
+    def _end_recoveries(self, now: Instant) -> None:
+        if self._under_way:
+            return
+        for port in self._segment._ports:
+            controller = port.controller
+            bits = controller.recovery_left * RECOVERY_SEQUENCE_BITS
+            if controller.recovery_left and now >= controller.recovery_from + self._bits(bits):
+                controller.come_back()
+                port._reopen()
+                if port.on_error_state is not None:
+                    port.on_error_state(ErrorState.ACTIVE, now)
+        self.choose()

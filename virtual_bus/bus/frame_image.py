@@ -1,0 +1,97 @@
+"""A frame as levels on the wire, bit by bit, for the attempts that something disturbs.
+
+Undisturbed frames are only counted (virtual_bus.bus.bit_length), which is far cheaper.
+"""
+
+from typing import NamedTuple
+
+from virtual_bus.bus.arbitration import arbitration_key
+from virtual_bus.frame import Frame
+
+DOMINANT, RECESSIVE = 0, 1
+SAMPLE_POINT = 0.8
+"""Where in a bit a node looks at the bus, as part of the bit."""
+
+_CRC_POLYNOMIAL = 0x4599
+_TAIL = bytes([RECESSIVE, RECESSIVE, RECESSIVE, *([RECESSIVE] * 7)])
+"""CRC delimiter, ACK slot (as its sender drives it), ACK delimiter, end of frame."""
+
+
+class FrameImage(NamedTuple):
+    """What a sender drives from start of frame to end of frame, and where the fields lie."""
+
+    levels: bytes
+    """One level a bit: 0 dominant, 1 recessive."""
+    stuff_bits: frozenset[int]
+    """Places of the stuff bits."""
+    arbitration_end: int
+    """The first bit behind the arbitration field."""
+    delimiter: int
+    """Place of the CRC delimiter, behind which nothing is stuffed; -1 if no node can find it."""
+
+    @property
+    def acknowledge(self) -> int:
+        """Place of the ACK slot."""
+        return len(self.levels) - 9
+
+    @property
+    def last(self) -> int:
+        """Place of the last bit of end of frame."""
+        return len(self.levels) - 1
+
+
+def frame_image(frame: Frame) -> FrameImage:
+    """The wire image of ``frame`` as sent by a lone node."""
+    fields = _fields(frame)
+    fields += _crc(fields)
+    contested = 33 if frame.extended else 13
+    levels = bytearray()
+    stuff_bits = set()
+    arbitration_end = run = 0
+    last = RECESSIVE
+    for place, level in enumerate(fields):
+        levels.append(level)
+        run = run + 1 if level == last else 1
+        last = level
+        if run == 5:
+            stuff_bits.add(len(levels))
+            last = 1 - level
+            levels.append(last)
+            run = 1
+        if place + 1 == contested:
+            arbitration_end = len(levels)
+    return FrameImage(bytes(levels) + _TAIL, frozenset(stuff_bits), arbitration_end, len(levels))
+
+
+def resampled(image: FrameImage, rate: float) -> FrameImage:
+    """``image`` sent at ``rate`` times the bus's bit rate, as the bus's own nodes sample it.
+
+    They find no field in it: for them it is stuffed to its end.
+    """
+    length = max(int(len(image.levels) / rate), 1)
+    levels = bytes(image.levels[min(int((bit + SAMPLE_POINT) * rate), image.last)] for bit in range(length))
+    return FrameImage(levels, frozenset(), int(image.arbitration_end / rate), -1)
+
+
+def _fields(frame: Frame) -> list[int]:
+    """Start of frame to the end of the data, without stuff bits."""
+    key = arbitration_key(frame)
+    if frame.extended:
+        head, width = key << 2, 34  # r1 and r0 dominant
+    else:
+        head, width = key >> 20 << 2, 14  # IDE and r0 dominant
+    dlc = frame.remote_length if frame.remote else len(frame.data)
+    number, bits = head << 4 | dlc, 1 + width + 4
+    for byte in frame.data:
+        number, bits = number << 8 | byte, bits + 8
+    return [number >> place & 1 for place in range(bits - 1, -1, -1)]
+
+
+def _crc(fields: list[int]) -> list[int]:
+    register = 0
+    for level in fields:
+        invert = level ^ register >> 14
+        register = register << 1 & 0x7FFF
+        if invert:
+            register ^= _CRC_POLYNOMIAL
+    return [register >> place & 1 for place in range(14, -1, -1)]

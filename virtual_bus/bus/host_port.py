@@ -1,0 +1,231 @@
+"""A participant's place on a simulated segment: its inbox, its sending, and the faults in front of both.
+
+What comes in and what goes out can be given to a judge, who passes, loses or holds each frame. What
+is held waits on the segment's own timeline, so a fault costs one event and no polling:
+
+    segment -- end of frame --> judge -- at once, or at its release --> inbox -- receive --> owner
+    owner -- transmit --> judge -- at once, or at its release --> transmit queue --> segment
+    segment -- end of an own frame --> inbox
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from can.typechecking import CanFilters
+
+from drivers.timebase import Instant
+from drivers.wire.frame_port import EchoBasis, FramePort
+from virtual_bus.bus.disturbance import BusError
+from virtual_bus.bus.error_message import error_frame_of
+from virtual_bus.bus.error_state import ErrorState
+from virtual_bus.bus.filters import accepts
+from virtual_bus.bus.inbox import Arrival, Inbox
+from virtual_bus.bus.listener import Listener
+from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.event_heap import Action
+from virtual_bus.faults.fault_injector import FateSource
+from virtual_bus.faults.fault_plan import Direction
+from virtual_bus.frame import Frame
+
+RECEIVE_QUEUE_MAX: Final = 65_536
+"""Frames that an inbox holds for its reader; later ones are lost and counted."""
+HELD_MAX: Final = 4096
+"""Frames held in one direction; one more is lost and counted."""
+
+
+class _HeldIn(Action):
+    """A received frame until its release."""
+
+    def __init__(self, owner: "HostPort", frame: Frame) -> None:
+        self.owner = owner
+        self.frame = frame
+
+    def happen(self, now: Instant) -> None:
+        self.owner._let_in(self.frame, now)
+
+
+class _HeldOut(Action):
+    """A frame until it is sent."""
+
+    def __init__(self, owner: "HostPort", frame: Frame, due: Instant) -> None:
+        self.owner = owner
+        self.frame = frame
+        self.due = due
+        self.waits = True
+
+    def happen(self, now: Instant) -> None:  # noqa: ARG002
+        if self.waits:
+            self.owner._let_out(self)
+
+
+class _Ear(Listener):
+    """Hears the segment for a host port."""
+
+    def __init__(self, owner: "HostPort") -> None:
+        self._owner = owner
+
+    def on_frame(self, frame: Frame, now: Instant) -> None:
+        self._owner._on_frame(frame, now)
+
+
+class HostPort(FramePort):
+    """One participant of ``segment``."""
+
+    def __init__(self, segment: Segment, name: str) -> None:
+        super().__init__()
+        self.timeline = segment.timeline
+        self.received = Inbox(RECEIVE_QUEUE_MAX)
+        self.overruns = 0
+        """Frames lost because nobody fetched them."""
+        self.filters: CanFilters | None = None
+        """Acceptance filters, in front of the faults."""
+        self.overflow_in = 0
+        self.overflow_out = 0
+        """Frames lost because too many were held."""
+        self._judge: FateSource | None = None
+        self._out = int(Direction.HOST_TO_DRIVE)
+        self._in = int(Direction.DRIVE_TO_HOST)
+        self._held_in = 0
+        self._outgoing: list[_HeldOut] = []
+        """In the order in which they came; some that were sent since, but never the first."""
+        self._held_out = 0
+        self._closed = False
+        self._deaf_to_errors: Callable[[], None] | None = None
+        self.port: Port = segment.attach(name, _Ear(self))
+
+    def put_before(self, judge: FateSource, out: Direction) -> None:
+        """Let ``judge`` decide about every frame from now on; ``out``: the way of the frames sent here."""
+        self._judge = judge
+        self._out = int(out)
+        into_drive = out is Direction.DRIVE_TO_HOST
+        self._in = int(Direction.HOST_TO_DRIVE if into_drive else Direction.DRIVE_TO_HOST)
+
+    def receive(self, until: Instant) -> Frame | None:
+        """The next frame; None if there is none up to ``until``.
+
+        Time passes no further than to that frame, or to ``until``.
+        """
+        received = self.received
+        if not received and not self.timeline.run_until_filled(until, received):
+            return None
+        arrival = received.take()
+        self.came_at = arrival.at
+        self.came_own = arrival.own
+        return arrival.frame
+
+    def transmit(self, frame: Frame) -> None:
+        """Queue ``frame`` now. Raises can.CanOperationError if the transmit queue is full."""
+        judge = self._judge
+        if judge is None:
+            self.port.send(frame)
+            return
+        now = self.timeline.now
+        delay = judge.hold(self._out, frame.can_id, now, frame.extended)
+        if delay < 0:
+            for other, later in judge.replacements(frame):
+                self._pass_out(other, later)
+        elif delay == 0:
+            self.port.send(frame)
+        else:
+            self._pass_out(frame, delay)
+
+    def _pass_out(self, frame: Frame, delay: int) -> None:
+        """Send ``frame`` after ``delay``."""
+        if delay == 0:
+            self.port.send(frame)
+        elif self._held_out >= HELD_MAX:
+            self.overflow_out += 1
+        else:
+            held = _HeldOut(self, frame, Instant(self.timeline.now + delay))
+            self._held_out += 1
+            self._outgoing.append(held)
+            self.timeline.enter(held.due, held)
+
+    def flush(self) -> None:
+        """Forget what is held for sending."""
+        for held in self._outgoing:
+            held.waits = False
+        self._outgoing.clear()
+        self._held_out = 0
+
+    def hear_itself(self) -> None:
+        """Let its own frames come back from now on, at their end of frame; they meet no fault."""
+        self.echoes = EchoBasis.BUS
+        self.port.on_sent = self._on_sent
+
+    def hear_errors(self, segment: Segment) -> None:
+        """Let error frames come in from now on, each as a frame whose identifier bears ERROR_FLAG."""
+        self._deaf_to_errors = segment.add_error_monitor(self._on_error)
+
+    def _on_error(self, error: BusError) -> None:
+        if self.port.controller.on_bus:
+            frame = error_frame_of(error, self.port.controller)
+            self._store(Arrival(frame, error.at, False))
+
+    def _on_sent(self, frame: Frame, at: Instant) -> None:
+        self._keep(frame, at, True)
+
+    def _keep(self, frame: Frame, at: Instant, own: bool = False) -> None:
+        """Put a frame into the inbox, if a filter lets it through and there is room."""
+        if self.filters is not None and not accepts(self.filters, frame):
+            return
+        self._store(Arrival(frame, at, own))
+
+    def _store(self, arrival: Arrival) -> None:
+        if not self.received.put(arrival):
+            self.overruns += 1
+
+    def send_held(self) -> None:
+        """Send at once what is held and has room."""
+        off = self.port.error_state is ErrorState.BUS_OFF
+        room = 0 if off else TRANSMIT_QUEUE_MAX - self.port.pending
+        waiting = sorted([held for held in self._outgoing if held.waits], key=lambda held: held.due)
+        for held in waiting[:room]:
+            self.port.send(held.frame)
+        self.flush()
+
+    def close(self) -> None:
+        """Send what is held, as a last command may be among it, and leave the segment."""
+        self.send_held()
+        self._closed = True
+        if self._deaf_to_errors is not None:
+            self._deaf_to_errors()
+        self.port.detach()
+
+    def _on_frame(self, frame: Frame, now: Instant) -> None:
+        judge = self._judge
+        if judge is None or (self.filters is not None and not accepts(self.filters, frame)):
+            self._keep(frame, now)
+            return
+        delay = judge.hold(self._in, frame.can_id, now, frame.extended)
+        if delay < 0:
+            for other, later in judge.replacements(frame):
+                self._pass_in(other, now, later)
+        elif delay == 0:
+            self._keep(frame, now)
+        else:
+            self._pass_in(frame, now, delay)
+
+    def _pass_in(self, frame: Frame, at: Instant, delay: int) -> None:
+        """Keep what came at ``at`` after ``delay``."""
+        if delay == 0:
+            self._keep(frame, at)
+        elif self._held_in >= HELD_MAX:
+            self.overflow_in += 1
+        else:
+            self._held_in += 1
+            self.timeline.enter(Instant(at + delay), _HeldIn(self, frame))
+
+    def _let_in(self, frame: Frame, now: Instant) -> None:
+        self._held_in -= 1
+        if not self._closed:
+            self._keep(frame, now)
+
+    def _let_out(self, held: _HeldOut) -> None:
+        held.waits = False
+        self._held_out -= 1
+        outgoing = self._outgoing
+        while outgoing and not outgoing[0].waits:
+            outgoing.pop(0)
+        if self.port.error_state is not ErrorState.BUS_OFF:
+            self.port.send(held.frame)

@@ -1,0 +1,143 @@
+"""python-can's view of a hub: a CAN bus in real time between the processes of one user.
+
+``can.Bus(interface="hub", channel="bench", bitrate=1_000_000)``. The first to join starts
+the hub's broker (virtual_bus.bus.hub_process), which leaves after the last one.
+"""
+
+import errno
+import select
+
+import can
+from can.typechecking import AutoDetectedConfig, CanFilters
+
+from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
+from drivers.wire.message import frame_of, message_of
+from virtual_bus.bus.error_message import bus_state
+from virtual_bus.bus.hub_control import HubStatus, Request
+from virtual_bus.bus.hub_join import join
+from virtual_bus.bus.hub_place import HubPlace, known_hubs
+from virtual_bus.bus.hub_port import HubPort
+from virtual_bus.bus.hub_protocol import Hello
+
+_NEVER = Instant(1 << 62)
+
+
+class HubBus(can.BusABC):
+    """One participant of a hub.
+
+    A message's timestamp is its end of frame on CLOCK_MONOTONIC, in seconds, as the broker
+    computed it. Own frames come back, with ``is_rx`` False, only if ``receive_own_messages``.
+    ``send`` and ``recv`` may be called from different threads.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        can_filters: CanFilters | None = None,
+        *,
+        bitrate: int | None = None,
+        receive_own_messages: bool = False,
+        batches: bool = False,
+        **_: object,
+    ) -> None:
+        """Join, and start the hub if it is not there.
+
+        ``bitrate`` in bit/s; None joins at whatever the hub runs at, and starts it at 1 Mbit/s.
+        ``batches``: take several frames at one read, which is cheaper, and for who waits on :meth:`fileno`
+        wrong, as only the first of them shows there; own frames may then come 0.35 ms late.
+        Raises can.CanInitializationError for a bad name, another bit rate than the hub's, and
+        a hub that does not start or answer.
+        """
+        self._clock = MonotonicClock()
+        hello = Hello(bitrate or 0, receive_own_messages, batches)
+        self._socket, self.bitrate_bit_s = join(HubPlace(str(channel)), hello, self._clock)
+        self.channel_info = f"hub:{channel}"
+        self._channel = str(channel)
+        self.frame_port = HubPort(self._socket, self.channel_info, self._clock, receive_own_messages)
+        """Its frames without python-can."""
+        super().__init__(channel, can_filters)
+
+    def status(self) -> HubStatus:
+        """This client's controller and the bus. Raises can.CanOperationError if the broker is gone."""
+        return self.frame_port.ask(Request.STATUS)
+
+    def go_bus_off(self) -> HubStatus:
+        """Take this client's controller off the bus, as after too many errors; its queue is lost."""
+        return self.frame_port.ask(Request.GO_BUS_OFF)
+
+    def recover(self) -> HubStatus:
+        """Let the controller begin to recover, which takes 128 times 11 recessive bits."""
+        return self.frame_port.ask(Request.RECOVER)
+
+    def unplug(self) -> HubStatus:
+        """Take this client off the wire: it hears and sends nothing, and keeps its queue."""
+        return self.frame_port.ask(Request.UNPLUG)
+
+    def plug(self) -> HubStatus:
+        """Put this client back on the wire."""
+        return self.frame_port.ask(Request.PLUG)
+
+    def set_listen_only(self, listen_only: bool) -> HubStatus:
+        """Only listen, or speak again."""
+        return self.frame_port.ask(Request.LISTEN_ONLY if listen_only else Request.LISTEN_AND_SPEAK)
+
+    @property
+    def state(self) -> can.BusState:
+        """As far as it is known from what was received: ERROR is bus-off. See :meth:`status`."""
+        return bus_state(self.frame_port.error_state)
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        """Raises NotImplementedError: the state is what the counters make it."""
+        raise NotImplementedError("the error state follows the error counters; see set_listen_only")
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message; None after ``timeout`` seconds.
+
+        Raises can.CanOperationError if the broker is gone or the bus is shut down.
+        """
+        port = self.frame_port
+        frame = port.receive(_NEVER if timeout is None else instant_after(self._clock.now(), timeout))
+        if frame is None:
+            return None
+        return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Hand ``msg`` to the hub, waiting up to ``timeout`` seconds for a place in a full queue.
+
+        Raises can.CanOperationError if there is none, the broker is gone, or the message is
+        none of classical CAN.
+        """
+        frame = frame_of(msg)
+        deadline = instant_after(self._clock.now(), timeout or 0.0)
+        while True:
+            try:
+                self.frame_port.transmit(frame)
+            except can.CanOperationError as error:
+                if error.error_code != errno.ENOBUFS or not self._wait_for_room(deadline):
+                    raise
+            else:
+                return
+
+    def fileno(self) -> int:
+        """The socket, for an event loop to watch; -1 once shut down."""
+        return self._socket.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the hub; what was sent still goes out."""
+        super().shutdown()
+        self.frame_port.close()
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self.frame_port.filters = filters
+
+    def _wait_for_room(self, deadline: Instant) -> bool:
+        remaining_ns = deadline - self._clock.now()
+        if remaining_ns <= 0:
+            return False
+        select.select([], [self._socket], [], remaining_ns / NS_PER_S)
+        return True
+
+    @staticmethod
+    def _detect_available_configs() -> list[AutoDetectedConfig]:
+        return [{"interface": "hub", "channel": name} for name in known_hubs()]

@@ -1,0 +1,144 @@
+"""What a hub's broker and its clients say to each other, in packets.
+
+The client opens with a hello; the broker answers with a welcome, or with a refusal in words and closes.
+From then on a packet of the client is one frame, or a request to its controller; a packet of the broker is
+one frame, or as many as fit (a batch) if the client has asked for that, or tells of the client's controller
+(virtual_bus.bus.hub_control).
+"""
+
+import struct
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from drivers.timebase import NS_PER_US, Instant
+from virtual_bus.frame import Frame
+
+VERSION = 4
+PACKET_BYTES_MAX: Final = 512
+"""Some 17 frames: a packet of the size that the kernel allocates for it in one piece."""
+
+_HELLO = struct.Struct("<4sHHI")
+_HELLO_MAGIC = b"SBhi"
+_WELCOME_MAGIC = b"SBok"
+_REFUSAL_MAGIC = b"SBno"
+_FRAME: Final = struct.Struct("<qqIBB8s")
+FRAME_BYTES: Final = 30
+"""No other record is as long, or a multiple of it."""
+BATCH_FRAMES_MAX: Final = PACKET_BYTES_MAX // FRAME_BYTES
+
+_EXTENDED: Final = 1
+_REMOTE: Final = 2
+_OWN: Final = 4
+_RECEIVE_OWN, _BATCHES = 1, 2
+
+ECHO_HELD_NS: Final = 350 * NS_PER_US
+"""For how long the broker keeps an own frame that a client wants back, for a frame of another node to go with
+it. A drive answers a SYNC within some 300 us, of which the frame takes 130: the echo of the SYNC then wakes
+nobody that waits for the TPDOs. That of a command, half a millisecond later, has come by the next tick at
+1 kHz."""
+
+
+class MalformedRecord(ValueError):
+    """A packet that is no record of this protocol."""
+
+
+class Hello(NamedTuple):
+    """How a client introduces itself."""
+
+    bitrate_bit_s: int
+    """The bit rate it counts on; 0: whatever the hub runs at."""
+    receive_own: bool
+    """Whether it wants its own frames back at their end of frame."""
+    batches: bool = True
+    """Whether it takes several frames in one packet, its own frames then up to ``ECHO_HELD_NS`` late."""
+
+
+Record = tuple[int, int, int, int, int, bytes]
+"""A frame as it travels: end of frame, when it was handed over, identifier, flags, DLC, eight bytes."""
+
+
+class Received(NamedTuple):
+    """A frame off the hub."""
+
+    frame: Frame
+    at: Instant
+    """End of frame on CLOCK_MONOTONIC, ns; 0 on the way to the broker."""
+    own: bool
+    """Sent by the client that gets it."""
+
+
+def encode_hello(hello: Hello) -> bytes:
+    """The client's first packet."""
+    flags = _RECEIVE_OWN * hello.receive_own | _BATCHES * hello.batches
+    return _HELLO.pack(_HELLO_MAGIC, VERSION, flags, hello.bitrate_bit_s)
+
+
+def decode_hello(packet: bytes) -> Hello:
+    """Raises MalformedRecord for anything but a hello of this version."""
+    if len(packet) != _HELLO.size:
+        raise MalformedRecord("not a hello")
+    magic, version, flags, bitrate = _HELLO.unpack(packet)
+    if magic != _HELLO_MAGIC:
+        raise MalformedRecord("not a hello")
+    if version != VERSION:
+        raise MalformedRecord(
+            f"the hub speaks version {VERSION} of its protocol and the client version {version}"
+        )
+    return Hello(bitrate, bool(flags & _RECEIVE_OWN), bool(flags & _BATCHES))
+
+
+def encode_welcome(bitrate_bit_s: int) -> bytes:
+    """The broker's answer to a client that it takes in."""
+    return _HELLO.pack(_WELCOME_MAGIC, VERSION, 0, bitrate_bit_s)
+
+
+def encode_refusal(reason: str) -> bytes:
+    """The broker's answer to a client that it does not take in."""
+    return _REFUSAL_MAGIC + reason.encode()[: PACKET_BYTES_MAX - len(_REFUSAL_MAGIC)]
+
+
+def decode_answer(packet: bytes) -> int | str:
+    """The hub's bit rate, or the words of the refusal. Raises MalformedRecord for anything else."""
+    if packet.startswith(_REFUSAL_MAGIC):
+        return packet[len(_REFUSAL_MAGIC) :].decode(errors="replace")
+    if len(packet) != _HELLO.size or not packet.startswith(_WELCOME_MAGIC):
+        raise MalformedRecord("the hub's answer is none of this protocol")
+    bitrate: int = _HELLO.unpack(packet)[3]
+    return bitrate
+
+
+def encode_frame(frame: Frame, at: Instant = Instant(0), own: bool = False) -> bytes:  # noqa: B008
+    """A frame as one packet."""
+    can_id, data, extended = frame.can_id, frame.data, frame.extended
+    remote, remote_length = frame.remote, frame.remote_length
+    flags = _EXTENDED * extended | _REMOTE * remote | _OWN * own
+    length = remote_length if remote else len(data)
+    return _FRAME.pack(at, frame.handed_at, can_id, flags, length, data)
+
+
+def decode_frame(packet: bytes) -> Received:
+    """Raises MalformedRecord for a packet that no valid frame encodes to."""
+    if len(packet) != FRAME_BYTES:
+        raise MalformedRecord(f"{len(packet)} bytes are no frame")
+    at, handed_at, can_id, flags, dlc, data = _FRAME.unpack(packet)
+    return Received(frame_of(handed_at, can_id, flags, dlc, data), Instant(at), is_own(flags))
+
+
+def split_batch(packet: bytes) -> Iterator[Record]:
+    """The frames of a packet, for :func:`frame_of`. Raises struct.error for no multiple of FRAME_BYTES."""
+    return _FRAME.iter_unpack(packet)
+
+
+def is_own(flags: int) -> bool:
+    """Whether a frame with these flags was sent by the client that gets it."""
+    return bool(flags & _OWN)
+
+
+def frame_of(handed_at: int, can_id: int, flags: int, dlc: int, data: bytes) -> Frame:
+    """Raises MalformedRecord for what no valid frame encodes to."""
+    extended, remote = bool(flags & _EXTENDED), bool(flags & _REMOTE)
+    if dlc > 8 or can_id >> (29 if extended else 11):
+        raise MalformedRecord(f"identifier 0x{can_id:X}, DLC {dlc}")
+    frame = Frame(can_id, b"", extended, True, dlc) if remote else Frame(can_id, data[:dlc], extended)
+    frame.handed_at = Instant(handed_at)
+    return frame

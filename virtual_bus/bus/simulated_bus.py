@@ -1,0 +1,137 @@
+"""python-can's view of a simulated segment."""
+
+from collections.abc import Callable, Sequence
+
+import can
+from can.typechecking import CanFilters
+
+from drivers.timebase import Instant, instant_after
+from drivers.wire.message import frame_of, message_of
+from virtual_bus.bus.cyclic_task import TimelineCyclicTask
+from virtual_bus.bus.error_message import bus_state
+from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.timeline import Timeline
+
+_NEVER = Instant(1 << 62)
+
+
+class SimulatedBus(can.BusABC):
+    """``can.Bus(interface="simulated", segment=segment)``.
+
+    Without ``segment`` it makes its own, on a timeline of its own. ``recv`` lets simulated
+    time pass until a frame is there; ``send`` queues at the present instant and lets none pass.
+    A message's timestamp is its end of frame in seconds of simulated time, or that of its release
+    if a fault held it. ``receive_error_frames``: error frames on the segment come as messages whose
+    ``is_error_frame`` is set, with identifier and data as SocketCAN has them.
+    """
+
+    def __init__(
+        self,
+        channel: str | None = None,
+        can_filters: CanFilters | None = None,
+        *,
+        segment: Segment | None = None,
+        bitrate: int = 1_000_000,
+        receive_own_messages: bool = False,
+        receive_error_frames: bool = False,
+        **_: object,
+    ) -> None:
+        self.segment = segment if segment is not None else Segment(Timeline(), bitrate)
+        self.timeline = self.segment.timeline
+        self.channel_info = f"simulated segment, port {channel or 'host'}"
+        self._channel = channel
+        self.frame_port = host_port = HostPort(self.segment, channel or "host")
+        """Its frames without python-can."""
+        if receive_own_messages:
+            host_port.hear_itself()
+        if receive_error_frames:
+            host_port.hear_errors(self.segment)
+        super().__init__(channel or "", can_filters)
+
+    @property
+    def overruns(self) -> int:
+        """Frames lost because nobody fetched them."""
+        return self.frame_port.overruns
+
+    @property
+    def port(self) -> Port:
+        """Its place on the segment: to unplug, to take off the bus, to ask for error counters."""
+        return self.frame_port.port
+
+    @property
+    def state(self) -> can.BusState:
+        """ACTIVE or PASSIVE for an error active or passive controller; ERROR: bus-off."""
+        return bus_state(self.frame_port.port.error_state)
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        """Raises NotImplementedError: the state is what the counters make it."""
+        raise NotImplementedError("the error state follows the error counters; see port.set_listen_only")
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message; None after ``timeout`` seconds of simulated time.
+
+        Raises can.CanOperationError if the bus is shut down, and without a timeout also if
+        no event is left that could bring a frame.
+        """
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
+        inbox = self.frame_port.received
+        if timeout is None:
+            self._step_until(lambda: bool(inbox), _NEVER)
+            if not inbox:
+                raise can.CanOperationError(f"{self.channel_info}: no event is left that could bring a frame")
+        port = self.frame_port
+        frame = port.receive(instant_after(self.timeline.now, max(timeout or 0.0, 0.0)))
+        if frame is None:
+            return None
+        return message_of(frame, port.came_at, is_rx=not port.came_own, channel=self._channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue ``msg`` now; if the queue is full, let up to ``timeout`` seconds pass for a free place.
+
+        Raises can.CanOperationError if the queue stays full, the bus is shut down or the
+        message is none of classical CAN.
+        """
+        frame = frame_of(msg)
+        port = self.frame_port.port
+        if timeout and port.pending >= TRANSMIT_QUEUE_MAX:
+            limit = instant_after(self.timeline.now, timeout)
+            self._step_until(lambda: port.pending < TRANSMIT_QUEUE_MAX, limit)
+        self.frame_port.transmit(frame)
+
+    def flush_tx_buffer(self) -> None:
+        """Forget what a fault holds back from sending."""
+        self.frame_port.flush()
+
+    def shutdown(self) -> None:
+        """Leave the segment; frames already queued still go out as its time passes."""
+        if self._is_shutdown:
+            return
+        super().shutdown()
+        self.frame_port.close()
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self.frame_port.filters = filters
+
+    def _step_until(self, done: Callable[[], bool], limit: Instant) -> None:
+        timeline = self.timeline
+        while not done():
+            upcoming = timeline.next_at()
+            if upcoming is None or upcoming > limit:
+                return
+            timeline.step()
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Callable[[can.Message], None] | None = None,
+    ) -> TimelineCyclicTask:
+        task = TimelineCyclicTask(self.timeline, self.send, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task

@@ -1,0 +1,139 @@
+"""Between the CANopen device engine and what the device does: the interface of an application.
+
+The engine (:mod:`virtual_bus.device.canopen_device`) owns communication, CiA 301. The application owns the
+device's purpose, for a drive CiA 402. It fills its part of the object dictionary in
+:meth:`Application.attach`, keeps the values of its variables up to date in
+:meth:`Application.advance`, and acts on what the master writes through the ``check`` and
+``on_write`` hooks of its variables (:class:`virtual_bus.device.object_dictionary.Variable`).
+
+Order of calls, all on one thread, ``now`` never running backwards:
+
+    attach(services)                     once, before power-on
+    on_reset(now)                        power-on, reset application; values are at power-on again
+    advance(now)                         before whatever else happens at ``now``
+    [check, store, on_write] of variables, on_sync, on_nmt, on_communication_loss ...
+
+At a SYNC: ``advance``; the synchronous TPDOs are sampled; the synchronous RPDOs that were
+waiting are applied; ``on_sync``. So a TPDO shows the device just before the new set-points act.
+"""
+
+from enum import Enum, IntFlag
+from typing import Protocol
+
+from mypy_extensions import mypyc_attr
+
+from drivers.timebase import Instant
+from virtual_bus.device.nmt_state import NmtState as NmtState
+from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+
+
+class ErrorRegister(IntFlag):
+    """Bits of object 1001h (CiA 301, 7.5.2.2)."""
+
+    GENERIC = 0x01
+    CURRENT = 0x02
+    VOLTAGE = 0x04
+    TEMPERATURE = 0x08
+    COMMUNICATION = 0x10
+    DEVICE_PROFILE = 0x20
+    MANUFACTURER = 0x80
+
+
+class CommunicationLoss(Enum):
+    """What told the device that it is no longer supervised by its master."""
+
+    HEARTBEAT = "heartbeat"
+    """A consumer heartbeat time of 1016h ran out."""
+    LIFE_GUARDING = "life guarding"
+    """Guard time (100Ch) x life time factor (100Dh) ran out."""
+    RPDO_DEADLINE = "RPDO deadline"
+    """The event timer of an RPDO ran out (CiA 301, 7.5.2.35); the NMT state is not touched."""
+    BUS_OFF = "bus off"
+
+
+class DeviceServices(Protocol):
+    """What the engine offers to its application.
+
+    ``raise_error``, ``clear_error`` and ``notify`` belong into the engine's calls to the application;
+    from elsewhere, let the device ``wake`` at the present instant first and again afterwards.
+    """
+
+    @property
+    def node_id(self) -> int:
+        """1..127."""
+        ...
+
+    @property
+    def state(self) -> NmtState:
+        """The present NMT state."""
+        ...
+
+    @property
+    def now(self) -> Instant:
+        """The instant of the call that the engine is in."""
+        ...
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """The device's dictionary; the application adds its objects in ``attach``."""
+        ...
+
+    def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
+        """Send an EMCY, enter it in 1003h and set ``register`` in 1001h until ``clear_error(code)``.
+
+        ``code``: EMCY error code. ``information``: up to 5 bytes, manufacturer-specific. Raising a code
+        that is already active does nothing.
+        """
+        ...
+
+    def clear_error(self, code: int) -> None:
+        """The cause of ``code`` is gone: 1001h follows, and EMCY 0000h is sent (CiA 301, 7.2.7.1).
+
+        Nothing happens if ``code`` was not active.
+        """
+        ...
+
+    def notify(self, variable: Variable) -> None:
+        """``variable`` changed: the event for the event-driven TPDOs (0, 254, 255) that map it."""
+        ...
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Application:
+    """A device's application; the base class is a device that does nothing. Override what is needed."""
+
+    wake_at: Instant | None = None
+    """When the application wants to be advanced without being asked; None: never."""
+
+    def attach(self, services: DeviceServices) -> None:
+        """Add objects to ``services.dictionary`` and keep ``services``."""
+
+    def on_reset(self, now: Instant) -> None:
+        """Power-on or NMT reset application: the dictionary holds its power-on values again.
+
+        The physical world behind the application is not reset: a shaft that turns goes on turning.
+        """
+
+    def advance(self, now: Instant) -> None:
+        """Bring the world behind the device to ``now``, and the variables up to date.
+
+        On the cyclic path, so it has to be cheap, above all when it is called twice for one ``now``.
+        """
+
+    def on_sync(self, counter: int, now: Instant) -> None:
+        """A SYNC in PRE-OPERATIONAL or OPERATIONAL; ``counter``: 1..240, or 0 without a counter."""
+
+    def on_nmt(self, state: NmtState, now: Instant) -> None:
+        """The NMT state became ``state``; INITIALISING comes with both resets, before anything is reset."""
+
+    def on_communication_loss(self, cause: CommunicationLoss, node_id: int, now: Instant) -> None:
+        """Supervision failed, ``node_id`` the lost node (0 if none in particular).
+
+        Called before the error behaviour of 1029h acts, for CiA 402 object 6007h.
+        """
+
+    def on_time(self, days: int, milliseconds: int, now: Instant) -> None:
+        """A TIME message: days since 1 January 1984 and milliseconds since midnight."""
+
+    def on_communication_restored(self, cause: CommunicationLoss, node_id: int, now: Instant) -> None:
+        """The lost node is heard again."""

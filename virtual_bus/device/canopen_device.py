@@ -1,0 +1,232 @@
+"""A CANopen device without I/O: CiA 301 around an application.
+
+    host  -- receive(frame), wake(now) -->  CanopenDevice  -- advance, on_sync, hooks -->  Application
+          <-- frames, wake_at -----------
+
+The device is put together from parts that share a
+:class:`virtual_bus.device.station.Station`; each part reads
+its parameters from the dictionary and hooks its checks into it. An object that the dictionary has not
+got switches its feature off.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from drivers.timebase import Instant
+from virtual_bus.device.application import Application, CommunicationLoss, ErrorRegister
+from virtual_bus.device.communication_objects import add_communication_objects
+from virtual_bus.device.device_clock import DeviceClock
+from virtual_bus.device.device_options import DeviceOptions
+from virtual_bus.device.emergency import EmergencyProducer
+from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer
+from virtual_bus.device.lss_slave import LssSlave
+from virtual_bus.device.nmt import NmtSlave
+from virtual_bus.device.nmt_state import NODE_ID_MAX, UNCONFIGURED, NmtState
+from virtual_bus.device.node_guarding import NodeGuarding
+from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.parameter_storage import ParameterStorage
+from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
+from virtual_bus.device.pdo_engine import PdoEngine
+from virtual_bus.device.sdo_server import SdoServer
+from virtual_bus.device.station import NEVER, Station
+from virtual_bus.device.sync_consumer import SyncConsumer
+from virtual_bus.device.time_consumer import TimeConsumer
+from virtual_bus.frame import Frame
+
+RECOVERED_FROM_BUS_OFF: Final = 0x8140
+"""EMCY (CiA 301, table 26)."""
+
+_NOTHING: Final[tuple[Frame, ...]] = ()
+_COMMUNICATION_PROFILE: Final = (0x1000, 0x1FFF)
+_APPLICATION: Final = (0x2000, 0xFFFF)
+
+
+class CanopenDevice:
+    """One device; implements :class:`virtual_bus.frame.Device` and the application's DeviceServices."""
+
+    def __init__(
+        self,
+        node_id: int,
+        application: Application,
+        options: DeviceOptions | None = None,
+        store: ParameterStore | None = None,
+        vendor: Callable[[ObjectDictionary], None] | None = None,
+    ) -> None:
+        """``node_id``: 1..127, or 255 for a device that waits for LSS. The application's objects are
+        added here. ``store``: keeps what 1010h and LSS store. ``vendor``: makes the finished dictionary
+        another device's, before the parts of the device hook into it."""
+        assert 1 <= node_id <= NODE_ID_MAX or node_id == UNCONFIGURED, f"node-ID {node_id}"
+        options = options or DeviceOptions()
+        self._station = station = Station(node_id, ObjectDictionary(), application)
+        self._application = application
+        self.clock = DeviceClock(options.clock_offset_ns, options.clock_drift_ppb)
+        add_communication_objects(station.dictionary, options)
+        application.attach(self)
+        if vendor is not None:
+            vendor(station.dictionary)
+        self._emergency = EmergencyProducer(station)
+        self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
+        self._pdos = PdoEngine(station, self._emergency)
+        self._sync = SyncConsumer(station, self._emergency, self._pdos)
+        self._time = TimeConsumer(station)
+        store = store or MemoryStore()
+        self._storage = ParameterStorage(station.dictionary, store)
+        self._lss = LssSlave(station, store, self._restart_communication)
+        self._sdo = SdoServer(station, options.sdo_timeout_ms, self._pdos.notify)
+        self._heartbeat = HeartbeatProducer(station)
+        self._consumers = HeartbeatConsumers(station, self._emergency, self._nmt)
+        self._guarding = NodeGuarding(station, self._emergency, self._nmt, self._heartbeat)
+        for listener in (self._emergency.on_state, self._sdo.on_state, self._pdos.on_state):
+            self._nmt.add_listener(listener)
+        self._attach_clock()
+
+    def _attach_clock(self) -> None:
+        variable = self._station.dictionary.get(0x1013)
+        if variable is not None:
+            station, clock = self._station, self.clock
+            variable.provider = lambda: clock.stamp_us(station.now)
+            variable.on_write = lambda stamp_us: clock.set_us(stamp_us, station.now)
+
+    @property
+    def node_id(self) -> int:
+        """1..127; 255 while the device has none."""
+        return self._station.node_id
+
+    @property
+    def state(self) -> NmtState:
+        """The present NMT state."""
+        return self._station.state
+
+    @property
+    def now(self) -> Instant:
+        """The instant of the last entry."""
+        return self._station.now
+
+    @property
+    def application(self) -> Application:
+        """What the device does."""
+        return self._application
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """All objects."""
+        return self._station.dictionary
+
+    @property
+    def active_errors(self) -> tuple[int, ...]:
+        """EMCY error codes of the active errors, the oldest first."""
+        return self._emergency.active
+
+    def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
+        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        self._emergency.raise_error(code, register, information)
+
+    def clear_error(self, code: int) -> None:
+        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        self._emergency.clear_error(code)
+
+    def notify(self, variable: Variable) -> None:
+        """See :class:`virtual_bus.device.application.DeviceServices`."""
+        self._pdos.notify(variable)
+
+    def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
+        """Have LSS set the bit rate, bit/s, of the controller that the device is behind."""
+        self._lss.follow_bit_rate(set_bit_rate)
+
+    @property
+    def wake_at(self) -> Instant | None:
+        """The earliest timer of the device or wish of its application; now, if frames are waiting."""
+        station = self._station
+        if station.out and not station.mute:
+            return station.now
+        due = station.timers.next
+        wish = self._application.wake_at
+        if wish is not None and wish < due:
+            return wish
+        return None if due == NEVER else due
+
+    def start(self, now: Instant) -> Sequence[Frame]:
+        """Power on, for the first time or again: boot-up, PRE-OPERATIONAL."""
+        self._station.now = now
+        self._station.out.clear()
+        self._storage.power_on()
+        self._lss.power_on()
+        self._reset_node(now)
+        return self._take_frames()
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        """A frame ended on the bus at ``now``; one that nobody listens to costs a dictionary look-up."""
+        station = self._station
+        handlers = (station.remote_handlers if frame.remote else station.data_handlers).get(frame.can_id)
+        if handlers is None or frame.extended:
+            return _NOTHING
+        station.now = now
+        self._application.advance(now)
+        for handler in handlers:
+            handler(frame, now)
+        return self._take_frames()
+
+    def wake(self, now: Instant) -> Sequence[Frame]:
+        """Bring the application to ``now``, then run the timers that are due."""
+        station = self._station
+        station.now = now
+        self._application.advance(now)
+        if station.timers.next <= now:
+            station.timers.run(now)
+        return self._take_frames()
+
+    def bus_off(self, now: Instant) -> None:
+        """The host's controller went bus-off: 1029h acts; nothing can be sent (CiA 301, 7.5.2.32)."""
+        self._station.now = now
+        self._application.advance(now)
+        self._application.on_communication_loss(CommunicationLoss.BUS_OFF, 0, now)
+        self._nmt.on_communication_error(now)
+        self._station.out.clear()
+
+    def bus_recovered(self, now: Instant) -> Sequence[Frame]:
+        """The controller is back on the bus: EMCY 8140h tells, and is over at once."""
+        self._station.now = now
+        self._application.advance(now)
+        self._emergency.raise_error(RECOVERED_FROM_BUS_OFF, ErrorRegister.COMMUNICATION)
+        self._emergency.clear_error(RECOVERED_FROM_BUS_OFF)
+        self._application.on_communication_restored(CommunicationLoss.BUS_OFF, 0, now)
+        return self._take_frames()
+
+    def _take_frames(self) -> Sequence[Frame]:
+        station = self._station
+        frames = station.out
+        if not frames or station.mute:
+            return _NOTHING
+        station.out = []
+        return frames
+
+    def _reset_node(self, now: Instant) -> None:
+        self._nmt.enter(NmtState.INITIALISING, now)
+        self.clock.start(now)
+        self._station.dictionary.restore(*_APPLICATION, self._lss.pending_node_id)
+        self._emergency.reset_node()
+        self._application.on_reset(now)
+        self._restart_communication(now)
+
+    def _reset_communication(self, now: Instant) -> None:
+        self._nmt.enter(NmtState.INITIALISING, now)
+        self._emergency.reset_communication()
+        self._restart_communication(now)
+
+    def _restart_communication(self, now: Instant) -> None:
+        self._station.node_id = self._lss.pending_node_id
+        self._station.dictionary.restore(*_COMMUNICATION_PROFILE, self.node_id)
+        self._emergency.update_register()
+        parts = (
+            self._sdo,
+            self._pdos,
+            self._sync,
+            self._time,
+            self._consumers,
+            self._guarding,
+            self._heartbeat,
+        )
+        for part in parts:
+            part.reset_communication()
+        if self.node_id != UNCONFIGURED:
+            self._nmt.boot_up(now)

@@ -1,0 +1,73 @@
+"""What a simulated CANopen device is built from: identity, PDO defaults, communication defaults."""
+
+from dataclasses import dataclass, field
+
+from virtual_bus.device.cob_id import NO_RTR as NO_RTR
+from virtual_bus.device.cob_id import NOT_VALID as NOT_VALID
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceIdentity:
+    """Objects 1000h, 1008h..100Ah and 1018h."""
+
+    device_type: int = 0
+    vendor_id: int = 0
+    product_code: int = 0
+    revision_number: int = 0
+    serial_number: int = 0
+    device_name: str = "simulated device"
+    hardware_version: str = "1"
+    software_version: str = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class PdoDefault:
+    """One PDO as the device comes up."""
+
+    cob_id: int
+    """COB-ID without the node-ID, which is added; bit 31: not valid, bit 30: no RTR (TPDO)."""
+    transmission_type: int
+    mapping: tuple[int, ...] = ()
+    """Mapping words, index << 16 | sub-index << 8 | bits, as in 1600h and 1A00h."""
+    inhibit_time_100us: int = 0
+    event_timer_ms: int = 0
+
+
+def mapping_word(index: int, subindex: int, bits: int) -> int:
+    """One entry of a PDO mapping parameter (CiA 301, 7.5.2.36)."""
+    return index << 16 | subindex << 8 | bits
+
+
+def unmapped_rpdos() -> tuple[PdoDefault, ...]:
+    """RPDO 1..4 at the predefined COB-IDs, switched off, nothing mapped."""
+    return tuple(PdoDefault(NOT_VALID | 0x200 + 0x100 * number, 255) for number in range(4))
+
+
+def unmapped_tpdos() -> tuple[PdoDefault, ...]:
+    """TPDO 1..4 at the predefined COB-IDs, switched off, nothing mapped."""
+    return tuple(PdoDefault(NOT_VALID | NO_RTR | 0x180 + 0x100 * number, 255) for number in range(4))
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceOptions:
+    """Everything about a device's communication that its dictionary starts with."""
+
+    identity: DeviceIdentity = DeviceIdentity()
+    rpdos: tuple[PdoDefault, ...] = field(default_factory=unmapped_rpdos)
+    """RPDO 1.. in order: 1400h.. and 1600h.."""
+    tpdos: tuple[PdoDefault, ...] = field(default_factory=unmapped_tpdos)
+    """TPDO 1.. in order: 1800h.. and 1A00h.."""
+    mapping_entries: int = 8
+    """Sub-indices of each mapping parameter; 8, or up to 64 for a device that maps bits."""
+    heartbeat_ms: int = 0
+    """Default of 1017h."""
+    heartbeat_consumers: int = 4
+    """Sub-indices of 1016h."""
+    error_history: int = 8
+    """Sub-indices of 1003h."""
+    sdo_timeout_ms: int = 3000
+    """An SDO transfer in which the client falls silent for that long is aborted (05040000h)."""
+    clock_offset_ns: int = 0
+    """Reading of the device's own clock at power-on."""
+    clock_drift_ppb: int = 0
+    """How much faster than the bench the device's clock runs, parts per 10^9."""

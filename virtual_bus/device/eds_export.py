@@ -1,0 +1,124 @@
+"""The object dictionary as an electronic data sheet (CiA 306-1), for masters that want one."""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from virtual_bus.device.data_types import DataType
+from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.object_dictionary import (
+    DictionaryObject,
+    ObjectCode,
+    ObjectDictionary,
+    Variable,
+)
+
+MANDATORY = (0x1000, 0x1001, 0x1018)
+_TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
+
+
+def export_eds(dictionary: ObjectDictionary, identity: DeviceIdentity) -> str:
+    """The EDS of a device with this dictionary; defaults that depend on the node-ID say so."""
+    lines: list[str] = []
+    lines += _section("FileInfo", _file_info(identity))
+    lines += _section("DeviceInfo", _device_info(dictionary, identity))
+    lines += _section("DummyUsage", [f"Dummy{index:04X}=1" for index in range(1, 8)])
+    lines += _object_list("MandatoryObjects", (i for i in _indices(dictionary) if i in MANDATORY))
+    lines += _object_list("OptionalObjects", (i for i in _indices(dictionary) if _optional(i)))
+    lines += _object_list("ManufacturerObjects", (i for i in _indices(dictionary) if 0x2000 <= i < 0x6000))
+    for entry in dictionary:
+        lines += _object(entry)
+    return "\n".join(lines) + "\n"
+
+
+def _indices(dictionary: ObjectDictionary) -> Iterator[int]:
+    return (entry.index for entry in dictionary)
+
+
+def _optional(index: int) -> bool:
+    return index not in MANDATORY and not 0x2000 <= index < 0x6000
+
+
+def _section(title: str, entries: Iterable[str]) -> list[str]:
+    return [f"[{title}]", *entries, ""]
+
+
+def _object_list(title: str, indices: Iterable[int]) -> list[str]:
+    entries = [f"{number}=0x{index:04X}" for number, index in enumerate(indices, 1)]
+    return _section(title, [f"SupportedObjects={len(entries)}", *entries])
+
+
+def _file_info(identity: DeviceIdentity) -> Sequence[str]:
+    return (
+        "FileName=device.eds",
+        "FileVersion=1",
+        "FileRevision=0",
+        "EDSVersion=4.0",
+        f"Description={identity.device_name}",
+        # Fixed, so that the same device gives the same text.
+        "CreationTime=12:00AM",
+        "CreationDate=01-01-2000",
+        "CreatedBy=servobench",
+    )
+
+
+def _device_info(dictionary: ObjectDictionary, identity: DeviceIdentity) -> Sequence[str]:
+    receive = sum(1 for index in _indices(dictionary) if 0x1400 <= index < 0x1600)
+    transmit = sum(1 for index in _indices(dictionary) if 0x1800 <= index < 0x1A00)
+    rates = (f"BaudRate_{rate}=1" for rate in (10, 20, 50, 125, 250, 500, 800, 1000))
+    return (
+        "VendorName=servobench",
+        f"VendorNumber=0x{identity.vendor_id:X}",
+        f"ProductName={identity.device_name}",
+        f"ProductNumber=0x{identity.product_code:X}",
+        f"RevisionNumber=0x{identity.revision_number:X}",
+        f"OrderCode={identity.device_name}",
+        *rates,
+        "SimpleBootUpMaster=0",
+        "SimpleBootUpSlave=1",
+        "Granularity=1",
+        "DynamicChannelsSupported=0",
+        "GroupMessaging=0",
+        f"NrOfRXPDO={receive}",
+        f"NrOfTXPDO={transmit}",
+        "LSS_Supported=0",
+    )
+
+
+def _object(entry: DictionaryObject) -> list[str]:
+    if entry.code in (ObjectCode.VAR, ObjectCode.DOMAIN):
+        return _variable(f"{entry.index:04X}", entry.members[0], entry.code)
+    lines = _section(
+        f"{entry.index:04X}",
+        [
+            f"ParameterName={entry.name}",
+            f"ObjectType=0x{entry.code:X}",
+            f"SubNumber={len(entry.members)}",
+        ],
+    )
+    for subindex in sorted(entry.members):
+        lines += _variable(f"{entry.index:04X}sub{subindex:X}", entry.members[subindex], ObjectCode.VAR)
+    return lines
+
+
+def _variable(title: str, variable: Variable, code: ObjectCode) -> list[str]:
+    entries = [
+        f"ParameterName={variable.name}",
+        f"ObjectType=0x{code:X}",
+        f"DataType=0x{variable.data_type:04X}",
+        f"AccessType={variable.access.value}",
+        f"DefaultValue={_default(variable)}",
+        f"PDOMapping={int(variable.mappable)}",
+    ]
+    if variable.low is not None:
+        entries.append(f"LowLimit={variable.low}")
+    if variable.high is not None:
+        entries.append(f"HighLimit={variable.high}")
+    return _section(title, entries)
+
+
+def _default(variable: Variable) -> str:
+    default = variable.default
+    if variable.node_relative:
+        return f"$NODEID+0x{default:X}"
+    if isinstance(default, bytes):
+        return default.decode("ascii") if variable.data_type in _TEXT_TYPES else default.hex()
+    return str(default)

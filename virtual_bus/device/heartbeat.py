@@ -1,0 +1,171 @@
+"""Heartbeat producer 1017h and heartbeat consumers 1016h (CiA 301, 7.2.8.2.2 and 7.5.2.19, 7.5.2.20)."""
+
+from typing import Final
+
+from drivers.timebase import NS_PER_MS, Instant
+from virtual_bus.device.application import CommunicationLoss, ErrorRegister
+from virtual_bus.device.emergency import EmergencyProducer
+from virtual_bus.device.nmt import NmtSlave
+from virtual_bus.device.nmt_state import NODE_ID_MAX
+from virtual_bus.device.object_dictionary import Variable
+from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.device.station import Station
+from virtual_bus.frame import Frame
+
+ERROR_CONTROL: Final = 0x700
+HEARTBEAT_ERROR: Final = 0x8130
+"""EMCY: life guard or heartbeat error (CiA 301, table 26)."""
+
+
+class HeartbeatProducer:
+    """Tells the NMT state every 1017h ms; the boot-up message counts as the first."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._period_ns = 0
+        self._due = Instant(0)
+        self._timer = station.timers.create(self._on_due)
+        variable = station.dictionary.get(0x1017)
+        if variable is not None:
+            variable.on_write = self._on_write
+
+    @property
+    def running(self) -> bool:
+        """Whether heartbeats are sent, so that node guarding is not served."""
+        return self._period_ns > 0
+
+    def reset_communication(self) -> None:
+        """Take the period from the dictionary; called when the boot-up message is about to be sent."""
+        self._period_ns = self._station.value(0x1017) * NS_PER_MS
+        self._timer.stop()
+        if self._station.node_id > NODE_ID_MAX:
+            self._period_ns = 0
+        if self._period_ns:
+            self._schedule(self._station.now)
+
+    def _on_write(self, milliseconds: int) -> None:
+        # 7.2.8.2.2: the protocol begins at once when the time is set.
+        self._period_ns = milliseconds * NS_PER_MS
+        self._timer.stop()
+        if self._period_ns:
+            self._due = self._station.now
+            self._on_due(self._station.now)
+
+    def _schedule(self, previous: Instant) -> None:
+        self._timer.start_periodic(previous, self._period_ns, self._station.now)
+        self._due = self._timer.due
+
+    def _on_due(self, _now: Instant) -> None:
+        station = self._station
+        station.out.append(Frame(ERROR_CONTROL + station.node_id, bytes([station.state])))
+        self._schedule(self._due)
+
+
+class HeartbeatConsumer:
+    """Watches one node, from its first heartbeat on; one sub-index of 1016h."""
+
+    def __init__(
+        self, station: Station, emergency: EmergencyProducer, nmt: NmtSlave, variable: Variable
+    ) -> None:
+        self._station = station
+        self._emergency = emergency
+        self._nmt = nmt
+        self._variable = variable
+        self._listening: int | None = None
+        self._timeout_ns = 0
+        self._lost = False
+        self._timer = station.timers.create(self._on_timeout)
+        variable.on_write = self._on_write
+
+    @property
+    def node_id(self) -> int:
+        """The node that is watched; 0 for none."""
+        value = int(self._variable.value)
+        return value >> 16 & 0xFF if value & 0xFFFF else 0
+
+    def reset_communication(self) -> None:
+        """Take the setting from the dictionary; monitoring begins with the next heartbeat."""
+        self._lost = False
+        self._configure()
+
+    def _on_write(self, _value: int) -> None:
+        if self._lost:
+            self._lost = False
+            self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
+        self._configure()
+
+    @property
+    def _watched(self) -> int:
+        return 0 if self._listening is None else self._listening - ERROR_CONTROL
+
+    def _configure(self) -> None:
+        if self._listening is not None:
+            self._station.ignore(self._listening, self._on_heartbeat)
+        self._timer.stop()
+        node_id = self.node_id
+        self._timeout_ns = (int(self._variable.value) & 0xFFFF) * NS_PER_MS
+        self._listening = ERROR_CONTROL + node_id if 1 <= node_id <= NODE_ID_MAX else None
+        if self._listening is not None:
+            self._station.listen(self._listening, self._on_heartbeat)
+
+    def _on_heartbeat(self, frame: Frame, now: Instant) -> None:
+        if len(frame.data) != 1:
+            return
+        self._timer.start(Instant(now + self._timeout_ns))
+        if self._lost:
+            self._lost = False
+            self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
+            self._station.application.on_communication_restored(
+                CommunicationLoss.HEARTBEAT, self._watched, now
+            )
+
+    def _on_timeout(self, now: Instant) -> None:
+        node_id = self._watched
+        self._lost = True
+        self._emergency.raise_error(
+            HEARTBEAT_ERROR, ErrorRegister.COMMUNICATION, bytes([node_id]), source=node_id
+        )
+        self._station.application.on_communication_loss(CommunicationLoss.HEARTBEAT, node_id, now)
+        self._nmt.on_communication_error(now)
+
+
+class HeartbeatConsumers:
+    """All sub-indices of 1016h."""
+
+    def __init__(self, station: Station, emergency: EmergencyProducer, nmt: NmtSlave) -> None:
+        self._consumers: list[HeartbeatConsumer] = []
+        self._variables: list[Variable] = []
+        if 0x1016 not in station.dictionary:
+            return
+        for subindex, variable in station.dictionary.object(0x1016).members.items():
+            if subindex:
+                self._variables.append(variable)
+                self._consumers.append(HeartbeatConsumer(station, emergency, nmt, variable))
+                variable.check = self._checker(variable)
+
+    def reset_communication(self) -> None:
+        """Take all settings from the dictionary."""
+        for consumer in self._consumers:
+            consumer.reset_communication()
+
+    def _checker(self, own: Variable) -> "_Checker":
+        return _Checker(own, self._variables)
+
+
+class _Checker:
+    """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved."""
+
+    def __init__(self, own: Variable, variables: list[Variable]) -> None:
+        self._own = own
+        self._variables = variables
+
+    def __call__(self, value: int) -> AbortCode | None:
+        node_id, milliseconds = value >> 16, value & 0xFFFF
+        if not milliseconds or not node_id:
+            return None
+        if node_id > NODE_ID_MAX:
+            return AbortCode.INVALID_VALUE
+        for other in self._variables:
+            if other is not self._own and other.value & 0xFFFF and other.value >> 16 & 0xFF == node_id:
+                return AbortCode.PARAMETER_INCOMPATIBLE
+        return None

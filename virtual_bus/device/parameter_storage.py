@@ -1,0 +1,101 @@
+"""Store parameters 1010h and restore default parameters 1011h (CiA 301, 7.5.2.13, 7.5.2.14).
+
+    1  all
+    2  communication, 1000h..1FFFh
+    3  application, 6000h..9FFFh
+    4  manufacturer, 2000h..5FFFh
+
+Writing the signature "save" stores the present values, which then hold after power-on and resets.
+Writing "load" forgets them; the defaults hold from the next power-on or reset on. Any other signature
+is refused with 08000020h.
+"""
+
+from collections.abc import Callable
+
+from drivers.errors import BenchError
+from virtual_bus.device.data_types import decode, encode
+from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
+from virtual_bus.device.parameter_store import ParameterStore
+from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+
+SAVE = int.from_bytes(b"save", "little")
+LOAD = int.from_bytes(b"load", "little")
+ON_COMMAND = 1
+"""What 1010h and 1011h read: stores on command; restores."""
+
+GROUPS = {
+    1: range(0x1000, 0x10000),
+    2: range(0x1000, 0x2000),
+    3: range(0x6000, 0xA000),
+    4: range(0x2000, 0x6000),
+}
+"""Indices of each sub-index."""
+
+_NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011, 0x1013})
+
+
+class ParameterStorage:
+    """Hooks 1010h and 1011h; the values go to a :class:`ParameterStore`."""
+
+    def __init__(self, dictionary: ObjectDictionary, store: ParameterStore) -> None:
+        self._dictionary = dictionary
+        self._store = store
+        for index, signature, act in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._forget)):
+            if index not in dictionary:
+                continue
+            for subindex, variable in dictionary.object(index).members.items():
+                if subindex:
+                    variable.provider = lambda: ON_COMMAND
+                    variable.check = _checker(signature, GROUPS.get(subindex, range(0)), act)
+
+    def power_on(self) -> None:
+        """Take the stored values; one that no longer fits its object is left alone."""
+        for (index, subindex), raw in self._store.load().items():
+            variable = self._dictionary.get(index, subindex)
+            if variable is None or not _is_parameter(variable):
+                continue
+            try:
+                variable.power_on = decode(variable.data_type, raw)
+            except SdoAbort:
+                continue
+
+    def _save(self, indices: range) -> None:
+        kept = self._store.load()
+        for variable in self._parameters(indices):
+            kept[variable.index, variable.subindex] = encode(variable.data_type, variable.read())
+        self._store.save(kept)
+        for variable in self._parameters(indices):
+            variable.power_on = variable.read()
+
+    def _forget(self, indices: range) -> None:
+        self._store.save({key: raw for key, raw in self._store.load().items() if key[0] not in indices})
+        for variable in self._parameters(indices):
+            variable.power_on = None
+
+    def _parameters(self, indices: range) -> list[Variable]:
+        return [
+            variable
+            for entry in self._dictionary
+            if entry.index in indices
+            for variable in entry.members.values()
+            if _is_parameter(variable)
+        ]
+
+
+def _is_parameter(variable: Variable) -> bool:
+    if variable.index in _NEVER_STORED or variable.access is not Access.READ_WRITE:
+        return False
+    return variable.stored if variable.stored is not None else not variable.mappable
+
+
+def _checker(signature: int, indices: range, act: Callable[[range], None]) -> Check:
+    def check(value: int) -> AbortCode | None:
+        if value != signature:
+            return AbortCode.NOT_STORED
+        try:
+            act(indices)
+        except (OSError, BenchError):
+            return AbortCode.HARDWARE
+        return None
+
+    return check

@@ -1,0 +1,74 @@
+"""All PDOs of a device: what a SYNC, an event and a change of the NMT state do to them."""
+
+from typing import Final
+
+from drivers.timebase import Instant
+from virtual_bus.device.emergency import EmergencyProducer
+from virtual_bus.device.nmt_state import NmtState
+from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.rpdo import ReceivePdo
+from virtual_bus.device.station import Station
+from virtual_bus.device.tpdo import TransmitPdo
+
+PDOS_MAX: Final = 512
+_OPERATIONAL: Final = NmtState.OPERATIONAL
+
+
+class PdoEngine:
+    """Makes a PDO of each communication parameter object that the dictionary holds (1400h.., 1800h..)."""
+
+    def __init__(self, station: Station, emergency: EmergencyProducer) -> None:
+        dictionary = station.dictionary
+        numbers = range(1, PDOS_MAX + 1)
+        self._station = station
+        self.receive = [
+            ReceivePdo(station, emergency, n) for n in numbers if _complete(dictionary, 0x1400 + n - 1)
+        ]
+        self.transmit = [TransmitPdo(station, n) for n in numbers if _complete(dictionary, 0x1800 + n - 1)]
+
+    def reset_communication(self) -> None:
+        """Take all parameters from the dictionary."""
+        for rpdo in self.receive:
+            rpdo.forget_errors()
+            rpdo.configure()
+        for tpdo in self.transmit:
+            tpdo.configure()
+
+    def on_state(self, state: NmtState, _now: Instant) -> None:
+        """PDOs are alive in OPERATIONAL only (CiA 301, table 38)."""
+        for tpdo in self.transmit:
+            if state is _OPERATIONAL:
+                tpdo.enter_operational()
+            else:
+                tpdo.leave_operational()
+        if state is not _OPERATIONAL:
+            for rpdo in self.receive:
+                rpdo.leave_operational()
+
+    def on_sync(self, counter: int) -> None:
+        """Sample first, actuate afterwards."""
+        if self._station.state is not _OPERATIONAL:
+            return
+        for tpdo in self.transmit:
+            if tpdo.follows_sync:
+                tpdo.on_sync(counter)
+        for rpdo in self.receive:
+            if rpdo.waiting is not None:
+                rpdo.actuate()
+
+    def open_window(self, is_open: bool) -> None:
+        """Synchronous window length, 1007h: outside of it synchronous RPDOs are discarded."""
+        for rpdo in self.receive:
+            rpdo.window_open = is_open
+
+    def notify(self, variable: Variable) -> None:
+        """``variable`` changed."""
+        for tpdo in self.transmit:
+            if variable in tpdo.variables:
+                tpdo.notify()
+
+
+def _complete(dictionary: ObjectDictionary, communication: int) -> bool:
+    """COB-ID, transmission type and mapping are there; a vendor's file may lack some."""
+    wanted = ((communication, 1), (communication, 2), (communication + 0x200, 0))
+    return all(dictionary.get(index, subindex) is not None for index, subindex in wanted)

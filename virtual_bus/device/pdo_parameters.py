@@ -1,0 +1,124 @@
+"""What RPDO and TPDO have in common: communication and mapping parameters and the rules of changing them.
+
+CiA 301, 7.5.2.33..7.5.2.38. A PDO is remapped by: COB-ID bit 31 = 1; mapping count = 0; the mapping
+words; mapping count = n; COB-ID bit 31 = 0. Any other order is refused and changes nothing.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from virtual_bus.device import cob_id
+from virtual_bus.device.object_dictionary import Check, Variable
+from virtual_bus.device.pdo_codec import Field, resolve, resolve_all
+from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
+from virtual_bus.device.station import Station
+
+MAPPING_ENTRIES_MAX: Final = 64
+
+
+class PdoParameters:
+    """One PDO's parameters, with the checks hooked into the dictionary."""
+
+    reserved_types: range
+    transmit: bool
+
+    def __init__(self, station: Station, communication_index: int, mapping_index: int) -> None:
+        self.station = station
+        self._communication = station.dictionary.object(communication_index).members
+        self._mapping = station.dictionary.object(mapping_index).members
+        self._hook(self._communication[1], self._check_cob_id)
+        self._hook(self._communication[2], self._check_transmission_type)
+        self._hook(self._mapping[0], self._check_count)
+        for subindex, variable in self._mapping.items():
+            if subindex:
+                variable.check = self._check_word
+        event_timer = self._communication.get(5)
+        if event_timer is not None:
+            event_timer.on_write = self._on_write
+
+    def _hook(self, variable: Variable, check: Check) -> None:
+        variable.check = check
+        variable.on_write = self._on_write
+
+    def _on_write(self, _value: int) -> None:
+        self.configure()
+
+    def configure(self) -> None:
+        """Take the parameters from the dictionary; overridden."""
+        raise NotImplementedError
+
+    def parameter(self, subindex: int) -> int:
+        """A communication parameter; 0 where the PDO has none such."""
+        variable = self._communication.get(subindex)
+        return 0 if variable is None else int(variable.value)
+
+    @property
+    def exists(self) -> bool:
+        """Bit 31 of the COB-ID is 0."""
+        return not self.parameter(1) & cob_id.NOT_VALID
+
+    @property
+    def can_id(self) -> int:
+        """CAN-ID of the COB-ID."""
+        return self.parameter(1) & cob_id.CAN_ID
+
+    def fields(self) -> list[Field]:
+        """What is mapped now; the words were checked when they were written.
+
+        A stored mapping of objects that are no longer there maps nothing.
+        """
+        try:
+            return self._resolve(self._mapping[0].value)
+        except SdoAbort:
+            return []
+
+    def _words(self, count: int) -> Sequence[int]:
+        return [self._mapping[subindex].value for subindex in range(1, count + 1)]
+
+    def _resolve(self, count: int) -> list[Field]:
+        return resolve_all(self.station.dictionary, self._words(count), transmit=self.transmit)
+
+    def _check_cob_id(self, value: int) -> AbortCode | None:
+        # 11-bit identifiers only: 7.5.2.33 wants 06090030h for bit 29.
+        if value & cob_id.EXTENDED:
+            return AbortCode.INVALID_VALUE
+        if value & cob_id.NOT_VALID:
+            return None
+        # Bits 0..29 stay while the PDO exists and goes on to exist; bit 30 may not be changed either.
+        if self.exists and value != self.parameter(1):
+            return AbortCode.INVALID_VALUE
+        if cob_id.restricted(value & cob_id.CAN_ID) or value & 0x1FFFFFFF & ~cob_id.CAN_ID:
+            return AbortCode.INVALID_VALUE
+        return None
+
+    def _check_transmission_type(self, value: int) -> AbortCode | None:
+        return AbortCode.INVALID_VALUE if value in self.reserved_types else None
+
+    def refused_while_it_exists(self, _value: int) -> AbortCode | None:
+        """Check of a parameter that may be changed only while bit 31 is 1."""
+        return AbortCode.DEVICE_STATE if self.exists else None
+
+    def _check_count(self, value: int) -> AbortCode | None:
+        if self.exists:
+            return AbortCode.DEVICE_STATE
+        # FEh and FFh would be multiplex PDOs, which this device has not.
+        if value > MAPPING_ENTRIES_MAX:
+            return AbortCode.INVALID_VALUE
+        if value >= len(self._mapping):
+            return AbortCode.PDO_LENGTH
+        try:
+            self._resolve(value)
+        except SdoAbort as abort:
+            return abort.code
+        return None
+
+    def _check_word(self, value: int) -> AbortCode | None:
+        if self.exists or self._mapping[0].value:
+            return AbortCode.DEVICE_STATE
+        if not value:
+            return None
+        try:
+            resolve(self.station.dictionary, value, transmit=self.transmit)
+        except SdoAbort as abort:
+            return abort.code
+        return None

@@ -1,0 +1,108 @@
+"""SYNC consumer: 1005h, 1006h, 1007h and the counter of 1019h (CiA 301, 7.2.5 and 7.5.2.5..7.5.2.22)."""
+
+from typing import Final
+
+from drivers.timebase import NS_PER_US, Instant
+from virtual_bus.device import cob_id
+from virtual_bus.device.application import ErrorRegister
+from virtual_bus.device.emergency import EmergencyProducer
+from virtual_bus.device.nmt_state import NmtState
+from virtual_bus.device.pdo_engine import PdoEngine
+from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.device.station import Station
+from virtual_bus.frame import Frame
+
+SYNC_LENGTH: Final = 0x8240
+"""EMCY: unexpected SYNC data length (CiA 301, table 26)."""
+GENERATES_SYNC: Final = 1 << 30
+COUNTER_MAX: Final = 240
+_OPERATIONAL: Final = NmtState.OPERATIONAL
+_PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL
+
+
+class SyncConsumer:
+    """Takes SYNCs in PRE-OPERATIONAL and OPERATIONAL and hands them to the PDOs and the application."""
+
+    def __init__(self, station: Station, emergency: EmergencyProducer, pdos: PdoEngine) -> None:
+        self._station = station
+        self._emergency = emergency
+        self._pdos = pdos
+        self._listening: int | None = None
+        self._length = 0
+        self._window_ns = 0
+        self._window = station.timers.create(self._on_window_over)
+        self._wrong_length = False
+        dictionary = station.dictionary
+        for index, check in (
+            (0x1005, self._check_cob_id),
+            (0x1007, None),
+            (0x1019, self._check_counter_overflow),
+        ):
+            variable = dictionary.get(index)
+            if variable is not None:
+                variable.check = check
+                variable.on_write = self._on_write
+
+    def reset_communication(self) -> None:
+        """Take all parameters from the dictionary."""
+        self._wrong_length = False
+        self._on_write(0)
+
+    def _on_write(self, _value: int) -> None:
+        station = self._station
+        if self._listening is not None:
+            station.ignore(self._listening, self._on_sync)
+        self._listening = self._cob_id() & cob_id.CAN_ID or None
+        self._length = 1 if station.value(0x1019) else 0
+        self._window_ns = station.value(0x1007) * NS_PER_US
+        self._window.stop()
+        self._pdos.open_window(True)
+        if self._listening is not None:
+            station.listen(self._listening, self._on_sync)
+
+    def _cob_id(self) -> int:
+        """Of 1005h; a vendor's data sheet may lack the object, and the drive knows 080h all the same."""
+        try:
+            return int(self._station.dictionary.variable(0x1005).read())
+        except KeyError:
+            return 0
+
+    def _on_sync(self, frame: Frame, now: Instant) -> None:
+        station = self._station
+        if station.state is not _OPERATIONAL and station.state is not _PRE_OPERATIONAL:
+            return
+        data = frame.data
+        if len(data) != self._length or self._wrong_length:
+            self._judge_length(len(data))
+            if self._wrong_length:
+                return
+        counter = data[0] if data else 0
+        if self._window_ns:
+            self._pdos.open_window(True)
+            self._window.start(Instant(now + self._window_ns))
+        self._pdos.on_sync(counter)
+        station.application.on_sync(counter, now)
+
+    def _on_window_over(self, _now: Instant) -> None:
+        self._pdos.open_window(False)
+
+    def _judge_length(self, length: int) -> None:
+        """A SYNC with the wrong length is not taken; EMCY 8240h once, until a right one comes."""
+        wrong = length != self._length
+        if wrong and not self._wrong_length:
+            self._emergency.raise_error(SYNC_LENGTH, ErrorRegister.COMMUNICATION)
+        elif self._wrong_length and not wrong:
+            self._emergency.clear_error(SYNC_LENGTH)
+        self._wrong_length = wrong
+
+    def _check_cob_id(self, value: int) -> AbortCode | None:
+        # 7.5.2.5: 06090030h for bit 30 on a device that generates no SYNC, and for bit 29 with 11 bits only.
+        if value & (GENERATES_SYNC | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
+            return AbortCode.INVALID_VALUE
+        return None
+
+    def _check_counter_overflow(self, value: int) -> AbortCode | None:
+        # 7.5.2.22: 08000022h while the communication cycle period is not 0; 1 and 241.. are reserved.
+        if self._station.value(0x1006):
+            return AbortCode.DEVICE_STATE
+        return AbortCode.INVALID_VALUE if value == 1 or value > COUNTER_MAX else None

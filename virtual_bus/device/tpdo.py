@@ -1,0 +1,199 @@
+"""Transmit PDOs of every transmission type (CiA 301, 7.2.2 and 7.5.2.37).
+
+    0          synchronous acyclic: at the next SYNC after an event
+    1..240     synchronous cyclic: at every n-th SYNC, from the SYNC start value on
+    252        sampled at each SYNC, sent on a remote request
+    253        sampled and sent on a remote request
+    254, 255   sent on an event, by the event timer, not more often than the inhibit time allows
+
+A remote request (allowed by bit 30 = 0 of the COB-ID) of the other types sends the last sample of a
+synchronous PDO, or a fresh one of an event-driven PDO.
+"""
+
+from typing import Final
+
+from drivers.timebase import NS_PER_MS, Instant
+from virtual_bus.device import cob_id
+from virtual_bus.device.nmt_state import NmtState
+from virtual_bus.device.object_dictionary import Variable
+from virtual_bus.device.pdo_codec import compile_packer
+from virtual_bus.device.pdo_parameters import PdoParameters
+from virtual_bus.device.sdo_abort import AbortCode
+from virtual_bus.device.station import Station
+from virtual_bus.frame import Frame
+
+SYNCHRONOUS_ACYCLIC: Final = 0
+SYNCHRONOUS_CYCLIC_MAX: Final = 240
+REMOTE_SYNCHRONOUS: Final = 252
+REMOTE_EVENT: Final = 253
+NS_PER_100_US: Final = 100_000
+
+
+class TransmitPdo(PdoParameters):
+    """One TPDO."""
+
+    reserved_types = range(241, 252)
+    transmit = True
+
+    def __init__(self, station: Station, number: int) -> None:
+        """``number``: 1.. as in TPDO1."""
+        super().__init__(station, 0x1800 + number - 1, 0x1A00 + number - 1)
+        self._sample = compile_packer([])
+        self._can_id = 0
+        self._type = 0
+        self._active = False
+        self.follows_sync = False
+        """Whether a SYNC does anything to it; read at each SYNC, so a plain attribute."""
+        self._event = False
+        self._latched = b""
+        self._left = 0
+        self._start_at = 0
+        self._inhibit_ns = 0
+        self._event_ns = 0
+        self._free_at = Instant(0)
+        self._remote: int | None = None
+        self.variables: frozenset[Variable] = frozenset()
+        self._watches = False
+        """Whether it is sent because one of them changes."""
+        self._inhibit_timer = station.timers.create(self._on_inhibit_over)
+        self._event_timer = station.timers.create(self._on_event_timer)
+        for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
+            variable = self._communication.get(subindex)
+            if variable is not None:
+                self._hook(variable, check)
+
+    @property
+    def event_driven(self) -> bool:
+        """Types 254 and 255."""
+        return self._type > REMOTE_EVENT
+
+    def configure(self) -> None:
+        """Take over COB-ID, type, mapping and timers."""
+        fields = self.fields()
+        self._sample = compile_packer(fields)
+        self._watch(-1)
+        self.variables = frozenset(field.variable for field in fields if field.variable is not None)
+        self._can_id = self.can_id
+        self._type = self.parameter(2)
+        self._watches = self.exists and (self.event_driven or self._type == SYNCHRONOUS_ACYCLIC)
+        self._watch(1)
+        self._inhibit_ns = self.parameter(3) * NS_PER_100_US
+        self._event_ns = self.parameter(5) * NS_PER_MS
+        self._listen_for_remote(self.exists and not self.parameter(1) & cob_id.NO_RTR)
+        announce = not self._active
+        self._stop()
+        if self.exists and fields and self.station.state is NmtState.OPERATIONAL:
+            self._begin(announce)
+
+    def _watch(self, more: int) -> None:
+        if self._watches:
+            for variable in self.variables:
+                variable.watchers += more
+
+    def enter_operational(self) -> None:
+        """Cycles start; an event-driven PDO tells its values once."""
+        if self.exists and self.variables:
+            self._begin(announce=True)
+
+    def leave_operational(self) -> None:
+        """PDOs exist in OPERATIONAL only."""
+        self._stop()
+
+    def _begin(self, announce: bool) -> None:
+        now = self.station.now
+        self._active = True
+        self.follows_sync = self._type <= REMOTE_SYNCHRONOUS
+        self._left = self._type
+        self._start_at = self.parameter(6) if self.station.value(0x1019) else 0
+        self._latched = self._sample()
+        self._free_at = now
+        self._event = self._type == SYNCHRONOUS_ACYCLIC
+        if self.event_driven and announce:
+            self._transmit_event(now)
+        elif self.event_driven and self._event_ns:
+            self._event_timer.start(Instant(now + self._event_ns))
+
+    def _stop(self) -> None:
+        self._active = False
+        self.follows_sync = False
+        self._event = False
+        self._inhibit_timer.stop()
+        self._event_timer.stop()
+
+    def on_sync(self, counter: int) -> None:
+        """A SYNC in OPERATIONAL; ``counter`` 0 without one."""
+        kind = self._type
+        if 0 < kind <= SYNCHRONOUS_CYCLIC_MAX:
+            if self._start_at:
+                # The SYNC with the start value is the first that counts, and the PDO goes out with it.
+                if counter != self._start_at:
+                    return
+                self._start_at = 0
+                self._left = 1
+            self._left -= 1
+            if not self._left:
+                self._left = kind
+                self._latched = data = self._sample()
+                self.station.out.append(Frame(self._can_id, data))
+        elif kind == REMOTE_SYNCHRONOUS:
+            self._latched = self._sample()
+        elif self._event:
+            self._event = False
+            self._transmit()
+
+    def notify(self) -> None:
+        """An event in a mapped variable."""
+        if not self._active:
+            return
+        if self._type == SYNCHRONOUS_ACYCLIC:
+            self._event = True
+        elif self.event_driven:
+            self._on_event(self.station.now)
+
+    def _on_event(self, now: Instant) -> None:
+        if now >= self._free_at:
+            self._transmit_event(now)
+        else:
+            self._event = True
+            self._inhibit_timer.start(self._free_at)
+
+    def _on_inhibit_over(self, now: Instant) -> None:
+        if self._event:
+            self._transmit_event(now)
+
+    def _on_event_timer(self, now: Instant) -> None:
+        self._on_event(now)
+        if self._event:
+            # Held back by the inhibit time: that transmission starts the timer again.
+            self._event_timer.stop()
+
+    def _transmit_event(self, now: Instant) -> None:
+        self._event = False
+        self._free_at = Instant(now + self._inhibit_ns)
+        if self._event_ns:
+            self._event_timer.start(Instant(now + self._event_ns))
+        self._transmit()
+
+    def _transmit(self) -> None:
+        data = self._latched = self._sample()
+        self.station.out.append(Frame(self._can_id, data))
+
+    def _listen_for_remote(self, allowed: bool) -> None:
+        if self._remote is not None:
+            self.station.ignore(self._remote, self._on_remote, remote=True)
+        self._remote = self._can_id if allowed else None
+        if self._remote is not None:
+            self.station.listen(self._remote, self._on_remote, remote=True)
+
+    def _on_remote(self, _frame: Frame, _now: Instant) -> None:
+        if not self._active:
+            return
+        if self._type <= REMOTE_SYNCHRONOUS:
+            self.station.out.append(Frame(self._can_id, self._latched))
+        else:
+            self._transmit()
+
+    def _check_start(self, value: int) -> AbortCode | None:
+        if value > SYNCHRONOUS_CYCLIC_MAX:
+            return AbortCode.INVALID_VALUE
+        return self.refused_while_it_exists(value)

@@ -1,0 +1,155 @@
+"""A vendor's EDS or DCF laid over the dictionary of a simulated device (CiA 306-1).
+
+    in the file, known to the device      behaviour of the device; access, limits and default of the file,
+                                          its own default where the file gives none
+    in the file, not known                plain typed storage with access, range and length checks
+    known, not in the file                not on the bus; the application still sees its own value
+    2000h..5FFFh                          always the file's: the same index means something else there
+
+A variable of the device profile whose type is not the file's is the file's plain storage too. 1000h,
+1001h and 1018h are mandatory (CiA 301, 7.5.2) and stay even if the file forgets them.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import canopen.objectdictionary as od
+
+from virtual_bus.device.data_types import BITS, REALS, SIGNED, DataType, encode
+from virtual_bus.device.object_dictionary import (
+    Access,
+    DictionaryObject,
+    ObjectCode,
+    ObjectDictionary,
+    Variable,
+)
+
+BASE_NODE_ID = 1
+"""The node-ID to load the file with; it is taken off the defaults again that depend on it."""
+
+_MANDATORY = frozenset({0x1000, 0x1001, 0x1018})
+_FIRST_OBJECT = 0x1000
+_MANUFACTURER = range(0x2000, 0x6000)
+_PROFILE = range(0x6000, 0x10000)
+_PDO_PARAMETERS = range(0x1400, 0x1C00)
+"""What is mapped by default stands in the file, or nothing is."""
+
+
+def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
+    """Make ``dictionary`` what ``vendor``, loaded for BASE_NODE_ID, says."""
+    entries: Mapping[int, Any] = {index: entry for index, entry in vendor.items() if index >= _FIRST_OBJECT}
+    for own in list(dictionary):
+        if own.index in _MANUFACTURER or (own.index not in entries and own.index not in _MANDATORY):
+            dictionary.conceal(own.index)
+    for index, entry in entries.items():
+        made = _object(index, entry)
+        if made.members:
+            if index in dictionary:
+                _merge(dictionary.object(index), made, _silent(entry))
+            dictionary.put(made)
+
+
+def _silent(entry: Any) -> frozenset[int]:
+    """Sub-indices to which the file gives no value: there the device's own stays, PDO parameters apart."""
+    if entry.index in _PDO_PARAMETERS:
+        return frozenset()
+    members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
+    return frozenset(
+        sub for sub, member in members.items() if member.default is None and member.value is None
+    )
+
+
+def _merge(own: DictionaryObject, made: DictionaryObject, silent: frozenset[int]) -> None:
+    """Put the device's own variables, adapted, in the place of the file's."""
+    for subindex, wanted in made.members.items():
+        variable = own.members.get(subindex)
+        if variable is None:
+            continue
+        if own.index in _PROFILE and variable.data_type is not wanted.data_type:
+            continue
+        _adapt(variable, wanted, subindex not in silent)
+        made.members[subindex] = variable
+
+
+def _adapt(variable: Variable, wanted: Variable, valued: bool) -> None:
+    variable.name = wanted.name
+    variable.access = wanted.access
+    variable.mappable = wanted.mappable
+    variable.low = wanted.low if variable.low is None else variable.low
+    variable.high = wanted.high if variable.high is None else variable.high
+    if variable.data_type is not wanted.data_type or not valued:
+        return
+    # What the simulated motor measures or cannot do is not the file's to say.
+    if variable.index in _PROFILE and (not wanted.writable or variable.refusal(wanted.default) is not None):
+        return
+    variable.default = variable.value = wanted.default
+    variable.node_relative = wanted.node_relative
+
+
+def _object(index: int, entry: Any) -> DictionaryObject:
+    if isinstance(entry, od.ODVariable):
+        domain = entry.data_type == DataType.DOMAIN
+        made = DictionaryObject(index, entry.name, ObjectCode.DOMAIN if domain else ObjectCode.VAR)
+        members = {0: entry}
+    else:
+        code = ObjectCode.ARRAY if isinstance(entry, od.ODArray) else ObjectCode.RECORD
+        made = DictionaryObject(index, entry.name, code)
+        members = dict(entry.subindices)
+    for subindex, member in sorted(members.items()):
+        made.members[subindex] = _variable(index, subindex, member)
+    return made
+
+
+def _variable(index: int, subindex: int, member: Any) -> Variable:
+    try:
+        data_type = DataType(member.data_type)
+    except ValueError:
+        # A type of the vendor's own: bytes without a fixed length.
+        data_type = DataType.DOMAIN
+    default = _default(data_type, member)
+    # $NODEID stands for a COB-ID; the node-ID is added again at each reset.
+    relative = bool(getattr(member, "relative", False)) and isinstance(default, int)
+    limited = data_type in BITS
+    return Variable(
+        index,
+        subindex,
+        member.name,
+        data_type,
+        _access(member.access_type),
+        default - BASE_NODE_ID if relative else default,
+        mappable=bool(member.pdo_mappable),
+        low=member.min if limited else None,
+        high=member.max if limited else None,
+        node_relative=relative,
+    )
+
+
+def _access(text: str) -> Access:
+    try:
+        return Access(text.strip().lower())
+    except ValueError:
+        return Access.READ_WRITE
+
+
+def _default(data_type: DataType, member: Any) -> Any:
+    """The file's value, a DCF's ParameterValue first; None where it does not fit its type."""
+    configured = getattr(member, "value", None)
+    value = configured if configured is not None else member.default
+    if data_type not in BITS:
+        if isinstance(value, str):
+            wide = data_type is DataType.UNICODE_STRING
+            return value.encode("utf-16-le" if wide else "latin-1", errors="replace")
+        return bytes(value) if isinstance(value, bytes) else None
+    if data_type in REALS:
+        return float(value) if isinstance(value, int | float) else None
+    if not isinstance(value, int):
+        return None
+    bits = BITS[data_type]
+    if data_type in SIGNED and 1 << (bits - 1) <= value < 1 << bits:
+        # Vendors write FFFFFFFFh for -1.
+        value -= 1 << bits
+    try:
+        encode(data_type, value)
+    except OverflowError:
+        return None
+    return value

@@ -1,0 +1,41 @@
+"""The faults of a drive while they last: EMCY, 1001h and 603Fh."""
+
+from virtual_bus.device.application import DeviceServices, ErrorRegister
+from virtual_bus.device.object_dictionary import Variable
+from virtual_bus.drive.error_codes import FOLLOWING_ERROR
+
+
+class Failures:
+    """What has failed since the last fault reset. 603Fh keeps the first."""
+
+    def __init__(self, services: DeviceServices, error_code: Variable) -> None:
+        self._services = services
+        self._error_code = error_code
+        self._codes: set[int] = set()
+
+    def forget(self) -> None:
+        """Power-on: the device engine has forgotten them too."""
+        self._codes.clear()
+
+    def add(self, code: int, register: ErrorRegister) -> None:
+        """One more; it is reported."""
+        self._codes.add(code)
+        self._services.raise_error(code, register)
+
+    def show(self, code: int) -> None:
+        """Put the cause of FAULT into 603Fh."""
+        self._error_code.value = code
+
+    def clear(self) -> None:
+        """Fault reset: all of them are reported as gone."""
+        if not self._error_code.value:
+            return
+        self._error_code.value = 0
+        for code in sorted(self._codes):
+            self._services.clear_error(code)
+        self._codes.clear()
+
+    @property
+    def following(self) -> bool:
+        """A following error is among them: bit 13 of the statusword goes on to say so."""
+        return FOLLOWING_ERROR in self._codes

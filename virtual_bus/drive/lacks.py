@@ -1,0 +1,67 @@
+"""What a simulated drive does without, so that a master's way around it can be tried.
+
+"1013"          an object
+"1400:5"        a sub-index of an object
+"tpdo events"   transmission types 254 and 255 of TPDOs: only SYNC and remote requests send them
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+from virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
+
+TPDO_EVENTS: Final = "tpdo events"
+PATTERN: Final = rf"^([0-9A-Fa-f]{{4}}(:[0-9]{{1,3}})?|{TPDO_EVENTS})$"
+MANDATORY: Final = (0x1000, 0x1001, 0x1018)
+"""CiA 301, 7.5.2."""
+
+_COMMUNICATION: Final = range(0x1800, 0x1A00)
+_MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_REMOTE_EVENT: Final = 253
+
+
+def take_away(dictionary: ObjectDictionary, lacks: Sequence[str]) -> None:
+    """Take ``lacks`` off the bus; PDOs map nothing of it by default. The drive itself goes on as before.
+
+    Error: ValueError, whose first argument is what cannot be lacked.
+    """
+    for lack in lacks:
+        if lack == TPDO_EVENTS:
+            _refuse_events(dictionary)
+        elif re.match(PATTERN, lack) is None:
+            raise ValueError(lack)
+        else:
+            index, _, subindex = lack.partition(":")
+            _remove(dictionary, int(index, 16), int(subindex or 0), lack)
+    for entry in dictionary:
+        if any(entry.index in mappings for mappings in _MAPPINGS):
+            _map_what_is_left(dictionary, entry)
+
+
+def _refuse_events(dictionary: ObjectDictionary) -> None:
+    for entry in dictionary:
+        kind = entry.members.get(2)
+        if entry.index in _COMMUNICATION and kind is not None:
+            kind.high = _REMOTE_EVENT
+            kind.default = min(kind.default, 1)
+
+
+def _remove(dictionary: ObjectDictionary, index: int, subindex: int, lack: str) -> None:
+    if index in MANDATORY or dictionary.get(index, subindex) is None:
+        raise ValueError(lack)
+    members = dictionary.object(index).members
+    if subindex == 0:
+        dictionary.conceal(index)
+        return
+    del members[subindex]
+    members[0].default = members[0].value = max(members)
+
+
+def _map_what_is_left(dictionary: ObjectDictionary, mapping: DictionaryObject) -> None:
+    members = mapping.members
+    words = [members[place].default for place in range(1, members[0].default + 1)]
+    left = [word for word in words if dictionary.get(word >> 16, word >> 8 & 0xFF) is not None]
+    members[0].default = members[0].value = len(left)
+    for place in range(1, len(members)):
+        members[place].default = left[place - 1] if place <= len(left) else 0

@@ -1,0 +1,160 @@
+"""What stands around the simulated shaft: limit switches, home switch, index pulse, and the STO input.
+
+    2110h:1   inputs held active, bits as in 60FDh, beside what the switches say
+    2110h:2   switches fitted: bit 0 negative limit, bit 1 positive limit, bit 2 home
+    2110h:3   negative limit switch, active at this encoder count and below
+    2110h:4   positive limit switch, active at this encoder count and above
+    2110h:5,6 home switch, active from the first count to the second
+    2110h:7   index pulse, encoder count within each turn
+    2110h:8   safe torque off: 1 takes the torque away
+
+Encoder counts are those since power-on, whatever the units and the home of the drive are. Nothing is fitted
+at first. All of it belongs to the machine: a reset of the node leaves it as it is.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+from drivers.cia402.objects402 import Object
+from virtual_bus.device.data_types import DataType
+from virtual_bus.device.object_dictionary import Access, ObjectDictionary
+from virtual_bus.drive.homing_methods import Edge, Sensor
+
+MACHINE: Final = 0x2110
+"""Manufacturer-specific."""
+INTERLOCK: Final = 1 << 3
+"""60FDh: motion is forbidden; here by safe torque off."""
+_SWITCH_BITS: Final = 0x7
+_LIMIT_BITS: Final = 0x3
+_FAR: Final = 0x7FFF_FFFF
+
+
+class SimulatedMachine:
+    """Switches and inputs, by encoder count."""
+
+    def __init__(
+        self, dictionary: ObjectDictionary, counts_per_revolution: int, count: Callable[[], float]
+    ) -> None:
+        """``count``: where the encoder stands."""
+        self.held = 0
+        self.fitted = 0
+        self.sto = False
+        self.inputs = dictionary.add(
+            Object.DIGITAL_INPUTS, "Digital inputs", DataType.UNSIGNED32, Access.READ_ONLY, mappable=True
+        )
+        self._count = count
+        self._counts = counts_per_revolution
+        self._places: list[int] = [-_FAR, _FAR, 0, 0, 0]
+        self._on_change: Callable[[], None] = _nothing
+        self.inputs.provider = self.input_bits
+        self._add_objects(dictionary)
+
+    def on_change(self, changed: Callable[[], None]) -> None:
+        """Call ``changed`` after every write of an input or a switch."""
+        self._on_change = changed
+
+    # ---- what the drive sees --------------------------------------------------------------------------
+
+    def input_bits(self) -> int:
+        """60FDh."""
+        bits = self.held | (INTERLOCK if self.sto else 0)
+        for sensor in Sensor:
+            if self.active(sensor):
+                bits |= 1 << sensor.value
+        return bits
+
+    def active(self, sensor: Sensor) -> bool:
+        """Whether a switch is active where the encoder stands."""
+        bit = 1 << sensor.value
+        if self.held & bit:
+            return True
+        if not self.fitted & bit:
+            return False
+        low, high = self._stretch(sensor)
+        return low <= self._count() < high
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether a limit switch is fitted, or held active."""
+        return (self.fitted | self.held) & _LIMIT_BITS != 0
+
+    def blocked(self, direction: float) -> bool:
+        """Whether the limit switch at that end of the axis is active."""
+        return self.active(Sensor.POSITIVE_LIMIT if direction > 0.0 else Sensor.NEGATIVE_LIMIT)
+
+    def edge_between(self, sensor: Sensor, edge: Edge, before: float, after: float) -> float:
+        """The count of ``edge`` if the encoder has just passed it between the two counts, as captured; else
+        ``after``, where an input that is held by hand was noticed."""
+        low, high = self._stretch(sensor)
+        place = low if edge is Edge.LEFT else high
+        return place if min(before, after) <= place <= max(before, after) else after
+
+    def next_index(self, count: float, direction: int) -> float:
+        """The count of the first index pulse beyond ``count``."""
+        turns = (count - self._places[4]) / self._counts
+        turn = math.floor(turns) + 1 if direction > 0 else math.ceil(turns) - 1
+        return float(self._places[4] + turn * self._counts)
+
+    def _stretch(self, sensor: Sensor) -> tuple[float, float]:
+        negative, positive, home_from, home_to, _ = self._places
+        if sensor is Sensor.NEGATIVE_LIMIT:
+            return -math.inf, negative + 1.0
+        if sensor is Sensor.POSITIVE_LIMIT:
+            return float(positive), math.inf
+        return float(home_from), home_to + 1.0
+
+    # ---- objects --------------------------------------------------------------------------------------
+
+    def _add_objects(self, dictionary: ObjectDictionary) -> None:
+        record = dictionary.add_record(MACHINE, "Simulated machine")
+
+        def add(
+            sub: int, name: str, data_type: DataType, high: int | None, read: Callable[[], Any], write: Any
+        ) -> None:
+            record.add(
+                sub,
+                name,
+                data_type,
+                mappable=True,
+                low=None if data_type is DataType.INTEGER32 else 0,
+                high=high,
+                stored=False,
+                on_write=write,
+                provider=read,
+            )
+
+        add(1, "Inputs held active", DataType.UNSIGNED32, None, lambda: self.held, self._hold)
+        add(2, "Switches fitted", DataType.UNSIGNED8, _SWITCH_BITS, lambda: self.fitted, self._fit)
+        for place, name in enumerate(
+            ("Negative limit switch", "Positive limit switch", "Home switch from", "Home switch to")
+        ):
+            add(3 + place, name, DataType.INTEGER32, None, self._reader(place), self._writer(place))
+        add(7, "Index pulse", DataType.UNSIGNED32, self._counts - 1, self._reader(4), self._writer(4))
+        add(8, "Safe torque off", DataType.UNSIGNED8, 1, lambda: int(self.sto), self._switch_sto)
+
+    def _reader(self, place: int) -> Callable[[], int]:
+        return lambda: self._places[place]
+
+    def _writer(self, place: int) -> Callable[[int], None]:
+        def write(count: int) -> None:
+            self._places[place] = count
+            self._on_change()
+
+        return write
+
+    def _hold(self, bits: int) -> None:
+        self.held = bits
+        self._on_change()
+
+    def _fit(self, bits: int) -> None:
+        self.fitted = bits
+        self._on_change()
+
+    def _switch_sto(self, value: int) -> None:
+        self.sto = value != 0
+        self._on_change()
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,27 @@
+"""The modes of operation of the simulated drive. A mode is one class and one entry here."""
+
+from collections.abc import Callable
+
+from drivers.cia402.profile import Mode
+from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.cyclic_modes import (
+    CyclicSynchronousPosition,
+    CyclicSynchronousTorque,
+    CyclicSynchronousVelocity,
+)
+from virtual_bus.drive.homing import Homing
+from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.profile_position import ProfilePosition
+from virtual_bus.drive.profile_torque import ProfileTorque
+from virtual_bus.drive.profile_velocity import ProfileVelocity
+
+MODES: dict[Mode, Callable[[Axis], OperationMode]] = {
+    Mode.PROFILE_POSITION: ProfilePosition,
+    Mode.PROFILE_VELOCITY: ProfileVelocity,
+    Mode.PROFILE_TORQUE: ProfileTorque,
+    Mode.HOMING: Homing,
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicSynchronousPosition,
+    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicSynchronousVelocity,
+    Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicSynchronousTorque,
+}
+"""Every mode that the drive has; 6502h and the range of 6060h follow from it."""

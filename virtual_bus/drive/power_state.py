@@ -1,0 +1,196 @@
+"""The CiA 402 state machine of a drive: commands, faults and rest in, state and what the motor does out.
+
+The arrows are those of :data:`drivers.cia402.profile.TRANSITIONS`. Those that leave a turning motor behind
+ask an option code how to stop it:
+
+    arrow  from -> to                             option    while stopping the state is
+    5      OPERATION_ENABLED -> SWITCHED_ON       605Ch     OPERATION_ENABLED
+    8      OPERATION_ENABLED -> READY             605Bh     OPERATION_ENABLED
+    11     OPERATION_ENABLED -> QUICK_STOP        605Ah     QUICK_STOP; then arrow 12, or stay (605Ah = 5..8)
+    13     ... -> FAULT_REACTION                  605Eh     FAULT_REACTION; then arrow 14
+
+Rules beside the arrows, CiA 402-2 clause 6:
+- In READY the controlword of "enable operation" takes arrows 3 and 4 in one go.
+- Arrow 16 is open only where 605Ah lets the drive stay in QUICK_STOP (5..8).
+- Arrow 15 is taken on the rising edge of bit 7 only.
+- A stop that waits to become arrow 5 or 8 is called off by "enable operation".
+- Safe torque off takes arrow 7, 9, 10 or 12 at once and keeps arrow 2 closed.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Final
+
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import (
+    TRANSITION_OF,
+    Control,
+    DriveCommand,
+    Event,
+    QuickStopOption,
+    State,
+    Transition,
+    commands_in,
+)
+
+_FAULT_RESET: Final = int(Control.FAULT_RESET)
+
+
+class Motion(Enum):
+    """What the inner loops are to do with the motor."""
+
+    OFF = "off"
+    """No torque; a turning shaft coasts."""
+    FOLLOW = "follow"
+    """The set-points of the mode of operation."""
+    SLOW_DOWN_RAMP = "slow down ramp"
+    QUICK_STOP_RAMP = "quick stop ramp"
+    CURRENT_LIMIT = "current limit"
+    """To rest with all the torque that the limits allow."""
+
+
+STOP_OPTIONS: dict[int, Object] = {
+    5: Object.DISABLE_OPERATION_OPTION,
+    8: Object.SHUTDOWN_OPTION,
+    11: Object.QUICK_STOP_OPTION,
+    13: Object.FAULT_REACTION_OPTION,
+}
+"""Which option code says how to stop, by the number of the arrow."""
+
+STOP_MOTIONS: dict[int, Motion] = {
+    0: Motion.OFF,
+    1: Motion.SLOW_DOWN_RAMP,
+    2: Motion.QUICK_STOP_RAMP,
+    3: Motion.CURRENT_LIMIT,
+    # A drive that limits its current reaches the voltage limit no sooner: both stop alike.
+    4: Motion.CURRENT_LIMIT,
+    5: Motion.SLOW_DOWN_RAMP,
+    6: Motion.QUICK_STOP_RAMP,
+    7: Motion.CURRENT_LIMIT,
+    8: Motion.CURRENT_LIMIT,
+}
+"""Option code -> how the motor stops. The codes of 605Ah; those of the others are among them."""
+
+_AFTER_REST: Final = frozenset({5, 8})
+"""Arrows that are taken only when the motor rests."""
+_COMMAND_BITS: Final = 0x90
+
+
+class PowerStateMachine:
+    """State, and what the motor is to do. ``option`` reads an option code; no time and no I/O in here."""
+
+    def __init__(self, option: Callable[[Object], int]) -> None:
+        self._option = option
+        self.revision = 0
+        """Counts every change of ``state``, ``motion`` or ``at_rest``."""
+        self.torque_off = False
+        """Safe torque off is requested: arrow 2 is closed, and :meth:`cut_torque` was called."""
+        self._arrows: dict[State, list[tuple[Transition, ...]]] = {
+            state: [_arrows_for(state, bits) for bits in range(_COMMAND_BITS)] for state in State
+        }
+        self.restart()
+
+    def restart(self) -> None:
+        """Power-on: NOT_READY, and at once on to SWITCH_ON_DISABLED (arrows 0 and 1)."""
+        self.state = State.NOT_READY
+        self.motion = Motion.OFF
+        self.at_rest = False
+        """The motor was brought to rest and is held there, in QUICK_STOP."""
+        self._waiting: Transition | None = None
+        self._controlword = 0
+        self._open = self._arrows[self.state]
+        self.signal(Event.INITIALISED)
+
+    @property
+    def stopping(self) -> bool:
+        """The motor is being brought to rest; :meth:`rested` is awaited."""
+        return self.motion not in (Motion.OFF, Motion.FOLLOW) and not self.at_rest
+
+    def receive(self, controlword: int) -> None:
+        """A controlword was written, a new one or the same again."""
+        rising = controlword & ~self._controlword
+        self._controlword = controlword
+        if rising & _FAULT_RESET:
+            self.command(DriveCommand.FAULT_RESET)
+            return
+        bits = controlword & 0x8F
+        for arrow in self._open[bits]:
+            self._take(arrow)
+        if self._waiting is not None and DriveCommand.ENABLE_OPERATION in commands_in(bits):
+            self._waiting, self.motion = None, Motion.FOLLOW
+            self.revision += 1
+
+    def command(self, command: DriveCommand) -> None:
+        """A command from elsewhere than the controlword (6007h). Nothing happens where no arrow leaves."""
+        arrow = TRANSITION_OF.get((self.state, command))
+        if arrow is not None:
+            self._take(arrow)
+
+    def signal(self, event: Event) -> None:
+        """Something happened in the drive. Nothing happens where no arrow leaves."""
+        arrow = TRANSITION_OF.get((self.state, event))
+        if arrow is not None:
+            self._take(arrow)
+
+    def cut_torque(self) -> None:
+        """Safe torque off: no ramp any more. Arrows 7, 9, 10 and 12, or a fault reaction that is over."""
+        if self.state is State.FAULT_REACTION:
+            self.signal(Event.FAULT_REACTION_DONE)
+        else:
+            self.command(DriveCommand.DISABLE_VOLTAGE)
+
+    def rested(self) -> None:
+        """The motor that was being stopped has come to rest."""
+        assert self.stopping, f"no stop under way in {self.state.value}"
+        if self._waiting is not None:
+            self._enter(self._waiting)
+        elif self.state is State.FAULT_REACTION:
+            self.signal(Event.FAULT_REACTION_DONE)
+        elif self._stays_in_quick_stop():
+            self.at_rest = True
+            self.revision += 1
+        else:
+            self.signal(Event.QUICK_STOP_DONE)
+
+    def _take(self, arrow: Transition) -> None:
+        if arrow is self._waiting:
+            return
+        if arrow.number == 16 and not self._stays_in_quick_stop():
+            return
+        if arrow.number == 2 and self.torque_off:
+            return
+        was_moving = self.motion is not Motion.OFF
+        stop = self._stop_for(arrow) if was_moving else Motion.OFF
+        if arrow.number in _AFTER_REST and stop is not Motion.OFF:
+            self._waiting, self.motion = arrow, stop
+            self.revision += 1
+            return
+        self._enter(arrow, stop)
+        if arrow.number in (11, 13) and stop is Motion.OFF:
+            self.signal(Event.QUICK_STOP_DONE if arrow.number == 11 else Event.FAULT_REACTION_DONE)
+
+    def _enter(self, arrow: Transition, motion: Motion = Motion.OFF) -> None:
+        self._waiting = None
+        self.at_rest = False
+        self.state = arrow.target
+        self._open = self._arrows[self.state]
+        self.motion = Motion.FOLLOW if self.state is State.OPERATION_ENABLED else motion
+        self.revision += 1
+
+    def _stop_for(self, arrow: Transition) -> Motion:
+        option = STOP_OPTIONS.get(arrow.number)
+        return Motion.OFF if option is None else STOP_MOTIONS[self._option(option)]
+
+    def _stays_in_quick_stop(self) -> bool:
+        return self._option(Object.QUICK_STOP_OPTION) >= QuickStopOption.SLOW_DOWN_RAMP_AND_STAY
+
+
+def _arrows_for(state: State, bits: int) -> tuple[Transition, ...]:
+    commands = commands_in(bits)
+    if state is State.READY and DriveCommand.ENABLE_OPERATION in commands:
+        return (
+            TRANSITION_OF[State.READY, DriveCommand.SWITCH_ON],
+            TRANSITION_OF[State.SWITCHED_ON, DriveCommand.ENABLE_OPERATION],
+        )
+    arrows = (TRANSITION_OF.get((state, command)) for command in commands)
+    return tuple(arrow for arrow in arrows if arrow is not None)

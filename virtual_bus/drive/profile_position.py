@@ -1,0 +1,194 @@
+"""PP, profile position mode (CiA 402-2): set-points by hand-shake, one under way and one waiting.
+
+    bit 5  bit 9   a new set-point (rising edge of bit 4) while a move is under way
+    0      0       waits until the target of that one is reached
+    1      -       takes its place at once
+    0      1       follows without a stop: the move under way passes its target at its profile velocity
+
+Bit 12 answers: 1 when a set-point was taken, 0 again when bit 4 is 0 and one more could be taken. While it
+is 1 because one waits already, a further one is refused, or with bit 5 takes the place of both.
+
+A limit switch on the way ends the move: the drive stops, drops its set-points and reaches no target.
+"""
+
+from typing import Final
+
+from drivers.cia402.profile import Control, Status
+from virtual_bus.drive.axis import Axis, Window
+from virtual_bus.drive.halt import Halt
+from virtual_bus.drive.motion_objects import NO_WINDOW
+from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_stop
+
+NEW_SET_POINT: Final = Control.MODE_4
+CHANGE_AT_ONCE: Final = Control.MODE_5
+RELATIVE: Final = Control.MODE_6
+CHANGE_ON_SET_POINT: Final = 1 << 9
+
+
+class SetPoint:
+    """A target, encoder counts, and how to get there, as they were when bit 4 rose."""
+
+    def __init__(self, target: float, limits: MoveLimits, cut: bool) -> None:
+        self.target = target
+        self.limits = limits
+        self.cut = cut
+        """Something of it was cut at a limit."""
+
+
+class ProfilePosition(OperationMode):
+    """Trapezoids to one target after the other, under the position loop."""
+
+    def __init__(self, axis: Axis) -> None:
+        super().__init__(axis)
+        self.has_following_error = True
+        self._halt = Halt(axis)
+        self._window = Window()
+        self._profile = plan_stop(0.0, 0.0, 1.0)
+        self._elapsed_s = 0.0
+        self._word = 0
+        self._acknowledged = False
+        self._reached = False
+        self._lags = False
+        self._passing = False
+        self._given_up = False
+        self._under_way: SetPoint | None = None
+        self._waiting: SetPoint | None = None
+        self._last_target = 0.0
+
+    def begin(self, controlword: int) -> None:
+        axis = self.axis
+        axis.begin()
+        self._word = controlword
+        self._acknowledged = self._reached = self._lags = self._passing = self._given_up = False
+        self._under_way = self._waiting = None
+        self._come_to_rest()
+        self._halt.begin(controlword, self.slow_down_rad_s2())
+
+    def receive(self, controlword: int) -> None:
+        rising = controlword & ~self._word
+        self._word = controlword
+        if rising & NEW_SET_POINT and (not self._acknowledged or controlword & CHANGE_AT_ONCE):
+            self._take(controlword)
+        self._release()
+        if self._halt.receive(controlword, self.slow_down_rad_s2()):
+            self._go_on()
+
+    def run(self) -> None:
+        axis = self.axis
+        if self._halt.active:
+            return
+        self._elapsed_s += axis.period_s
+        self._begin_waiting()
+        now = self._profile.at(self._elapsed_s)
+        soon = self._profile.at(self._elapsed_s + axis.period_s)
+        axis.follow(now.position, soon.speed)
+        if axis.barred:
+            self._give_up()
+        cut = self._given_up or (self._under_way is not None and self._under_way.cut)
+        axis.limited = axis.limited or cut
+        self._reached = self._window.held(self._arrived(), axis.period_s, axis.motion.position_ms.value)
+        self._lags = axis.watch_following()
+
+    def status_bits(self) -> int:
+        at_target = self._halt.standing if self._halt.active else self._reached and self._waiting is None
+        return (
+            (Status.TARGET_REACHED if at_target else 0)
+            | (Status.MODE_12 if self._acknowledged else 0)
+            | (Status.MODE_13 if self._lags else 0)
+        )
+
+    # ---- inside ---------------------------------------------------------------------------------------
+
+    def _take(self, controlword: int) -> None:
+        set_point = self._set_point(controlword)
+        self._last_target = set_point.target
+        self._acknowledged = True
+        if controlword & CHANGE_AT_ONCE or not self._busy():
+            self._waiting = None
+            self._start(set_point)
+            return
+        self._waiting = set_point
+        self._passing = controlword & CHANGE_ON_SET_POINT != 0
+        if self._passing:
+            self._plan_passing()
+
+    def _set_point(self, controlword: int) -> SetPoint:
+        axis = self.axis
+        units, position = axis.units, axis.motion.target_position.value
+        axis.limited = False
+        if controlword & RELATIVE:
+            position += units.position_of(self._last_target)
+            target = units.nearest_count_of(axis.cut_target(position), self._last_target)
+        else:
+            target = units.count_of(axis.cut_target(position), axis.count)
+        limits = axis.move_limits()
+        return SetPoint(target, limits, axis.limited)
+
+    def _busy(self) -> bool:
+        return self._under_way is not None and not self._reached
+
+    def _release(self) -> None:
+        if not self._word & NEW_SET_POINT and self._waiting is None:
+            self._acknowledged = False
+
+    def _start(self, set_point: SetPoint) -> None:
+        """From where the present profile is, or the shaft during a halt."""
+        start = self._profile.at(self._elapsed_s)
+        self._under_way = set_point
+        self._profile = plan_move(start.position, start.speed, set_point.target, set_point.limits)
+        self._elapsed_s = 0.0
+        self._reached = self._passing = self._given_up = False
+        self._window.restart()
+
+    def _plan_passing(self) -> None:
+        """Let the move under way end at its profile velocity."""
+        under_way = self._under_way
+        if under_way is None:
+            return
+        limits = under_way.limits
+        passing = MoveLimits(limits.speed, limits.acceleration, limits.deceleration, limits.speed)
+        self._start(SetPoint(under_way.target, passing, under_way.cut))
+        self._passing = True
+
+    def _begin_waiting(self) -> None:
+        waiting = self._waiting
+        if waiting is None:
+            return
+        over = self._elapsed_s >= self._profile.duration_s
+        if over if self._passing else self._reached:
+            self._waiting = None
+            self._start(waiting)
+            self._release()
+
+    def _arrived(self) -> bool:
+        """The profile is over, and the shaft within 6067h of its end."""
+        profile = self._profile
+        if self._given_up or self._elapsed_s < profile.duration_s:
+            return False
+        window = int(self.axis.motion.position_window.value)
+        if profile.end_speed != 0.0 or window == NO_WINDOW:
+            return True
+        return abs(self.axis.units.length_of(profile.end_position - self.axis.count)) <= window
+
+    def _come_to_rest(self) -> None:
+        axis = self.axis
+        deceleration = axis.deceleration_rad_s2 * axis.firmware.counts_per_rad
+        self._profile = plan_stop(axis.count, axis.counts_per_s, deceleration)
+        self._elapsed_s = 0.0
+        self._last_target = self._profile.end_position
+        self._window.restart()
+
+    def _give_up(self) -> None:
+        self._under_way = self._waiting = None
+        self._given_up = True
+        self._come_to_rest()
+        self._release()
+
+    def _go_on(self) -> None:
+        """After a halt: to the target of the move that it interrupted."""
+        set_point, target = self._under_way, self._last_target
+        self._come_to_rest()
+        if set_point is not None:
+            self._last_target = target
+            self._start(set_point)

@@ -1,0 +1,391 @@
+"""The simulated servo drive: a CiA 402 device with firmware and motor inside.
+
+CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may torque flow)
+                                    |           --  OperationMode, Axis (which motion)
+                                    +---------- --  Firmware            (inner loops, motor)
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from design.motor import PmsmParameters
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import (
+    STATUS_PATTERNS,
+    AbortConnectionOption,
+    DriveCommand,
+    Event,
+    Mode,
+    State,
+    Status,
+)
+from drivers.timebase import NS_PER_MS, Instant
+from virtual_bus.device.application import (
+    Application,
+    CommunicationLoss,
+    DeviceServices,
+    ErrorRegister,
+    NmtState,
+)
+from virtual_bus.device.canopen_device import CanopenDevice
+from virtual_bus.device.object_dictionary import ObjectDictionary
+from virtual_bus.device.parameter_store import ParameterStore
+from virtual_bus.drive.actual_values import ActualValues
+from virtual_bus.drive.axis import REST_S, Axis
+from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
+from virtual_bus.drive.failures import Failures
+from virtual_bus.drive.firmware import Firmware, InnerControl
+from virtual_bus.drive.lacks import take_away
+from virtual_bus.drive.machine import SimulatedMachine
+from virtual_bus.drive.motion_objects import MotionObjects
+from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
+from virtual_bus.drive.open_defaults import OpenDefaults
+from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.operation_modes import MODES
+from virtual_bus.drive.power_state import Motion, PowerStateMachine
+from virtual_bus.drive.servo_objects import RPM, ServoObjects
+from virtual_bus.drive.servo_parameters import DriveParameters, device_options
+from virtual_bus.drive.slow_values import LOAD_NM, provide_slow_values
+from virtual_bus.drive.user_units import UserUnits
+
+_WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS
+_WAKE_NS: Final = 20 * NS_PER_MS
+"""Without frames the motor is still carried along, so that none finds a long way to go."""
+
+INTERNAL_LIMIT_ACTIVE: Final = int(Status.INTERNAL_LIMIT_ACTIVE)
+
+_BASE_STATUS: dict[State, int] = {
+    state: STATUS_PATTERNS[state].value | Status.VOLTAGE_ENABLED | Status.REMOTE for state in State
+}
+
+
+class ServoApplication(Application):
+    """The drive behind the device engine."""
+
+    def __init__(self, motor: PmsmParameters, drive: DriveParameters) -> None:
+        self.motor = motor
+        self.drive = drive
+        self.firmware = Firmware(motor, drive)
+        self._demand = self.firmware.demand
+        self.wake_at = Instant(0)
+        self._powered = False
+        self._motion = Motion.OFF
+        self._revision = -1
+        self._base_status = 0
+        self._controlword = 0
+        self._task: OperationMode | None = None
+        """The mode, if it is followed and runs once per motion period."""
+        self._switches_fitted = False
+        self._inputs = 0
+
+    def attach(self, services: DeviceServices) -> None:
+        self._services = services
+        dictionary = services.dictionary
+        self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
+        self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
+        self.power = PowerStateMachine(objects.option)
+        self._torque_demand = objects.torque_demand
+        self._failures = Failures(services, objects.error_code)
+        counts = self.drive.encoder_counts_per_revolution
+        self.units = UserUnits(dictionary, counts, lambda: self._motion is Motion.OFF)
+        self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
+        self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
+        self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
+        self._mode = self._modes[objects.mode.default]
+        self._actual = ActualValues(self.firmware, objects, self.units)
+        objects.controlword.on_write = self._on_controlword
+        objects.mode.on_write = self._on_mode
+        objects.target_torque.on_write = objects.torque_offset.on_write = self._on_torque
+        motion.target_velocity.on_write = motion.velocity_offset.on_write = self._on_velocity
+        motion.target_position.on_write = motion.position_offset.on_write = self._on_position
+        for variable in (objects.max_torque, objects.max_current, objects.max_motor_speed):
+            variable.on_write = lambda _value: self._take_limits()
+        for variable in (objects.rated_torque, objects.rated_current):
+            variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
+        objects.load_torque.on_write = self._on_load
+        for variable in (motion.position_min, motion.position_max, motion.home_offset):
+            variable.on_write = lambda _value: self._take_guards()
+        self.units.on_change(self._actual.take_units)
+        self.machine.on_change(self._on_inputs)
+        provide_slow_values(self.axis)
+        self._open_defaults = OpenDefaults(objects.max_torque, objects.max_current, motion.following_window)
+        take_away(dictionary, self.drive.lacks)
+
+    def on_reset(self, now: Instant) -> None:
+        """Power-on, or reset of the node: the power stage goes off; shaft, encoder and load stay."""
+        if not self._powered:
+            self._powered = True
+            self.firmware.start(now)
+            self._open_defaults.fill_in(self._services.node_id)
+        self.wake_at = Instant(now + _WAKE_NS)
+        self._failures.forget()
+        self.power.restart()
+        mode = self.objects.mode.value
+        if mode in self._modes:
+            self._mode = self._modes[mode]
+            self.objects.mode_display.value = mode
+        self.axis.take_guards()
+        self._controlword = 0
+        self.units.origin = 0.0
+        self.units.take()
+        self._take_rating()
+        self._act()
+        self._refresh()
+
+    def advance(self, now: Instant) -> None:
+        if self._task is not None and self._run_mode(now):
+            return
+        if not self.firmware.advance_to(now):
+            due = self.wake_at
+            if due is not None and due <= now:
+                self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
+            return
+        power = self.power
+        if power.stopping:
+            if self.firmware.rested_for_s() >= REST_S:
+                power.rested()
+                self._act()
+            self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
+        else:
+            self.wake_at = Instant(now + _WAKE_NS)
+        self._refresh()
+
+    def _run_mode(self, now: Instant) -> bool:
+        """Motion period by motion period, as long as the mode is followed; whether it is so at ``now``."""
+        firmware, axis = self.firmware, self.axis
+        ticks = firmware.ticks
+        while (task := self._task) is not None and firmware.advance_to_motion_tick(now):
+            axis.limited = False
+            task.run()
+            self._show_mode()
+        if self._task is None:
+            return False
+        self.wake_at = Instant(now + _WAKE_WHILE_STOPPING_NS)
+        if firmware.ticks != ticks:
+            self._refresh()
+        return True
+
+    def _show_mode(self) -> None:
+        """Let the statusword follow the mode."""
+        if self._motion is Motion.FOLLOW:
+            status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
+            self._base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
+
+    def _refresh(self) -> None:
+        """The cyclic values as of the last inner tick."""
+        if self._actual.refresh(self._base_status):
+            self._services.notify(self._actual.statusword)
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
+        if self._switches_fitted:
+            self._show_inputs()
+
+    def _act(self) -> None:
+        """Let the inner loops and the statusword follow the state machine."""
+        power = self.power
+        if power.revision == self._revision:
+            return
+        self._revision = power.revision
+        if power.motion is not self._motion:
+            self._motion = power.motion
+            self._move(power.motion)
+        status = _BASE_STATUS[power.state]
+        self._choose_task()
+        if power.motion is Motion.FOLLOW:
+            status |= self._mode.status_bits()
+        elif self._failures.following and self._mode.has_following_error:
+            status |= Status.MODE_13
+        if power.torque_off:
+            status &= ~Status.VOLTAGE_ENABLED
+        if power.at_rest:
+            status |= Status.TARGET_REACHED
+        self._base_status = status
+        if power.stopping or self._task is not None:
+            self.wake_at = Instant(self._services.now + _WAKE_WHILE_STOPPING_NS)
+
+    def _choose_task(self) -> None:
+        mode = self._mode
+        follows = self._motion is Motion.FOLLOW and (mode.periodic or self.axis.guarded)
+        self._task = mode if follows else None
+
+    def _move(self, motion: Motion) -> None:
+        if motion is Motion.OFF:
+            self.firmware.control(InnerControl.OFF)
+        elif motion is Motion.FOLLOW:
+            self._mode.begin(self._controlword)
+        else:
+            self.axis.demand = None
+            self.firmware.ramp_to_speed(0.0, self._deceleration_rad_s2(motion))
+
+    def _deceleration_rad_s2(self, motion: Motion) -> float:
+        if motion is Motion.CURRENT_LIMIT:
+            return math.inf
+        return (
+            self.axis.quick_stop_rad_s2 if motion is Motion.QUICK_STOP_RAMP else self._mode.slow_down_rad_s2()
+        )
+
+    def _on_controlword(self, controlword: int) -> None:
+        last, self._controlword = self._controlword, controlword
+        self.power.receive(controlword)
+        if self.power.revision != self._revision:
+            self._leave_fault()
+            self._act()
+            self._refresh()
+        elif controlword != last and self._task is not None:
+            self._task.receive(controlword)
+            self._show_mode()
+            self._refresh()
+
+    def _leave_fault(self) -> None:
+        if self.power.state is State.SWITCH_ON_DISABLED:
+            self._failures.clear()
+
+    def _on_mode(self, mode: int) -> None:
+        """0 is "no change" (CiA 402-2, object 6060h)."""
+        if mode == Mode.NONE or self._modes[mode] is self._mode:
+            return
+        self._mode = self._modes[mode]
+        self.objects.mode_display.value = mode
+        if self._motion is Motion.FOLLOW:
+            self._mode.begin(self._controlword)
+            self._choose_task()
+            self._show_mode()
+            self._refresh()
+
+    def _on_torque(self, _value: int) -> None:
+        self._mode.take_torque()
+        if self._torque_demand.watchers:
+            self._show_torque_demand()
+
+    def _show_torque_demand(self) -> None:
+        """Tell those who wait for 6074h to change; ``value`` is what they were told last."""
+        demand = self._torque_demand
+        in_force = demand.read()
+        if in_force != demand.value:
+            demand.value = in_force
+            self._services.notify(demand)
+
+    def _on_velocity(self, _value: int) -> None:
+        self._mode.take_velocity()
+
+    def _on_position(self, _value: int) -> None:
+        self._mode.take_position()
+
+    def _on_load(self, raw: int) -> None:
+        self._demand[D_LOAD] = raw * LOAD_NM
+
+    def _take_limits(self) -> None:
+        objects, motor = self.objects, self.motor
+        self.firmware.limit(
+            min(objects.max_torque.value * objects.torque_unit_nm, motor.torque_max_nm),
+            min(objects.max_current.value * objects.current_unit_a, motor.current_max_a),
+            objects.max_motor_speed.value * RPM,
+        )
+
+    def _take_rating(self) -> None:
+        self.axis.take_rating()
+        self._actual.take_units()
+        self._take_limits()
+
+    def _encoder_count(self) -> float:
+        return float(self.firmware.state[S_COUNT])
+
+    def _take_guards(self) -> None:
+        """A mode that acts on its set-points alone runs by periods while the axis has an end."""
+        guarded = self.axis.guarded
+        self.axis.take_guards()
+        if guarded != self.axis.guarded and self._motion is Motion.FOLLOW and not self._mode.periodic:
+            self._mode.begin(self._controlword)
+            self._choose_task()
+            self._show_mode()
+
+    def _show_inputs(self) -> None:
+        bits = self.machine.input_bits()
+        if bits != self._inputs:
+            self._inputs = bits
+            self._services.notify(self.machine.inputs)
+
+    def _on_inputs(self) -> None:
+        """Safe torque off acts at once; the switches are read when a mode asks for them."""
+        self._switches_fitted = self.machine.fitted != 0
+        self._take_guards()
+        power = self.power
+        if self.machine.sto != power.torque_off:
+            power.torque_off = self.machine.sto
+            if power.torque_off:
+                power.cut_torque()
+            power.revision += 1
+            self._act()
+            self._refresh()
+        self._show_inputs()
+
+    def _fail_following(self) -> None:
+        self.fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)
+
+    def fail(self, code: int, register: ErrorRegister) -> None:
+        """A fault of the drive: EMCY, 603Fh, and arrow 13 with the reaction of 605Eh.
+
+        A further fault while one is there adds its EMCY and leaves 603Fh and the state as they are.
+        """
+        self._failures.add(code, register)
+        self._signal_fault(code)
+
+    def hold_encoder(self, held: bool) -> None:
+        """``held``: the encoder's count stands still from the next inner tick on; nothing notices it here."""
+        self.firmware.hold_encoder(held)
+
+    def _signal_fault(self, code: int) -> None:
+        if self.power.state in (State.FAULT, State.FAULT_REACTION):
+            return
+        self._failures.show(code)
+        self.power.signal(Event.FAULT_DETECTED)
+        self._act()
+        self._refresh()
+
+    def on_communication_loss(self, cause: CommunicationLoss, _node_id: int, _now: Instant) -> None:
+        self._abort_connection(LOSS_CODES[cause])
+
+    def on_nmt(self, state: NmtState, _now: Instant) -> None:
+        """NMT stop and both resets abort the connection too, CiA 402-2, object 6007h."""
+        if state in (NmtState.STOPPED, NmtState.INITIALISING) and self._powered:
+            self._abort_connection(COMMUNICATION_ERROR)
+
+    def _abort_connection(self, code: int) -> None:
+        """6007h; it matters only where the power stage is or may be on."""
+        if self.power.state not in (State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP):
+            return
+        option = self.objects.option(Object.ABORT_CONNECTION_OPTION)
+        if option == AbortConnectionOption.FAULT_SIGNAL:
+            self._signal_fault(code)
+        elif option == AbortConnectionOption.DISABLE_VOLTAGE:
+            self.power.command(DriveCommand.DISABLE_VOLTAGE)
+        elif option == AbortConnectionOption.QUICK_STOP:
+            self.power.command(DriveCommand.QUICK_STOP)
+        self._act()
+        self._refresh()
+
+
+class SimulatedServo(CanopenDevice):
+    """A servo drive on the bus, without I/O; :mod:`virtual_bus.hosting.devices` puts it on one."""
+
+    def __init__(
+        self,
+        node_id: int,
+        motor: PmsmParameters,
+        drive: DriveParameters | None = None,
+        seed: int = 0,
+        store: ParameterStore | None = None,
+        vendor: Callable[[ObjectDictionary], None] | None = None,
+    ) -> None:
+        """``seed``: of everything random in the drive, a stream for each use and node. ``store``,
+        ``vendor``: as in :class:`virtual_bus.device.canopen_device.CanopenDevice`. Error: ValueError for a
+        lack that cannot be."""
+        drive = drive or DriveParameters()
+        self.drive = ServoApplication(motor, drive)
+        super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
+
+    @property
+    def drive_state(self) -> State:
+        """State of the CiA 402 state machine."""
+        return self.drive.power.state

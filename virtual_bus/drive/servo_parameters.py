@@ -1,0 +1,108 @@
+"""How a simulated drive is built and set, beside the motor on its shaft."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from design.motor import PmsmParameters
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import AbortConnectionOption
+from virtual_bus.device.device_options import (
+    NO_RTR,
+    DeviceIdentity,
+    DeviceOptions,
+    PdoDefault,
+    mapping_word,
+    unmapped_rpdos,
+    unmapped_tpdos,
+)
+from virtual_bus.drive.firmware import FirmwareParameters
+
+SERVO_DRIVE: Final = 0x0002_0192
+"""Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
+HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
+_CLOCK_RANGE_US: Final = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class DriveParameters(FirmwareParameters):
+    """A simulated drive; what its master can change are defaults here."""
+
+    quick_stop_deceleration_rad_s2: float | None = None
+    """6085h; None: what half of the rated torque gives the bare motor."""
+    profile_deceleration_rad_s2: float | None = None
+    """6084h, the slow down ramp; None: half of the quick stop's."""
+    speed_max_rad_s: float | None = None
+    """6080h and its upper limit; None: the speed at which the back-EMF takes all the voltage."""
+    abort_connection: AbortConnectionOption = AbortConnectionOption.QUICK_STOP
+    """6007h."""
+    heartbeat_ms: int = 0
+    """1017h; 0: no heartbeat until the master asks for it."""
+    clock_offset_us: int | None = None
+    """Reading of 1013h at power-on; None: drawn from the seed, anywhere in its range."""
+    clock_drift_ppm: float = 0.0
+    """How much faster than the bench the drive's clock runs."""
+    lacks: tuple[str, ...] = ()
+    """What it does without, see :mod:`virtual_bus.drive.lacks`."""
+
+    def quick_stop_rad_s2(self, motor: PmsmParameters) -> float:
+        """The quick stop's default deceleration for ``motor``."""
+        if self.quick_stop_deceleration_rad_s2 is not None:
+            return self.quick_stop_deceleration_rad_s2
+        return 0.5 * motor.rated_torque_nm / motor.inertia_kg_m2
+
+    def slow_down_rad_s2(self, motor: PmsmParameters) -> float:
+        """The slow down ramp's default deceleration for ``motor``."""
+        if self.profile_deceleration_rad_s2 is not None:
+            return self.profile_deceleration_rad_s2
+        return 0.5 * self.quick_stop_rad_s2(motor)
+
+    def speed_limit_rad_s(self, motor: PmsmParameters) -> float:
+        """The largest speed that the drive can be set to."""
+        if self.speed_max_rad_s is not None:
+            return self.speed_max_rad_s
+        return motor.voltage_max_v / (motor.pole_pairs * motor.flux_linkage_wb)
+
+
+def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOptions:
+    """What the communication of a drive starts with. The clock's offset is a stream of its own by node."""
+    offset_us = drive.clock_offset_us
+    if offset_us is None:
+        offset_us = int(np.random.Generator(np.random.PCG64([seed, node_id])).integers(_CLOCK_RANGE_US))
+    return DeviceOptions(
+        identity=DeviceIdentity(
+            device_type=SERVO_DRIVE,
+            product_code=0x0001_0402,
+            revision_number=0x0001_0000,
+            serial_number=node_id,
+            device_name="servobench simulated servo drive",
+        ),
+        rpdos=(RPDO1, *unmapped_rpdos()[1:]),
+        tpdos=(TPDO1, TPDO2, *unmapped_tpdos()[2:]),
+        heartbeat_ms=drive.heartbeat_ms,
+        clock_offset_ns=offset_us * 1000,
+        clock_drift_ppb=round(drive.clock_drift_ppm * 1000),
+    )
+
+
+TPDO1: Final = PdoDefault(
+    NO_RTR | 0x180,
+    1,
+    (
+        mapping_word(Object.STATUSWORD, 0, 16),
+        mapping_word(Object.VELOCITY_ACTUAL_VALUE, 0, 32),
+        mapping_word(Object.TORQUE_ACTUAL_VALUE, 0, 16),
+    ),
+)
+TPDO2: Final = PdoDefault(
+    NO_RTR | 0x280,
+    1,
+    (
+        mapping_word(Object.POSITION_ACTUAL_VALUE, 0, 32),
+        mapping_word(HIGH_RESOLUTION_TIME_STAMP, 0, 32),
+    ),
+)
+RPDO1: Final = PdoDefault(
+    0x200, 255, (mapping_word(Object.CONTROLWORD, 0, 16), mapping_word(Object.TARGET_TORQUE, 0, 16))
+)

@@ -1,0 +1,252 @@
+"""From the units of the master to encoder counts and rad/s, and back: the factor group of CiA 402-2.
+
+    position unit      60A8h, else 6092h (feed) and 6091h (gear), else 608Fh
+    velocity unit      60A9h, else 6096h times position units per second
+    acceleration unit  60AAh, else velocity units per second
+    60ABh              is kept, and scales nothing: no profile here has a jerk
+    607Eh              bit 7 turns the sign of positions, bit 6 that of velocities
+
+The drive reads its own objects by the rules of :mod:`drivers.cia402.scaling`. Of a unit word and a factor
+that say different things the one written last rules: a factor that is written clears the unit word.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from drivers.errors import PeerFault
+from virtual_bus.device.data_types import DataType
+from virtual_bus.device.object_dictionary import Access, DictionaryObject, ObjectDictionary, Variable
+from virtual_bus.device.sdo_abort import AbortCode
+
+POSITION_POLARITY: Final = 0x80
+VELOCITY_POLARITY: Final = 0x40
+
+_U8, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED32
+_TURNS: Final = (Unit.REVOLUTION, Unit.DEGREE, Unit.RADIAN)
+_LENGTHS: Final = (*_TURNS, Unit.INCREMENT)
+_PER: Final = (Unit.SECOND, Unit.MINUTE, Unit.HOUR)
+_EXPONENTS: Final = range(-9, 10)
+_MILLI_RPM_PER_REV_S: Final = 60_000
+_WRAP: Final = 1 << 32
+_HALF: Final = 1 << 31
+_EQUAL: Final = 1e-12
+
+
+class UserUnits:
+    """The factors in force, and the objects that set them."""
+
+    def __init__(
+        self, dictionary: ObjectDictionary, counts_per_revolution: int, may_change: Callable[[], bool]
+    ) -> None:
+        """``may_change``: false while the drive is enabled; units then stay as they are (08000022h)."""
+        self._dictionary = dictionary
+        self._may_change = may_change
+        self._counts_per_rad = counts_per_revolution / math.tau
+        self.origin: float = 0.0
+        """Encoder count of the master's position 0."""
+        self.plain = True
+        """A position unit is an encoder count, and no sign is turned."""
+        self.counts_per_position = 1.0
+        self.rad_s_per_velocity = 1.0
+        self.velocity_per_rad_s = 1.0
+        self.rad_s2_per_acceleration = 1.0
+        self._changed: Callable[[], None] = _nothing
+        self._add_factors(counts_per_revolution)
+        self._add_unit_words()
+        self.polarity = dictionary.add(
+            Object.POLARITY, "Polarity", _U8, check=self._check_polarity, on_write=self._on_factor
+        )
+
+    def on_change(self, changed: Callable[[], None]) -> None:
+        """Call ``changed`` after every change of a factor or of the origin."""
+        self._changed = changed
+
+    def take(self) -> None:
+        """Read all objects anew, as at power-on."""
+        scaling = self._scaling()
+        signs = self.polarity.value
+        velocity_sign = -1.0 if signs & VELOCITY_POLARITY else 1.0
+        counts = scaling.position_rad * self._counts_per_rad
+        if abs(counts - 1.0) < _EQUAL:
+            counts = 1.0
+        self.counts_per_position = -counts if signs & POSITION_POLARITY else counts
+        self.plain = self.counts_per_position == 1.0
+        self.rad_s_per_velocity = velocity_sign * scaling.velocity_rad_s
+        self.velocity_per_rad_s = 1.0 / self.rad_s_per_velocity
+        self.rad_s2_per_acceleration = scaling.acceleration_rad_s2
+
+    def set_origin(self, count: float) -> None:
+        """The master's position 0 is at that encoder count from now on."""
+        self.origin = count
+        self._changed()
+
+    # ---- positions ------------------------------------------------------------------------------------
+
+    def position_of(self, count: float) -> int:
+        """User position of an encoder count, as the INTEGER32 that wraps."""
+        return wrapped(self.length_of(count - self.origin))
+
+    def length_of(self, counts: float) -> int:
+        """A difference of counts in position units, the nearest whole one."""
+        return round(counts / self.counts_per_position)
+
+    def count_of(self, position: int, near: float) -> float:
+        """The encoder count of a user position in that turn of the INTEGER32 in which ``near`` is."""
+        units = (near - self.origin) / self.counts_per_position
+        turns = math.floor((units + _HALF) / _WRAP)
+        return self.origin + (position + turns * _WRAP) * self.counts_per_position
+
+    def nearest_count_of(self, position: int, near: float) -> float:
+        """The encoder count of a user position that is the nearest to ``near``, even through the wrap."""
+        units = round((near - self.origin) / self.counts_per_position)
+        return self.origin + (units + wrapped(position - units)) * self.counts_per_position
+
+    # ---- objects --------------------------------------------------------------------------------------
+
+    def _add_factors(self, counts: int) -> None:
+        resolution = self._array(Object.POSITION_ENCODER_RESOLUTION, "Position encoder resolution")
+        resolution.add(1, "Encoder increments", _U32, Access.READ_ONLY, default=counts)
+        resolution.add(2, "Motor revolutions", _U32, Access.READ_ONLY, default=1)
+        resolution = self._array(Object.VELOCITY_ENCODER_RESOLUTION, "Velocity encoder resolution")
+        resolution.add(1, "Encoder increments per second", _U32, Access.READ_ONLY, default=counts)
+        resolution.add(2, "Motor revolutions per second", _U32, Access.READ_ONLY, default=1)
+        common = math.gcd(_MILLI_RPM_PER_REV_S, counts)
+        for index, name, parts, values, word in (
+            (Object.GEAR_RATIO, "Gear ratio", ("Motor revolutions", "Shaft revolutions"), (1, 1), 0x60A8),
+            (Object.FEED_CONSTANT, "Feed constant", ("Feed", "Shaft revolutions"), (counts, 1), 0x60A8),
+            (
+                Object.VELOCITY_FACTOR,
+                "Velocity factor",
+                ("Numerator", "Divisor"),
+                (_MILLI_RPM_PER_REV_S // common, counts // common),
+                0x60A9,
+            ),
+        ):
+            entry = self._array(index, name)
+            for sub, part, value in zip((1, 2), parts, values, strict=True):
+                entry.add(
+                    sub,
+                    part,
+                    _U32,
+                    default=value,
+                    low=1,
+                    check=self.check_state,
+                    on_write=self._on_written_factor(word),
+                )
+
+    def _add_unit_words(self) -> None:
+        for index, name, word, check in (
+            (Object.SI_UNIT_POSITION, "SI unit position", unit_word(0, Unit.INCREMENT), _is_position),
+            (
+                Object.SI_UNIT_VELOCITY,
+                "SI unit velocity",
+                unit_word(-3, Unit.REVOLUTION, Unit.MINUTE),
+                _is_velocity,
+            ),
+            (
+                Object.SI_UNIT_ACCELERATION,
+                "SI unit acceleration",
+                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SECOND),
+                _is_acceleration,
+            ),
+            (
+                Object.SI_UNIT_JERK,
+                "SI unit jerk",
+                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SQUARE_SECOND),
+                _is_jerk,
+            ),
+        ):
+            self._dictionary.add(
+                index, name, _U32, default=word, check=self._word_check(check), on_write=self._on_factor
+            )
+
+    def _array(self, index: Object, name: str) -> DictionaryObject:
+        return self._dictionary.add_array(index, name)
+
+    def _word_check(self, known: Callable[[int], bool]) -> Callable[[int], AbortCode | None]:
+        def check(word: int) -> AbortCode | None:
+            return self.check_state(word) if known(word) else AbortCode.INVALID_VALUE
+
+        return check
+
+    def check_state(self, _value: int) -> AbortCode | None:
+        """Refuses every value while the drive is enabled."""
+        return None if self._may_change() else AbortCode.DEVICE_STATE
+
+    def _check_polarity(self, value: int) -> AbortCode | None:
+        if value & ~(POSITION_POLARITY | VELOCITY_POLARITY):
+            return AbortCode.INVALID_VALUE
+        return self.check_state(value)
+
+    def _on_written_factor(self, word: int) -> Callable[[int], None]:
+        def on_write(value: int) -> None:
+            variable = self._dictionary.variable(word)
+            if word == Object.SI_UNIT_VELOCITY or unit_parts(variable.value)[1] in _TURNS:
+                variable.value = 0
+            self._on_factor(value)
+
+        return on_write
+
+    def _on_factor(self, _value: int) -> None:
+        self.take()
+        self._changed()
+
+    def _scaling(self) -> Scaling:
+        """From what is on the bus, as a master reads it; where a vendor's dictionary tells nothing of the
+        position unit, encoder counts."""
+        values = {key: self._told(*key) for key in FACTOR_OBJECTS}
+        try:
+            return scaling_from(values, ScaleOverride(rated_torque_nm=1.0))
+        except PeerFault:
+            count_rad = 1.0 / self._counts_per_rad
+            return scaling_from(values, ScaleOverride(position_rad=count_rad, rated_torque_nm=1.0))
+
+    def _told(self, index: int, sub: int) -> int | None:
+        variable: Variable | None = self._dictionary.get(index, sub)
+        return None if variable is None else int(variable.value)
+
+
+def wrapped(value: int) -> int:
+    """As INTEGER32."""
+    return (value + _HALF) % _WRAP - _HALF
+
+
+def _nothing() -> None:
+    pass
+
+
+def _is_position(word: int) -> bool:
+    exponent, numerator, denominator = unit_parts(word)
+    known = numerator in _TURNS or (numerator == Unit.INCREMENT and exponent == 0)
+    return not word & 0xFF and denominator == 0 and known and exponent in _EXPONENTS
+
+
+def _is_velocity(word: int) -> bool:
+    exponent, numerator, denominator = unit_parts(word)
+    if word & 0xFF or exponent not in _EXPONENTS:
+        return False
+    if numerator == Unit.REVOLUTION_PER_MINUTE:
+        return denominator == 0
+    return denominator in _PER and numerator in _LENGTHS
+
+
+def _is_acceleration(word: int) -> bool:
+    """Lengths per second are read as lengths per second squared: drives write both."""
+    exponent, numerator, denominator = unit_parts(word)
+    if word & 0xFF or exponent not in _EXPONENTS:
+        return False
+    if numerator == Unit.REVOLUTION_PER_MINUTE:
+        return denominator == Unit.SECOND
+    return denominator in (Unit.SECOND, Unit.SQUARE_SECOND) and numerator in _LENGTHS
+
+
+def _is_jerk(word: int) -> bool:
+    exponent, numerator, denominator = unit_parts(word)
+    if word & 0xFF or exponent not in _EXPONENTS:
+        return False
+    if numerator == Unit.REVOLUTION_PER_MINUTE:
+        return denominator == Unit.SQUARE_SECOND
+    return denominator == Unit.CUBIC_SECOND and numerator in _LENGTHS

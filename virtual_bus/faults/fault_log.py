@@ -1,0 +1,293 @@
+"""What was injected: one entry for each frame that a fault touched, and for each event that struck a node.
+
+An entry says which frame: the ``n``-th (from 0, since the plan's time zero) of its identifier in its
+direction, so a run that is repeated with these entries meets the same faults, whatever its seed. As a
+line of JSON, by kind:
+
+    loss, burst, periodic_loss, blackout    at_ns, direction, can_id, n: the frame was lost
+    corruption                              the same; with bit (of the data) it went on damaged after delay_ns
+    duplicate                               the same, delay_ns, and later_ns for the second one
+    reorder                                 the same, delay_ns, then held_ns in which others overtake it
+    delay                                   the same, delay_ns; in_order false: it may overtake others
+    error_frame                             the same, of attempts to send; bit on the wire
+    silence, bus_off, drive_fault,          at_ns, node, and what happens
+    clock_step, clock_drift
+    late, boot                              a slow drive: node, can_id, n, delay_ns; at_ns since its power-on,
+                                            in a recording since the first cycle, as everywhere
+    host_stall                              at_ns, n and late_ns: the host's n-th action came so much later
+
+A frame that was struck at a drive's own connection bears side ("drive") and node as well, and n counts there.
+"""
+
+import json
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from librt.strings import BytesWriter, write_i64_le
+
+from drivers.bounded_file import parse_json
+from drivers.errors import BadInput
+from virtual_bus.faults.fault_plan import EXTENDED_ID_MAX, STANDARD_ID_MAX, Direction
+from virtual_bus.faults.node_fault_plan import DriveFailure
+
+FAULTS_FILE = "faults.jsonl"
+"""Its name in the folder of a run."""
+
+FRAME_KINDS = (
+    "loss",
+    "burst",
+    "periodic_loss",
+    "blackout",
+    "corruption",
+    "duplicate",
+    "reorder",
+    "delay",
+    "error_frame",
+)
+NODE_KINDS = ("silence", "bus_off", "drive_fault", "clock_step", "clock_drift", "late", "boot")
+HOST_KINDS = ("host_stall",)
+KINDS = FRAME_KINDS + NODE_KINDS + HOST_KINDS
+KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
+_DELAY: Final = KIND_CODES["delay"]
+_LABELS: Final = tuple(direction.label for direction in Direction)
+_DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n":%d,"delay_ns":%d}'
+"""What nearly all entries of a run are, without the detour through a dictionary."""
+_COMPACT: Final = (",", ":")
+_OF_ONE_FRAME = frozenset({*FRAME_KINDS, "late"})
+_COUNTED = frozenset({*_OF_ONE_FRAME, "boot", *HOST_KINDS})
+
+_NUMBERS: dict[str, tuple[str, str, str]] = {
+    "corruption": ("bit", "delay_ns", ""),
+    "duplicate": ("later_ns", "delay_ns", ""),
+    "reorder": ("held_ns", "delay_ns", ""),
+    "delay": ("delay_ns", "in_order", ""),
+    "error_frame": ("bit", "", ""),
+    "silence": ("duration_ns", "", ""),
+    "bus_off": ("recover_after_ns", "", ""),
+    "drive_fault": ("fault", "detected_after_ns", "duration_ns"),
+    "clock_step": ("step_ns", "", ""),
+    "clock_drift": ("drift_ppb", "", ""),
+    "late": ("delay_ns", "", ""),
+    "boot": ("delay_ns", "", ""),
+    "host_stall": ("late_ns", "", ""),
+}
+"""Kind -> names of an entry's numbers a, b, c."""
+NONE: Final = -1
+"""A number that an entry does without: its bit, its recovery."""
+AT_NODE: Final = len(Direction)
+"""A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
+EXTENDED_FLAG: Final = 1 << 31
+"""In ``can_id``: an extended frame."""
+
+_ENTRY: Final = struct.Struct("<8q")
+_BLOCK_ENTRIES: Final = 60
+BLOCK_BYTES: Final = _BLOCK_ENTRIES * _ENTRY.size
+BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
+"""A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""
+
+
+class Entry(NamedTuple):
+    """One thing that was injected."""
+
+    at_ns: int
+    a: int
+    b: int
+    c: int
+    can_id: int
+    n: int
+    code: int
+    """Index into KINDS."""
+    link: int
+    """Direction of a frame, with the drive's node id (AT_NODE) at its own connection; else a node id."""
+
+    @property
+    def kind(self) -> str:
+        """Its name in KINDS."""
+        return KINDS[self.code]
+
+    @property
+    def direction(self) -> Direction:
+        """Of a frame."""
+        return Direction(self.link % AT_NODE)
+
+    @property
+    def at_drive(self) -> int:
+        """Of a frame: the node at whose connection it was struck; 0 at the host's."""
+        return self.link // AT_NODE
+
+
+class FaultLog:
+    """Collects entries into blocks for a sink, in the order of injection; without a sink it keeps them."""
+
+    def __init__(self) -> None:
+        self._block = BytesWriter()
+        """Entries not given on yet."""
+        self._waiting: list[bytes] = []
+        self._sink: Callable[[int, bytes], object] | None = None
+
+    def send_to(self, sink: Callable[[int, bytes], object]) -> None:
+        """From now on every block goes to ``sink(bytes filled, block)``, those that wait at once."""
+        self._sink = sink
+        for data in self._waiting:
+            sink(len(data), data)
+        self._waiting.clear()
+
+    def note(
+        self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0
+    ) -> None:
+        """Add an entry, see :class:`Entry`."""
+        block = self._block
+        write_i64_le(block, at_ns)
+        write_i64_le(block, a)
+        write_i64_le(block, b)
+        write_i64_le(block, c)
+        write_i64_le(block, can_id)
+        write_i64_le(block, n)
+        write_i64_le(block, code)
+        write_i64_le(block, link)
+        if len(block) >= BLOCK_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Let the sink have what has been collected."""
+        data = self._block.getvalue()
+        if not data:
+            return
+        self._block.truncate(0)
+        if self._sink is None:
+            self._waiting.append(data)
+        else:
+            self._sink(len(data), data)
+
+    def entries(self) -> list[Entry]:
+        """All that is kept here, for want of a sink."""
+        self.flush()
+        return [entry for data in self._waiting for entry in entries_of(data)]
+
+
+def entries_of(block: bytes) -> Iterator[Entry]:
+    """The entries in the filled part of a block."""
+    return map(Entry._make, _ENTRY.iter_unpack(block))
+
+
+def entry_line(entry: Entry) -> str:
+    """One line of JSON, without its end."""
+    if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX and entry.link < AT_NODE:
+        at_ns, delay_ns, _, _, can_id, n, _, link = entry
+        return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns)
+    kind = entry.kind
+    found = {"kind": kind, "at_ns": entry.at_ns} | _struck(entry, kind)
+    if kind == "corruption" and entry.a == NONE:
+        return json.dumps(found, separators=_COMPACT)
+    for name, value in zip(_NUMBERS.get(kind, ()), (entry.a, entry.b, entry.c), strict=False):
+        if name == "fault":
+            found[name] = list(DriveFailure)[value].label
+        elif name == "in_order":
+            if not value:
+                found[name] = False
+        elif name and not (value == NONE and name in ("bit", "recover_after_ns")):
+            found[name] = value
+    return json.dumps(found, separators=_COMPACT)
+
+
+def _struck(entry: Entry, kind: str) -> dict[str, Any]:
+    """Which node or which frame."""
+    found: dict[str, Any] = {}
+    if kind in NODE_KINDS:
+        found["node"] = entry.link
+    elif kind in FRAME_KINDS:
+        found["direction"] = entry.direction.label
+        if entry.at_drive:
+            found |= {"side": "drive", "node": entry.at_drive}
+    if kind in _OF_ONE_FRAME:
+        found["can_id"] = entry.can_id & ~EXTENDED_FLAG
+        if entry.can_id & EXTENDED_FLAG:
+            found["extended"] = True
+    if kind in _COUNTED:
+        found["n"] = entry.n
+    return found
+
+
+def read_line(text: str, source: str, line: int) -> Entry:
+    """Inverse of :func:`entry_line`; ``line``: its number in the file ``source``. Raises BadInput."""
+    place = f"line {line}"
+    found = parse_json(text, source, "a line of a recorded run's faults", place)
+    if not isinstance(found, dict) or found.get("kind") not in KIND_CODES:
+        value = found.get("kind") if isinstance(found, dict) else found
+        raise BadInput(
+            source,
+            place,
+            type(value).__name__ if isinstance(value, dict | list) else value,
+            f"an object whose kind is one of {', '.join(KINDS)}",
+        )
+    return _Line(found, source, place).entry()
+
+
+class _Line:
+    """Takes the fields out of one line's object."""
+
+    def __init__(self, found: Mapping[str, Any], source: str, place: str) -> None:
+        self._found = found
+        self._source = source
+        self._place = place
+
+    def entry(self) -> Entry:
+        kind: str = self._found["kind"]
+        can_id = n = 0
+        if kind in _OF_ONE_FRAME:
+            extended = self._found.get("extended", False) is True
+            can_id = self._whole("can_id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
+            can_id |= EXTENDED_FLAG if extended else 0
+        if kind in _COUNTED:
+            n = self._whole("n", 0, 2**32 - 1)
+        link = self._link(kind)
+        names = _NUMBERS.get(kind, ("", "", ""))
+        at_ns = self._whole("at_ns", -(2**62), 2**62)
+        a, b, c = (self._number(name) for name in names)
+        return Entry(at_ns, a, b, c, can_id, n, KIND_CODES[kind], link)
+
+    def _number(self, name: str) -> int:
+        if not name:
+            return 0
+        if name == "fault":
+            labels = [failure.label for failure in DriveFailure]
+            label = self._found.get(name)
+            if label not in labels:
+                raise self._bad(name, f"one of {', '.join(labels)}")
+            return labels.index(label)
+        if name == "in_order":
+            return int(self._found.get(name, True) is True)
+        if name not in self._found and name in ("bit", "recover_after_ns"):
+            return NONE
+        if name == "delay_ns" and name not in self._found and "bit" not in self._found:
+            return 0
+        least = -(2**62) if name in ("step_ns", "drift_ppb") else 0
+        return self._whole(name, least, 2**62)
+
+    def _link(self, kind: str) -> int:
+        if kind in NODE_KINDS:
+            return self._whole("node", 1, 127)
+        if kind in HOST_KINDS:
+            return 0
+        if "side" not in self._found:
+            return self._direction()
+        if self._found["side"] != "drive":
+            raise self._bad("side", "drive, or no side")
+        return self._direction() + AT_NODE * self._whole("node", 1, 127)
+
+    def _direction(self) -> int:
+        labels = {way.label: int(way) for way in Direction}
+        label = self._found.get("direction")
+        if label not in labels:
+            raise self._bad("direction", f"one of {', '.join(labels)}")
+        return labels[label]
+
+    def _whole(self, name: str, least: int, most: int) -> int:
+        value = self._found.get(name)
+        if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+            raise self._bad(name, f"a whole number from {least} to {most}")
+        return value
+
+    def _bad(self, name: str, expected: str) -> BadInput:
+        return BadInput(self._source, f"{self._place}: {name}", self._found.get(name), expected)

@@ -1,0 +1,293 @@
+"""A bus with faults in front of it: any python-can bus, simulated or real, from one side.
+
+What the owner sends is lost, or held and put on the bus at its time; what the bus brings is lost,
+or held and handed over at its time. An echo of an own frame meets no fault: a frame that was lost here has
+none, one that was held has it when it was really sent, each copy of a duplicated one has its own.
+
+All that takes time is the inner bus's own ``receive``: there is no thread and no sleep, so a held frame goes
+out on time only while the owner is inside ``receive``. One thread at a time may use it. On a simulated bus
+the faults sit inside, at its own inbox and transmit queue, and its timeline lets go what is held, wherever
+the owner is.
+
+Only one side of a bus should wear the same plan, or every frame meets each fault twice.
+"""
+
+import contextlib
+from heapq import heappop, heappush
+from typing import Any, Literal, Self
+
+import can
+import can.typechecking
+from can.broadcastmanager import CyclicSendTaskABC
+
+from drivers.timebase import NS_PER_S, Clock, Instant
+from drivers.wire.frame_port import ERROR_FLAG, FramePort
+from drivers.wire.message import frame_of, message_of
+from drivers.wire.message_port import MessagePort, StampSource
+from virtual_bus.bus.host_port import HELD_MAX, HostPort
+from virtual_bus.bus.simulated_bus import SimulatedBus
+from virtual_bus.faults.fault_injector import FOREVER, FateSource
+from virtual_bus.faults.fault_plan import Direction
+from virtual_bus.frame import Frame
+
+POLL_MAX = 4096
+"""Frames looked at in one call after its deadline, so that a babbling bus cannot hold the caller."""
+
+Side = Literal["host", "drive"]
+"""Whose bus it is; a host sends from host to drive."""
+
+_Held = tuple[int, int, Frame, bool]
+"""Release (an Instant), order of arrival, the frame, whether it is an echo."""
+
+
+def ways(side: Side) -> tuple[Direction, Direction]:
+    """The directions of what ``side`` sends and of what it receives."""
+    both = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
+    return both if side == "host" else both[::-1]
+
+
+class FaultyPort(FramePort):
+    """``inner`` seen through the fates of ``injector``. A frame's stamp is the instant of its release."""
+
+    def __init__(self, inner: FramePort, injector: FateSource, clock: Clock, side: Side) -> None:
+        super().__init__()
+        self.echoes = inner.echoes
+        self.needs_watching = True
+        self.overflow_in = 0
+        self.overflow_out = 0
+        """Frames lost because too many were held."""
+        self._inner = inner
+        self._injector = injector
+        self._now = clock.now
+        self._out, self._in = ways(side)
+        self._outgoing: list[_Held] = []
+        self._incoming: list[_Held] = []
+        self._order = 0
+        self._seen_until: int = -FOREVER
+
+    def receive(self, until: Instant) -> Frame | None:
+        """The next that comes through, no later than ``until``; written out, for speed."""
+        incoming, outgoing = self._incoming, self._outgoing
+        polled = 0
+        while True:
+            now = self._now()
+            if outgoing and outgoing[0][0] <= now:
+                self._send_due(now)
+            wait: int = until
+            if incoming:
+                due = incoming[0][0]
+                # A frame may go on only when no older one can still be waiting in the inner bus.
+                if due <= now and due <= self._seen_until:
+                    return self._hand_over()
+                if due < wait:
+                    wait = due
+            if outgoing and outgoing[0][0] < wait:
+                wait = outgoing[0][0]
+            if self._take(Instant(wait)):
+                polled += now >= until
+                if polled > POLL_MAX:
+                    return None
+                continue
+            if wait > self._seen_until:
+                self._seen_until = wait
+            if wait >= until and not (incoming and incoming[0][0] <= until):
+                return None
+
+    def transmit(self, frame: Frame) -> None:
+        """Lose ``frame``, send it or hold it."""
+        now = self._now()
+        self._send_due(now)
+        dropped, delay = self._injector.fate(self._out, frame.can_id, now, frame.extended)
+        if dropped:
+            for other, later in self._injector.replacements(frame):
+                self._hold_out(other, Instant(now + later))
+            self._send_due(now)
+        elif delay > 0:
+            self._hold_out(frame, Instant(now + delay))
+        else:
+            self._inner.transmit(frame)
+
+    def send_held(self) -> None:
+        """Send at once what is held."""
+        self._send_due(FOREVER)
+
+    def flush(self) -> None:
+        """Forget what is held for sending."""
+        self._outgoing.clear()
+
+    def _send_due(self, now: int) -> None:
+        outgoing = self._outgoing
+        while outgoing and outgoing[0][0] <= now:
+            self._inner.transmit(heappop(outgoing)[2])
+
+    def _hand_over(self) -> Frame:
+        at, _, frame, self.came_own = heappop(self._incoming)
+        self.came_at = Instant(at)
+        return frame
+
+    def _take(self, wait: Instant) -> bool:
+        """Let one frame of the inner bus meet its fate; False if none came by ``wait``."""
+        inner = self._inner
+        frame = inner.receive(wait)
+        if frame is None:
+            return False
+        came = inner.came_at
+        if came > self._seen_until:
+            self._seen_until = came
+        if inner.came_own:
+            self.echoes = inner.echoes
+            self._hold_in(frame, came, own=True)
+        elif frame.can_id >= ERROR_FLAG:
+            self._hold_in(frame, came)
+        else:
+            self._judge(frame, came)
+        return True
+
+    def _judge(self, frame: Frame, came: Instant) -> None:
+        dropped, delay = self._injector.fate(self._in, frame.can_id, came, frame.extended)
+        instead = self._injector.replacements(frame) if dropped else [(frame, delay)]
+        for other, later in instead:
+            self._hold_in(other, Instant(came + later))
+
+    def _hold_in(self, frame: Frame, until: Instant, own: bool = False) -> None:
+        if len(self._incoming) >= HELD_MAX:
+            self.overflow_in += 1
+            return
+        self._order = order = self._order + 1
+        heappush(self._incoming, (until, order, frame, own))
+
+    def _hold_out(self, frame: Frame, until: Instant) -> None:
+        if len(self._outgoing) >= HELD_MAX:
+            self.overflow_out += 1
+            return
+        self._order = order = self._order + 1
+        heappush(self._outgoing, (until, order, frame, False))
+
+
+class FaultyBus(can.BusABC):
+    """``bus`` seen through the fates of ``injector``, by its ``frame_port`` and as python-can sees it.
+
+    ``stamps``: those of a bus that has no ``frame_port``. The stamps of what comes through are instants of
+    release on the axis of ``clock``.
+
+    Given a :class:`SimulatedBus`, the constructor makes a :class:`SimulatedFaultyBus`.
+    """
+
+    def __new__(cls, bus: can.BusABC, *_args: Any, **_kwargs: Any) -> Self:
+        chosen: Any = cls
+        if cls is FaultyBus and isinstance(bus, SimulatedBus):
+            chosen = SimulatedFaultyBus
+        made: Self = super().__new__(chosen)
+        return made
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        injector: FateSource,
+        clock: Clock,
+        side: Side = "host",
+        stamps: StampSource = StampSource.RECEIPT,
+    ) -> None:
+        self.inner = bus
+        self.injector = injector
+        self.channel_info = f"{bus.channel_info}, with faults"
+        self._can_protocol = bus.protocol
+        self._clock = clock
+        self._side = side
+        self.frame_port = self._make_port(stamps)
+        super().__init__(channel="", can_filters=bus.filters)
+
+    def _make_port(self, stamps: StampSource) -> FaultyPort | HostPort:
+        inner: FramePort | None = getattr(self.inner, "frame_port", None)
+        if inner is None:
+            inner = MessagePort(self.inner, self._clock, stamps)
+        return FaultyPort(inner, self.injector, self._clock, self._side)
+
+    def start(self, now: Instant) -> None:
+        """Time zero of the plan is ``now``; until then every frame passes."""
+        self.frame_port.overflow_in = self.frame_port.overflow_out = 0
+        self.injector.start(now)
+
+    def stop(self) -> None:
+        """From here on every frame passes; what is held is still delivered at its time."""
+        self.injector.stop()
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """The injector's counts, and ``overflow``: frames lost because too many were held."""
+        port, counted = self.frame_port, self.injector.counts()
+        overflows = zip(ways(self._side), (port.overflow_out, port.overflow_in), strict=True)
+        return {way.label: {**counted[way.label], "overflow": lost} for way, lost in sorted(overflows)}
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next message to come through, within ``timeout`` seconds; its stamp is that of its release."""
+        self._require_open()
+        until = FOREVER if timeout is None else self._clock.now() + round(timeout * NS_PER_S)
+        port = self.frame_port
+        frame = port.receive(Instant(until))
+        return None if frame is None else message_of(frame, port.came_at, is_rx=not port.came_own)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
+        """Lose ``msg``, send it or hold it; without waiting for room."""
+        self._require_open()
+        self.frame_port.transmit(frame_of(msg))
+
+    def flush_tx_buffer(self) -> None:
+        """Forget what is held for sending."""
+        self.frame_port.flush()
+        with contextlib.suppress(NotImplementedError):
+            self.inner.flush_tx_buffer()
+
+    def shutdown(self) -> None:
+        """Send at once what is still held, as a last command may be among it, and close ``bus``."""
+        if self._is_shutdown:
+            return
+        super().shutdown()
+        try:
+            self.frame_port.send_held()
+        except can.CanError:
+            self.frame_port.flush()
+        finally:
+            self.inner.shutdown()
+
+    def set_filters(self, filters: can.typechecking.CanFilters | None = None) -> None:
+        """Filter before the faults: what is filtered out has no fate."""
+        self._filters = filters or None
+        self.inner.set_filters(filters)
+
+    @property
+    def state(self) -> can.BusState:
+        """That of the inner bus."""
+        return self.inner.state
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        self.inner.state = new_state
+
+    def _require_open(self) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
+
+    def _send_periodic_internal(self, *_args: Any, **_kwargs: Any) -> CyclicSendTaskABC:
+        raise NotImplementedError("a bus with faults is used by one thread: send periodic frames from there")
+
+
+class SimulatedFaultyBus(FaultyBus):
+    """A :class:`FaultyBus` over a :class:`SimulatedBus`, whose port applies the faults itself."""
+
+    inner: SimulatedBus
+
+    def _make_port(self, stamps: StampSource) -> HostPort:  # noqa: ARG002
+        port = self.inner.frame_port
+        port.put_before(self.injector, ways(self._side)[0])
+        return port
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        self._require_open()
+        return self.inner.recv(timeout)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._require_open()
+        self.inner.send(msg, timeout)
+
+    def _send_periodic_internal(self, *args: Any, **kwargs: Any) -> CyclicSendTaskABC:
+        return self.inner._send_periodic_internal(*args, **kwargs)

@@ -1,0 +1,161 @@
+"""All that injects the faults of one plan, or of a recorded run: on frames, on the wire, on nodes.
+
+program given the plan     side = "host", or none           side = "drive"
+hil run, simulated bus     at the host's connection         at each drive's connection
+hil run, real-time bus     at the host's connection         refused
+hil simulate               none: at its own connection;     at its own connection
+                           "host": refused
+"""
+
+from collections.abc import Callable
+
+from drivers.errors import BadInput
+from drivers.timebase import Duration, Instant
+from virtual_bus.faults.disturber import Disturber, disturber
+from virtual_bus.faults.fault_injector import FateSource, FaultInjector
+from virtual_bus.faults.fault_log import FaultLog
+from virtual_bus.faults.fault_plan import FaultPlan, Side
+from virtual_bus.faults.host_stalls import HostStalls, drawn_stalls, recorded_stalls
+from virtual_bus.faults.node_fault_plan import HostStall
+from virtual_bus.faults.node_faults import NODE_FAILS, DrawnNode, node_source
+from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
+from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
+
+Faults = FaultPlan | RecordedFaults
+
+
+class Injection:
+    """The parts that ``faults`` needs, with the random streams of ``seed``.
+
+    ``log``: takes what is injected. ``error_frames``: the bus is a segment that a :class:`Disturber` can
+    disturb. ``is_host``: whether the port of that name on the segment is the host's.
+    """
+
+    def __init__(
+        self,
+        faults: Faults,
+        seed: int,
+        log: FaultLog | None = None,
+        error_frames: bool = False,
+        is_host: Callable[[str], bool] = bool,
+        link: str = "bus",
+        side: Side = "host",
+    ) -> None:
+        """``link``: tells the segments of a bench apart; each has random streams of its own. ``side``: whose
+        connection the bus is."""
+        self.log = log
+        self.fates = _fates(faults, seed, log, error_frames, link, side)
+        """What befalls frames at the bus; None if nothing does."""
+        self._stalls = _stalls(faults, seed, log, link)
+        self._link = link
+        self._side = side
+        self.disturber: Disturber | None = disturber(faults, seed, log, is_host) if error_frames else None
+        self._faults = faults
+        self._seed = seed
+        self._devices: list[FaultyDevice] = []
+        self._wakes: list[Callable[[], None]] = []
+
+    def wrap(self, device: SimulatedNode) -> SimulatedNode | FaultyDevice:
+        """``device`` with what befalls it; itself, if nothing does. Raises BadInput if it cannot fail so."""
+        node = device.node_id
+        source = node_source(self._faults, node, self._seed)
+        fates = self._fates_at(node)
+        if source is None:
+            if fates is None:
+                return device
+            source = DrawnNode(FaultPlan(), node, self._seed)
+        if source.fails and not hasattr(device.application, "fail"):
+            found = f"node {node}"
+            raise BadInput("fault plan", NODE_FAILS, found, "a simulated drive, with a motor inside")
+        made = FaultyDevice(device, source, self.log, fates)
+        self._devices.append(made)
+        return made
+
+    def _fates_at(self, node: int) -> FateSource | None:
+        """What befalls frames at the connection of that drive; at a drive's own bus they are its already."""
+        faults = self._faults
+        if self._side == "drive":
+            return None
+        if isinstance(faults, RecordedFaults):
+            return ReplayedFates(faults, self.log, node) if node in faults.drives_struck else None
+        plan = faults.at_drive(node)
+        if not plan.faults:
+            return None
+        return FaultInjector(plan, self._seed, f"{self._link}/drive {node}", log=self.log, node=node)
+
+    @property
+    def stalls_host(self) -> bool:
+        """Whether the plan says when the host is late."""
+        return self._stalls is not None
+
+    def host_stall(self, now: Instant) -> Duration:
+        """For how long the host, which should act at ``now``, sleeps instead. To be asked once an action."""
+        return Duration(0) if self._stalls is None else self._stalls.stall(now)
+
+    def on_start(self, wake: Callable[[], None]) -> None:
+        """Call ``wake`` at the plan's time zero: a device may have other wishes then."""
+        self._wakes.append(wake)
+
+    def start(self, now: Instant) -> None:
+        """Time zero is ``now``. The frames' faults are started by the bus that wears them."""
+        if self.disturber is not None:
+            self.disturber.start(now)
+        if self._stalls is not None:
+            self._stalls.start(now)
+        for device in self._devices:
+            device.start_faults(now)
+        for wake in self._wakes:
+            wake()
+
+    def stop(self) -> None:
+        """No frame is touched any more, and nothing new strikes a node."""
+        if self.disturber is not None:
+            self.disturber.stop()
+        if self._stalls is not None:
+            self._stalls.stop()
+        for device in self._devices:
+            device.stop_faults()
+
+    def finish(self) -> None:
+        """Let the log's sink have what it has not got yet."""
+        if self.log is not None:
+            self.log.flush()
+
+
+def _fates(
+    faults: Faults, seed: int, log: FaultLog | None, error_frames: bool, link: str, side: Side
+) -> FateSource | None:
+    if isinstance(faults, RecordedFaults):
+        return ReplayedFates(faults, log)
+    here = faults.at(side)
+    return FaultInjector(here, seed, link, error_frames, log) if here.faults else None
+
+
+def _stalls(faults: Faults, seed: int, log: FaultLog | None, link: str) -> HostStalls | None:
+    if isinstance(faults, RecordedFaults):
+        return HostStalls(recorded_stalls(faults), log)
+    stalls = faults.host_stalls
+    return HostStalls(drawn_stalls(stalls, seed, link), log) if stalls else None
+
+
+def refuse_misplaced(faults: Faults, side: Side, bus: str) -> None:
+    """Raise BadInput if something of ``faults`` cannot act at ``side``'s connection to a real-time ``bus``.
+
+    At the host's: what befalls nodes, and frames at a drive's connection. At a drive's: frames at the host's
+    connection. At neither: lateness of the host.
+    """
+    if isinstance(faults, RecordedFaults):
+        nodes, sides = faults.node_kinds, ["side"] if faults.drives_struck else []
+    else:
+        nodes = tuple(fault.kind for fault in (*faults.host_stalls, *faults.node_faults))
+        sides = [f"{kind}.side" for kind, where in faults.sides if where != side]
+    if HostStall.kind in nodes:
+        expected = "the bus 'simulated', in whose time the host can be late"
+        raise BadInput("fault plan", HostStall.kind, bus, expected, "run it with --bus simulated")
+    if side == "host" and (nodes or sides):
+        expected = "the bus 'simulated', where the bench makes the drives itself"
+        remedy = "give these faults to the drives: hil simulate --faults FILE"
+        raise BadInput("fault plan", [*nodes, *sides][0], bus, expected, remedy)
+    if sides:
+        expected = 'side = "drive", or no side: the drives cannot act at the host\'s connection'
+        raise BadInput("fault plan", sides[0], bus, expected, "give these faults to the bench: hil run")
