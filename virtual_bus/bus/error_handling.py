@@ -8,8 +8,6 @@ A controller that comes back from bus-off counts 11 recessive bits once for each
 end (ACK or error delimiter, end of frame, intermission) and once for every 11 bits of idle bus.
 """
 
-from typing import TYPE_CHECKING
-
 from drivers.timebase import NS_PER_S, Duration, Instant
 from virtual_bus.bus.arbitration import arbitration_key
 from virtual_bus.bus.bit_length import bits_duration
@@ -21,11 +19,9 @@ from virtual_bus.bus.error_state import (
     SUSPEND_BITS,
     ErrorState,
 )
+from virtual_bus.bus.port import Handling, Port, Wire
 from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
 from virtual_bus.frame import Frame
-
-if TYPE_CHECKING:
-    from virtual_bus.bus.segment import Port, Segment
 
 INTEGRATION_BITS = 11
 """Recessive bits that a node sees before it takes part (ISO 11898-1, bus integration)."""
@@ -33,10 +29,10 @@ _TAIL_BITS = 8
 """Recessive bits at the end of a frame (ACK delimiter, end of frame) and of an error frame."""
 
 
-class ErrorHandling:
+class ErrorHandling(Handling):
     """Takes over the arbitration of ``segment``."""
 
-    def __init__(self, segment: "Segment") -> None:
+    def __init__(self, segment: Wire) -> None:
         self._segment = segment
         self._timeline = segment.timeline
         self._under_way = False
@@ -71,12 +67,12 @@ class ErrorHandling:
         self._start_at = best[0]
         self._timeline.post(Instant(best[0] + 1), self._begin)
 
-    def left(self, port: "Port") -> None:
+    def left(self, port: Port) -> None:
         """``port`` was detached; what it has queued still goes out."""
         if port._queue:
             self._leaving.append(port)
 
-    def pull_off(self, port: "Port") -> None:
+    def pull_off(self, port: Port) -> None:
         """``port`` has just left the wire: a frame of its own under way breaks off."""
         if self._under_way and self._trial is not None and self._trial.error is None:
             bit = (self._timeline.now - self._start_at) * self._segment.bitrate_bit_s // NS_PER_S
@@ -86,13 +82,13 @@ class ErrorHandling:
                 self._settle(self._conditions)
         self.choose()
 
-    def plug(self, port: "Port") -> None:
+    def plug(self, port: Port) -> None:
         """``port`` is on the wire again: it waits for 11 recessive bits."""
         integrated = self._timeline.now + self._bits(INTEGRATION_BITS)
         port.controller.suspended_until = max(port.controller.suspended_until, Instant(integrated))
         self.choose()
 
-    def force_off(self, port: "Port") -> None:
+    def force_off(self, port: Port) -> None:
         """``port`` goes bus-off at once."""
         if port.controller.state is ErrorState.BUS_OFF:
             return
@@ -100,7 +96,7 @@ class ErrorHandling:
         self.pull_off(port)
         self._enter(port, ErrorState.BUS_OFF, self._timeline.now)
 
-    def recover(self, port: "Port") -> None:
+    def recover(self, port: Port) -> None:
         """``port`` begins to look for 128 times 11 recessive bits (rule 12)."""
         controller = port.controller
         if controller.state is not ErrorState.BUS_OFF or controller.recovery_left:
@@ -198,7 +194,7 @@ class ErrorHandling:
             segment._delivering = False
             self.choose()
 
-    def _hand_out(self, sender: "Port", frame: Frame, trial: Trial, now: Instant) -> None:
+    def _hand_out(self, sender: Port, frame: Frame, trial: Trial, now: Instant) -> None:
         segment = self._segment
         if trial.completed or trial.accepted:
             for monitor in segment._monitors:
@@ -215,7 +211,7 @@ class ErrorHandling:
             for on_error in segment._error_monitors:
                 on_error(error)
 
-    def _count(self, sender: "Port", trial: Trial) -> list[tuple["Port", ErrorState]]:
+    def _count(self, sender: Port, trial: Trial) -> list[tuple[Port, ErrorState]]:
         """Move the counters; returns who is in another state now."""
         ports = (*self._segment._ports, *(port for port in self._leaving if port is sender))
         changed = []
@@ -234,7 +230,7 @@ class ErrorHandling:
                 changed.append((port, controller.state))
         return changed
 
-    def _enter(self, port: "Port", state: ErrorState, now: Instant) -> None:
+    def _enter(self, port: Port, state: ErrorState, now: Instant) -> None:
         """Tell the port's owner; a controller that went off forgets what it had to send."""
         if state is ErrorState.BUS_OFF:
             port._queue.clear()

@@ -21,7 +21,8 @@ from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.filters import accepts
 from virtual_bus.bus.inbox import Arrival, Inbox
 from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.segment import Segment
 from virtual_bus.event_heap import Action
 from virtual_bus.faults.fault_injector import FateSource
 from virtual_bus.faults.fault_plan import Direction

@@ -42,7 +42,8 @@ from virtual_bus.bus.hub_protocol import (
     encode_welcome,
 )
 from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.segment import Segment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event, Timeline
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.hub_protocol import MalformedRecord
-from virtual_bus.bus.segment import Port
+from virtual_bus.bus.port import Port
 
 _REQUEST = struct.Struct("<4sB")
 _REQUEST_MAGIC = b"SBct"

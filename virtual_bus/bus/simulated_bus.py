@@ -10,7 +10,8 @@ from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.error_message import bus_state
 from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.segment import Segment
 from virtual_bus.timeline import Timeline
 
 _NEVER = Instant(1 << 62)

@@ -10,7 +10,8 @@ from tests.ports import fetched
 from tests.unit.virtual_bus.can_reference import wire_bits
 from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.host_port import RECEIVE_QUEUE_MAX
-from virtual_bus.bus.segment import TRANSMIT_QUEUE_MAX, Port, Segment
+from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
+from virtual_bus.bus.segment import Segment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
