@@ -20,12 +20,11 @@ from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.filters import accepts
 from virtual_bus.bus.inbox import Arrival, Inbox
+from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
 from virtual_bus.bus.segment import Segment
 from virtual_bus.event_heap import Action
-from virtual_bus.faults.fault_injector import FateSource
-from virtual_bus.faults.fault_plan import Direction
 from virtual_bus.frame import Frame
 
 RECEIVE_QUEUE_MAX: Final = 65_536
@@ -83,7 +82,7 @@ class HostPort(FramePort):
         self.overflow_in = 0
         self.overflow_out = 0
         """Frames lost because too many were held."""
-        self._judge: FateSource | None = None
+        self._judge: Judge | None = None
         self._out = int(Direction.HOST_TO_DRIVE)
         self._in = int(Direction.DRIVE_TO_HOST)
         self._held_in = 0
@@ -94,7 +93,7 @@ class HostPort(FramePort):
         self._deaf_to_errors: Callable[[], None] | None = None
         self.port: Port = segment.attach(name, _Ear(self))
 
-    def put_before(self, judge: FateSource, out: Direction) -> None:
+    def put_before(self, judge: Judge, out: Direction) -> None:
         """Let ``judge`` decide about every frame from now on; ``out``: the way of the frames sent here."""
         self._judge = judge
         self._out = int(out)

@@ -1,17 +1,13 @@
 """What becomes of a frame, and who decides: a seeded injector, or the replay of a recorded run."""
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from mypy_extensions import mypyc_attr
 
 from drivers.timebase import Duration, Instant
+from virtual_bus.bus.judge import LOST, Direction, Judge
 from virtual_bus.faults.fault_log import AT_NODE, EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
-from virtual_bus.faults.fault_plan import Direction
 from virtual_bus.frame import Frame
-
-LOST: Final = -1
-"""The frame does not go on as it is."""
 
 
 class Fate(NamedTuple):
@@ -33,8 +29,8 @@ _NO_FRAME: Final = Frame(0)
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
-class FateSource:
-    """Decides about frames. Override all but ``fate`` and ``note``."""
+class FateSource(Judge):
+    """A judge of frames that tells what it has done. Override all but ``fate`` and ``note``."""
 
     def __init__(self, log: FaultLog | None = None, node: int = 0) -> None:
         """``log``: takes an entry for every frame that does not just pass. ``node``: the drive at whose
@@ -56,18 +52,6 @@ class FateSource:
         """From here on every frame passes."""
         raise NotImplementedError
 
-    def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:
-        """For how long a frame is held that is there at ``now``, ns; LOST if it does not go on as it is.
-
-        ``way``: the number of its Direction, in which ``now`` may not run backwards.
-        """
-        raise NotImplementedError
-
-    def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
-        """What goes on in place of ``frame``, which the last fate dropped: copies or damaged ones, each with
-        its delay; empty if it is lost."""
-        raise NotImplementedError
-
     def keeps_order(self, way: int, can_id: int, extended: bool) -> bool:
         """Whether a held frame of that kind waits for the one in front of it."""
         raise NotImplementedError
@@ -77,7 +61,7 @@ class FateSource:
         raise NotImplementedError
 
     def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> Fate:
-        """As :meth:`hold`, in words."""
+        """As :meth:`Judge.hold`, in words."""
         held = self.hold(int(direction), can_id, now, extended)
         if held == 0:
             return PASSED

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.timebase import Duration, Instant
+from virtual_bus.bus.judge import LOST as LOST
 from virtual_bus.faults.fates import DROPPED as DROPPED
-from virtual_bus.faults.fates import LOST as LOST
 from virtual_bus.faults.fates import PASSED as PASSED
 from virtual_bus.faults.fates import Fate as Fate
 from virtual_bus.faults.fates import FateSource as FateSource

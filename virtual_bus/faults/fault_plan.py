@@ -6,12 +6,13 @@ behaviour in ``fault_injector.py``. What befalls a node rather than its frames: 
 """
 
 from dataclasses import dataclass, field, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from itertools import pairwise
 from typing import ClassVar, Literal
 
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_US, Duration
+from virtual_bus.bus.judge import Direction as Direction
 from virtual_bus.faults.node_fault_plan import (
     ClockDrift,
     HostStall,
@@ -40,18 +41,6 @@ COUNT_MAX = 1 << 53
 
 Side = Literal["host", "drive"]
 """Whose connection to the bus: that of the host, or of a drive as through a gateway between bus and drive."""
-
-
-class Direction(IntEnum):
-    """Which way a frame travels, whoever looks at it."""
-
-    HOST_TO_DRIVE = 0
-    DRIVE_TO_HOST = 1
-
-    @property
-    def label(self) -> str:
-        """As written in a plan: ``host_to_drive``."""
-        return self.name.lower()
 
 
 class FrameClass(Enum):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from drivers.bounded_file import NamedBy, read_lines
 from drivers.timebase import Duration, Instant
-from virtual_bus.faults.fates import LOST, FateSource
+from virtual_bus.bus.judge import LOST
+from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_log import (
     EXTENDED_FLAG,
     FRAME_KINDS,

@@ -1,0 +1,42 @@
+"""Who decides about the frames of one participant, in front of its inbox and its sending."""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Final
+
+from mypy_extensions import mypyc_attr
+
+from drivers.timebase import Duration, Instant
+from virtual_bus.frame import Frame
+
+LOST: Final = -1
+"""The frame does not go on as it is."""
+
+
+class Direction(IntEnum):
+    """Which way a frame travels, whoever looks at it."""
+
+    HOST_TO_DRIVE = 0
+    DRIVE_TO_HOST = 1
+
+    @property
+    def label(self) -> str:
+        """As written in a plan: ``host_to_drive``."""
+        return self.name.lower()
+
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Judge:
+    """Passes, loses or holds each frame."""
+
+    def hold(self, way: int, can_id: int, now: Instant, extended: bool) -> int:
+        """For how long a frame is held that is there at ``now``, ns; LOST if it does not go on as it is.
+
+        ``way``: the number of its Direction, in which ``now`` may not run backwards.
+        """
+        raise NotImplementedError
+
+    def replacements(self, frame: Frame) -> Sequence[tuple[Frame, Duration]]:
+        """What goes on in place of ``frame``, which ``hold`` has just lost: copies or damaged ones, each with
+        its delay; empty if it is lost."""
+        raise NotImplementedError
