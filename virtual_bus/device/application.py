@@ -17,7 +17,7 @@ At a SYNC: ``advance``; the synchronous TPDOs are sampled; the synchronous RPDOs
 waiting are applied; ``on_sync``. So a TPDO shows the device just before the new set-points act.
 """
 
-from enum import Enum, IntFlag
+from enum import Enum
 from typing import Protocol
 
 from mypy_extensions import mypyc_attr
@@ -25,18 +25,7 @@ from mypy_extensions import mypyc_attr
 from drivers.timebase import Instant
 from virtual_bus.device.nmt_state import NmtState as NmtState
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-
-
-class ErrorRegister(IntFlag):
-    """Bits of object 1001h (CiA 301, 7.5.2.2)."""
-
-    GENERIC = 0x01
-    CURRENT = 0x02
-    VOLTAGE = 0x04
-    TEMPERATURE = 0x08
-    COMMUNICATION = 0x10
-    DEVICE_PROFILE = 0x20
-    MANUFACTURER = 0x80
+from virtual_bus.error_register import ErrorRegister as ErrorRegister
 
 
 class CommunicationLoss(Enum):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from drivers.timebase import Instant
-from virtual_bus.device.application import Application, CommunicationLoss, ErrorRegister
+from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
 from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.device.device_options import DeviceOptions
@@ -31,6 +31,7 @@ from virtual_bus.device.sdo_server import SdoServer
 from virtual_bus.device.station import NEVER, Station
 from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.device.time_consumer import TimeConsumer
+from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140

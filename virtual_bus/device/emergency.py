@@ -8,11 +8,11 @@ from collections import deque
 
 from drivers.timebase import Instant
 from virtual_bus.device import cob_id
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import Provider
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
+from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})

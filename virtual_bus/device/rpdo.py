@@ -3,13 +3,14 @@
 from typing import Final
 
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import CommunicationLoss, ErrorRegister
+from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.pdo_codec import byte_length, compile_unpacker
 from virtual_bus.device.pdo_parameters import PdoParameters
 from virtual_bus.device.station import Station
+from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 PDO_TOO_SHORT: Final = 0x8210

@@ -4,12 +4,12 @@ from typing import Final
 
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device import cob_id
-from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
+from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
