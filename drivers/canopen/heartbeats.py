@@ -1,14 +1,29 @@
 """Who watches whose heartbeat: 1016h and 1017h of a drive (CiA 301 7.5.2.19, 7.5.2.20)."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.sdo import object_name
-from drivers.cia402.drive_setup import DriveSettings
 from drivers.errors import TransferAborted
 
 CONSUMER_HEARTBEAT_TIME = 0x1016
 PRODUCER_HEARTBEAT_TIME = 0x1017
+
+
+class HeartbeatSettings(Protocol):
+    """What of a drive's settings is for its heartbeats."""
+
+    @property
+    def unwatched(self) -> bool:
+        """Whether a drive that has no heartbeats is borne."""
+
+    @property
+    def drive_heartbeat_ms(self) -> int:
+        """What 0x1017 gets."""
+
+    @property
+    def host_heartbeat_timeout_ms(self) -> int:
+        """After so long without the host's heartbeat the drive takes it for gone."""
 
 
 class HostWatch(NamedTuple):
@@ -42,7 +57,7 @@ def _unwatched(*, watched: bool, produced: bool) -> list[str]:
     return found
 
 
-def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> Heartbeats:
+def write_heartbeats(objects: RemoteObjects, settings: HeartbeatSettings) -> Heartbeats:
     """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19).
 
     Both are needed, unless the settings bear an unwatched drive: raises SettingRefused or TransferAborted if
@@ -68,7 +83,7 @@ def write_heartbeats(objects: RemoteObjects, settings: DriveSettings) -> Heartbe
         raise
 
 
-def _watch_host(objects: RemoteObjects, settings: DriveSettings) -> HostWatch:
+def _watch_host(objects: RemoteObjects, settings: HeartbeatSettings) -> HostWatch:
     """Have the drive watch the host."""
     entry = consumer_entry(objects)
     word = objects.network.node_id << 16 | settings.host_heartbeat_timeout_ms
