@@ -1,16 +1,6 @@
-"""Error codes of EMCY and of 0x603F in words: CiA 301 table 26, CiA 402-1 (error codes), and vendors' tables.
+"""Error codes of EMCY and of 0x603F in words: CiA 301 table 26, CiA 402-1 (error codes), makers' tables."""
 
-Vendors' tables are TOML files in the folder ``faults``, each with its source: ``vendor`` (1018h:1),
-optionally ``device_name`` (the beginning of 1008h), ``[codes]`` with codes or ranges of codes as keys, and
-``[numbers]`` with what a maker puts into the upper octet of 1003h.
-"""
-
-import tomllib
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
-
-from drivers.errors import BadInput
+from drivers.vendors.faults import codes_of
 
 _PHASES = {1: "L1", 2: "L2", 3: "L3"}
 _WINDINGS = {1: "U", 2: "V", 3: "W"}
@@ -215,67 +205,10 @@ def register_text(register: int) -> str:
 # ---- vendors ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class VendorCodes:
-    """What one family of drives means by its codes."""
-
-    vendor: int
-    device_name: str
-    source: str
-    texts: dict[range, str]
-    numbers: dict[int, str]
-    """Bits 24 to 31 of an entry of 0x1003, for makers that tell the cause there."""
-
-    def text(self, code: int) -> str | None:
-        """The vendor's text; None for a code that its table does not have."""
-        return next((text for codes, text in self.texts.items() if code in codes), None)
-
-
-@cache
-def vendor_tables() -> tuple[VendorCodes, ...]:
-    """All tables of the folder ``faults``, by name."""
-    found = sorted((files("drivers.vendors") / "faults").iterdir(), key=lambda path: path.name)
-    return tuple(
-        read_vendor_codes(path.read_text(encoding="utf-8"), path.name)
-        for path in found
-        if path.name.endswith(".toml")
-    )
-
-
-def read_vendor_codes(text: str, name: str) -> VendorCodes:
-    """A table's content. Raises BadInput for one without vendor or source, and for a key that is no code."""
-    tables = tomllib.loads(text)
-    for key, expected in (("vendor", "the vendor-ID of 1018h:1"), ("source", "where the codes stand")):
-        if not tables.get(key):
-            raise BadInput(name, key, tables.get(key), expected)
-    texts = {_codes(key, name): str(value) for key, value in tables.get("codes", {}).items()}
-    source = " ".join(str(tables["source"]).split())
-    numbers = {int(key): str(value) for key, value in tables.get("numbers", {}).items()}
-    return VendorCodes(int(tables["vendor"]), str(tables.get("device_name", "")), source, texts, numbers)
-
-
-def _codes(key: str, name: str) -> range:
-    """``7380`` or ``6180-61F0``, hexadecimal."""
-    first, _, last = key.partition("-")
-    try:
-        return range(int(first, 16), int(last or first, 16) + 1)
-    except ValueError:
-        raise BadInput(name, f"codes.{key}", key, "a hexadecimal code, or two with - between") from None
-
-
-def _tables_for(vendor: int, device_name: str) -> list[VendorCodes]:
-    name = device_name.upper()
-    return [
-        table
-        for table in vendor_tables()
-        if table.vendor == vendor and name.startswith(table.device_name.upper())
-    ]
-
-
 def fault_text(code: int, vendor: int = 0, device_name: str = "") -> str:
     """The vendor's text with the standard's class, or the standard's text alone."""
     standard = error_text(code)
-    for table in _tables_for(vendor, device_name):
+    for table in codes_of(vendor, device_name):
         own = table.text(code)
         if own is not None:
             return own if own == standard or code in ERROR_TEXTS else f"{own}; {standard}"
@@ -285,7 +218,7 @@ def fault_text(code: int, vendor: int = 0, device_name: str = "") -> str:
 def history_text(entry: int, vendor: int = 0, device_name: str = "") -> str:
     """An entry of 0x1003 in words: the code in its low half, and what the maker tells in its high one."""
     text = fault_text(entry & 0xFFFF, vendor, device_name)
-    for table in _tables_for(vendor, device_name):
+    for table in codes_of(vendor, device_name):
         cause = table.numbers.get(entry >> 24)
         if cause is not None and entry & 0xFFFF:
             return text if cause == text else f"{text} ({cause})"

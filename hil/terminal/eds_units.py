@@ -3,11 +3,12 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.fitness import Fitness, held
-from drivers.vendors.quirks import apply_quirks, quirks_for
+from drivers.vendors.quirks import quirks_for
 
 
 class UnitLine(NamedTuple):

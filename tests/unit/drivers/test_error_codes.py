@@ -7,13 +7,12 @@ from drivers.canopen.error_codes import (
     error_text,
     fault_text,
     history_text,
-    read_vendor_codes,
     register_text,
-    vendor_tables,
 )
 from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
 from drivers.timebase import Instant
+from drivers.vendors.faults import read_vendor_codes, vendor_tables
 
 MAXON = 0xFB
 

@@ -7,13 +7,12 @@ import pytest
 
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import read_scaling
+from drivers.cia402.quirky_units import Applied, apply_quirks
 from drivers.cia402.scaling import ScaleOverride, scaling_from
 from drivers.errors import BadInput
 from drivers.vendors.quirks import (
-    Applied,
     Quirk,
     QuirkFile,
-    apply_quirks,
     known_quirks,
     quirks_for,
     read_quirks,
