@@ -1,4 +1,4 @@
-"""What a drive can do with PDOs, as its dictionary or the drive itself tells it.
+"""What a drive can do with PDOs; without a dictionary, as the drive itself tells it.
 
 CiA 301 7.5.2.35 to 7.5.2.38. A drive may have its mappings fixed, may map only some objects, in one direction
 only, may have identifiers or transmission types that cannot be changed, and fewer entries than would fit.
@@ -6,25 +6,17 @@ only, may have identifiers or transmission types that cannot be changed, and few
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-import canopen.objectdictionary as od
 
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.pdo import PdoDirection
 from drivers.canopen.sdo import object_name
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.eds import types
 
 Key = tuple[int, int]
 """Index and sub-index."""
 NOT_VALID = 1 << 31
-_PDOS_MAX = 64
-_ENTRIES_MAX = 64
-_WRITABLE = ("rw", "wo", "rwr", "rww")
-_TRANSMITTED = ("ro", "rw", "rwr", "const")
-_RECEIVED = ("wo", "rw", "rww")
-_CODES = {
+ENTRIES_MAX = 64
+"""Objects that one PDO can carry, at a bit each (CiA 301 7.5.2.36)."""
+CODES = {
     (8, True): "b",
     (16, True): "h",
     (32, True): "i",
@@ -34,6 +26,7 @@ _CODES = {
     (32, False): "I",
     (64, False): "Q",
 }
+"""(bits, signed) -> ``struct`` character."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,28 +136,6 @@ class PdoCapability:
         return found if flexible else None
 
 
-def capability_of(loaded: LoadedDictionary) -> PdoCapability:
-    """As a dictionary tells it, loaded for the drive's node-ID."""
-    dictionary = loaded.dictionary
-    objects = {}
-    for index, entry in dictionary.items():
-        if index < 0x1000:
-            continue
-        members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
-        for sub, variable in members.items():
-            made = _mapped_object(index, sub, variable)
-            if made is not None:
-                objects[index, sub] = made
-    slots = [
-        slot
-        for direction in PdoDirection
-        for number in range(1, _PDOS_MAX + 1)
-        if (slot := _slot(dictionary, direction, number)) is not None
-    ]
-    flags_tell = any(made.mappable for made in objects.values())
-    return PdoCapability(tuple(slots), objects, loaded.dummies, flags_tell)
-
-
 def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int], str]) -> PdoCapability:
     """As a drive without a dictionary tells it over SDO, its mappings taken for fixed.
 
@@ -189,97 +160,11 @@ def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int)
     cob_id = objects.read_if_there(communication, 1)
     if cob_id is None:
         return None
-    count = min(objects.read_if_there(mapping, 0, "B") or 0, _ENTRIES_MAX)
+    count = min(objects.read_if_there(mapping, 0, "B") or 0, ENTRIES_MAX)
     words = tuple(objects.read_if_there(mapping, sub) or 0 for sub in range(1, count + 1))
     kind = objects.read_if_there(communication, 2, "B")
     return PdoSlot(direction, number, cob_id, True, kind, True, words, False, count)
 
 
 def _bits_of(code: str) -> int:
-    return next(bits for (bits, _), known in _CODES.items() if known == code)
-
-
-def _mapped_object(index: int, sub: int, variable: Any) -> MappedObject | None:
-    bits = types.BITS.get(variable.data_type)
-    if bits is None:
-        return None
-    signed = variable.data_type in types.SIGNED_BITS
-    code = _CODES.get((bits, signed), "") if variable.data_type not in types.REAL_BITS else ""
-    if variable.data_type == types.BOOLEAN:
-        code = ""
-    access = variable.access_type
-    return MappedObject(
-        index,
-        sub,
-        bits,
-        code,
-        bool(variable.pdo_mappable),
-        access in _TRANSMITTED,
-        access in _RECEIVED,
-        variable.name,
-    )
-
-
-def _slot(dictionary: Any, direction: PdoDirection, number: int) -> PdoSlot | None:
-    communication = _members(dictionary, direction.value + number - 1)
-    mapping = _members(dictionary, direction.mapping_base + number - 1)
-    if not communication and not mapping:
-        return None
-    words = _mapping_words(mapping)
-    places = [sub for sub in mapping if sub]
-    writable = any(mapping[sub].access_type in _WRITABLE for sub in places)
-    entries_max, entries_told = _entries(mapping, places)
-    count_writable = 0 not in mapping or mapping[0].access_type in _WRITABLE
-    return PdoSlot(
-        direction,
-        number,
-        _number(communication.get(1)),
-        _writable(communication, 1),
-        _number(communication.get(2)),
-        _writable(communication, 2),
-        words,
-        writable and (count_writable or len(places) == 1),
-        entries_max,
-        _number(communication.get(3)),
-        _number(communication.get(5)),
-        entries_told,
-        _writable(communication, 3),
-        _writable(communication, 5),
-    )
-
-
-def _writable(members: Mapping[int, Any], sub: int) -> bool:
-    return sub in members and members[sub].access_type in _WRITABLE
-
-
-def _entries(mapping: Mapping[int, Any], places: list[int]) -> tuple[int, int]:
-    """How many entries are there, and how many sub-index 0 allows beyond them (0: no more)."""
-    told = mapping[0].max if 0 in mapping else None
-    there = len(places)
-    if not isinstance(told, int) or told <= 0:
-        return there, 0
-    return min(there, told), min(told, _ENTRIES_MAX) if told > there else 0
-
-
-def _mapping_words(mapping: Mapping[int, Any]) -> tuple[int, ...]:
-    """What is mapped by default: as many entries as sub-index 0 says, or all that are not 0."""
-    words = [_number(mapping[sub]) or 0 for sub in sorted(mapping) if sub]
-    count = _number(mapping.get(0))
-    if count is None or count > len(words):
-        return tuple(word for word in words if word)
-    return tuple(words[:count])
-
-
-def _members(dictionary: Any, index: int) -> dict[int, Any]:
-    entry = dictionary.get(index)
-    if entry is None or isinstance(entry, od.ODVariable):
-        return {}
-    return dict(entry.subindices)
-
-
-def _number(variable: Any) -> int | None:
-    """What the drive holds by the file: a DCF's parameter value first."""
-    if variable is None:
-        return None
-    held = variable.value if variable.value is not None else variable.default
-    return held if isinstance(held, int) else None
+    return next(bits for (bits, _), known in CODES.items() if known == code)

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.pdo_capability import PdoCapability, capability_of
+from drivers.canopen.pdo_capability import PdoCapability
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
 from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.doubts import doubts
 

@@ -9,13 +9,13 @@ from typing import Any, Final
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.pdo import PdoPlan, bus_load_percent_max
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.drive_setup import DriveSettings, Identity
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import ScaleOverride, Scaling
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown, PeerFault
+from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop

@@ -3,9 +3,9 @@
 import math
 from pathlib import Path
 
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.drive_setup import DriveSettings, Identity
 from drivers.cia402.scaling import ScaleOverride
+from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from drivers.sheets.fitness import assess
 from drivers.timebase import NS_PER_MS

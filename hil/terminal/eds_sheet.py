@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 from drivers.canopen.pdo_budget import Budget, budget_of
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
 from drivers.cia402.profile import Mode
+from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.fitness import Fitness, mode_name
 from drivers.timebase import NS_PER_US, Duration

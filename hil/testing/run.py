@@ -12,11 +12,11 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from drivers.canopen.pdo import PdoPlan
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.pdo_planner import PlanWish, plan_pdos
 from drivers.cia402.pdo_plans import torque_plan
 from drivers.cia402.profile import Mode, State
 from drivers.errors import BenchError
+from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.execution.drive_settings import data_sheets

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
+from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
 from drivers.sheets.fitness import assess
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant

@@ -8,10 +8,10 @@ import pytest
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects import SettingRefused
-from drivers.canopen.pdo_capability import capability_of
 from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.cia402.servo import ServoDrive
+from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.unit.drivers.eds_maker import four_pdos, sheet
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.canopen.pdo_capability import capability_of
+from drivers.sheets.capability import capability_of
 from drivers.sheets.doubts import doubts
 from tests.unit.drivers.eds_maker import U8, U32, Pdo, sheet, sub
 
