@@ -8,10 +8,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.speed_design import least_gain
-from design.speed_loop import speed_model
-from design.speed_robustness import noise_gain
+from design.delay.speed_loop import speed_model
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.speed.speed_design import least_gain
+from design.speed.speed_robustness import noise_gain
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
-from design.current_design import (
+from design.current.current_design import (
     AxisDesign,
     describe,
     design_axis,
@@ -22,10 +22,10 @@ from design.current_design import (
     reduced_design,
     rule_weights,
 )
-from design.hinf import gamma_min
-from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.reduction import Method
+from design.hinf.synthesis import gamma_min
 from design.motor import PmsmParameters, Transform
-from design.reduction import Method
 from design.statespace import Array, StateSpace, balanced, from_zpk
 
 MOTOR = PmsmParameters(

@@ -10,18 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from design.admissible_steps import Delivery
-from design.certificate import certified_delay_s, certified_gain
-from design.cone_complementarity import largest_ccl_delay
-from design.delay_loop import Array, DelayLoop
-from design.delay_norm import hinf_norm, largest_stable_delay_s
-from design.delay_response import Response, respond, step_peak
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.lmi_design import certified_delay_within, largest_certified_delay, starts_between
-from design.loss_patterns import repeated
-from design.motor import PmsmParameters, Transform
-from design.speed_design import delay_within, largest_delay
-from design.speed_loop import (
+from design.delay.certificate import certified_delay_s, certified_gain
+from design.delay.delay_loop import Array, DelayLoop
+from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.delay_response import Response, respond, step_peak
+from design.delay.speed_loop import (
     RAD_S_PER_RPM,
     Feedback,
     Units,
@@ -29,6 +22,13 @@ from design.speed_loop import (
     peak_floor_rad_s,
     speed_model,
 )
+from design.motor import PmsmParameters, Transform
+from design.sampled.admissible_steps import Delivery
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.loss_patterns import repeated
+from design.speed.cone_complementarity import largest_ccl_delay
+from design.speed.lmi_design import certified_delay_within, largest_certified_delay, starts_between
+from design.speed.speed_design import delay_within, largest_delay
 
 MOTOR = PmsmParameters(
     name="Ling2012",

@@ -5,10 +5,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from design.delay.speed_loop import Feedback, speed_model
 from design.errors import DesignError
 from design.motor import PmsmParameters, Transform
-from design.speed_design import least_gain
-from design.speed_loop import Feedback, speed_model
+from design.speed.speed_design import least_gain
 from drivers.canopen.pdo import bus_load_percent_max
 from drivers.cia402.scaling import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration

@@ -53,9 +53,11 @@ def _simulated(drive: Drive, key: str) -> KnownLoop:
 
 def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[StateSpace, float]:
     """The closed loop of i_q with ``controller``, demand to current, and where it crosses over, rad/s."""
-    from design.current_design import complementary  # with scipy: for the bench that has such a controller
-    from design.margins import margins
-    from design.mixed_sensitivity import axis_plant
+    from design.current.current_design import (
+        complementary,  # with scipy: for the bench that has such a controller
+    )
+    from design.hinf.margins import margins
+    from design.hinf.mixed_sensitivity import axis_plant
     from design.statespace import series
 
     plant, found = axis_plant(motor.resistance_ohm, motor.inductance_q_h), controller.continuous()

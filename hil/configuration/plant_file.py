@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from design.hinf_plant import GeneralisedPlant
+from design.hinf.plant import GeneralisedPlant
 from design.statespace import state_space
 from drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
 from drivers.errors import BadInput

@@ -79,8 +79,8 @@ class SequenceProof(Section):
     min_margin: float
     gain_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
     decay_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
-    """Of the quadratic function of each node at which a sample has just come (``design/sequence_graph.py``),
-    in the coordinates of ``design/held_loop.py``."""
+    """Of the quadratic function of each node at which a sample has just come
+    (``design/sampled/sequence_graph.py``), in the coordinates of ``design/sampled/held_loop.py``."""
 
 
 class Certificate(Section):

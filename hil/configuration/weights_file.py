@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from design.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
+from design.hinf.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_errors import raise_all, translate

@@ -26,8 +26,8 @@ from hil.terminal.speed_options import (
 )
 
 if TYPE_CHECKING:
-    from design.held_loop import SampledNetwork
-    from design.monte_carlo import Chance
+    from design.sampled.held_loop import SampledNetwork
+    from design.speed.monte_carlo import Chance
 
 
 class StrategyName(StrEnum):
@@ -165,7 +165,7 @@ def _network(
                 raise BadInput(option, "", str(value), "--period-ms with it, the sampling period")
         return None
     from design.errors import UnsuitableNetwork
-    from design.held_loop import SampledNetwork, Strategy
+    from design.sampled.held_loop import SampledNetwork, Strategy
 
     wanted = Strategy((strategy or StrategyName.ARRIVAL).value)
     period_s, tau_s, most = 1e-3 * period_ms, 1e-3 * (tau_max_ms or 0.0), loss_max or 0
@@ -198,7 +198,7 @@ def _chance(
 ) -> "Chance | None":
     if runs is None:
         return None
-    from design.monte_carlo import Chance, Uncertainty
+    from design.speed.monte_carlo import Chance, Uncertainty
 
     width = 0.01 * uncertainty_percent
     return Chance(

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
-from design.mixed_sensitivity import loop_functions
+from design.hinf.mixed_sensitivity import loop_functions
 from hil.terminal.plot import plot
 
 if TYPE_CHECKING:
-    from design.current_design import AxisDesign
+    from design.current.current_design import AxisDesign
     from hil.studies.current.design import CurrentResult
 
 _POINTS = 220
@@ -54,7 +54,11 @@ def bounds_picture(design: "AxisDesign") -> str:
     crossover = design.margins.phase_margin_rad_s
     omega = crossover * np.logspace(-4.0, 3.5, _POINTS)
     gains = loop_functions(design.plant, design.controller, omega)
-    weights = {"S": design.weights.error, "KS": design.weights.control, "T": design.weights.output}
+    weights = {
+        "S": design.weights.error,
+        "KS": design.weights.control,
+        "T": design.weights.output,
+    }
     parts = []
     for name, gain in gains.items():
         bound = -20.0 * np.log10([weights[name].gain(float(w)) for w in omega])

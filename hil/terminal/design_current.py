@@ -109,7 +109,7 @@ def current(
 ) -> None:
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
     with reported_errors():
-        from design.reduction import Method
+        from design.hinf.reduction import Method
         from drivers.bounded_file import NamedBy
         from drivers.errors import BadInput
         from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor

@@ -23,7 +23,7 @@ def hinf(
 ) -> None:
     """Design the central controller of x' = A x + B [w; u], [z; y] = C x + D [w; u] for ||z/w|| < gamma."""
     with reported_errors():
-        from design.hinf import gamma_min, synthesise, verified_norm
+        from design.hinf.synthesis import gamma_min, synthesise, verified_norm
         from hil.configuration.plant_file import load_plant
         from hil.terminal.current_report import print_figures
         from hil.terminal.design_errors import refused

@@ -29,7 +29,7 @@ from hil.terminal.speed_options import (
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from design.held_loop import SampledNetwork
+    from design.sampled.held_loop import SampledNetwork
     from hil.studies.speed.synthesis import DesignRequest
 
 
@@ -156,7 +156,7 @@ def speed(
         parameters = motor_of(motor)
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
 
-        from design.speed_loop import Feedback, gain_for_error
+        from design.delay.speed_loop import Feedback, gain_for_error
         from hil.configuration.motor_file import RAD_S_PER_RPM
         from hil.studies.speed.synthesis import DesignRequest
 
@@ -199,7 +199,7 @@ def _check_known(
 
 def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: int) -> "SampledNetwork":
     from design.errors import UnsuitableNetwork
-    from design.held_loop import SampledNetwork, Strategy
+    from design.sampled.held_loop import SampledNetwork, Strategy
     from hil.configuration.network_file import commands_unknown, load_network
 
     found = load_network(path)

@@ -6,18 +6,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from design.as_printed import theorem_3_3
-from design.certificate import certified_gain
-from design.delay_norm import hinf_norm
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.loss_patterns import worst_gain
-from design.monte_carlo import Chance, Uncertainty, run_many
+from design.delay.certificate import certified_gain
+from design.delay.delay_norm import hinf_norm
+from design.delay.speed_loop import Units
+from design.papers.as_printed import theorem_3_3
 from design.papers.ling2012 import DELAY_S, MODEL, MOTOR, PERIOD_S, TABLE_2, TAU_S, K, table2_row
-from design.peak_certificate import certify_peak
-from design.sampled import regular_patterns
-from design.sequence_certificate import certify_decay, certify_gain
-from design.speed_loop import Units
-from design.worst_peak import worst_peak
+from design.sampled.analysis import regular_patterns
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.loss_patterns import worst_gain
+from design.sampled.peak_certificate import certify_peak
+from design.sampled.sequence_certificate import certify_decay, certify_gain
+from design.sampled.worst_peak import worst_peak
+from design.speed.monte_carlo import Chance, Uncertainty, run_many
 from hil.studies.papers.reproduction import table2
 from tests.unit.design.random_loops import order_is_found, random_bounds
 from tests.unit.design.random_peaks import peaks_of

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from design.current_design import rule_weights
-from design.hinf import gamma_min, synthesise
-from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.current.current_design import rule_weights
+from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.synthesis import gamma_min, synthesise
 from design.papers.azaiz2007 import MOTOR
 
 RUNS = 30

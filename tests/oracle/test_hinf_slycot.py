@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from design.hinf import gamma_min, synthesise, verified_norm
-from design.hinf_plant import GeneralisedPlant
+from design.hinf.plant import GeneralisedPlant
+from design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from design.statespace import StateSpace
 from tests.unit.design.hinf_plants import random_plant
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from design.delay_norm import hinf_norm
-from design.speed_loop import speed_model
+from design.delay.delay_norm import hinf_norm
+from design.delay.speed_loop import speed_model
 from drivers.bounded_file import read_toml
 from hil.cli import app
 from hil.configuration.bench_file import bench_from, load_controller

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from design.delay.speed_loop import Units
 from design.papers.ling2012 import TABLE_2, table2_row
-from design.speed_loop import Units
 from drivers.bounded_file import read_toml
 from drivers.errors import LimitExceeded
 from hil.cli import app

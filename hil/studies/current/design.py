@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from design.current_design import (
+from design.current.current_design import (
     AxisDesign,
     describe,
     design_axis,
@@ -13,11 +13,11 @@ from design.current_design import (
     roots,
     rule_weights,
 )
-from design.fixed_structure import Structure, tune
-from design.hinf import gamma_min
-from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.fixed_structure import Structure, tune
+from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.reduction import Method
+from design.hinf.synthesis import gamma_min
 from design.motor import PmsmParameters
-from design.reduction import Method
 from design.statespace import StateSpace, zpk
 from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from design.coupled_robustness import coupled_robustness, worst_motor
-from design.current_design import AxisDesign, axis_inductance_h
-from design.current_loop import (
+from design.current.coupled_robustness import coupled_robustness, worst_motor
+from design.current.current_design import AxisDesign, axis_inductance_h
+from design.current.current_loop import (
     SampledFigures,
     discrete_design,
     discrete_plant,
@@ -17,10 +17,10 @@ from design.current_loop import (
     to_bilinear,
     tustin,
 )
-from design.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
-from design.hinf import verified_norm
+from design.current.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
+from design.hinf.robustness import axis_robustness
+from design.hinf.synthesis import verified_norm
 from design.motor import PmsmParameters
-from design.robustness import axis_robustness
 from design.statespace import StateSpace
 from drivers.errors import BadInput
 from hil.studies.current.request import CurrentRequest, OtherAxis

@@ -7,11 +7,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from design.current_design import AxisDesign, complementary
-from design.mixed_sensitivity import loop_functions
+from design.current.current_design import AxisDesign, complementary
+from design.hinf.mixed_sensitivity import loop_functions
+from design.hinf.step_response import step_response
 from design.papers.azaiz2007 import DriveRun
 from design.statespace import series
-from design.step_response import step_response
 from drivers.errors import BadInput
 
 mpl.use("Agg")
@@ -41,7 +41,11 @@ def draw_bound(design: AxisDesign, name: str, path: Path) -> None:
 def _bound_on(axis: Any, design: AxisDesign, name: str) -> None:
     omega = np.logspace(-3, 7, 1500)
     gain = loop_functions(design.plant, design.controller, omega)[name]
-    weight = {"S": design.weights.error, "KS": design.weights.control, "T": design.weights.output}[name]
+    weight = {
+        "S": design.weights.error,
+        "KS": design.weights.control,
+        "T": design.weights.output,
+    }[name]
     bound = 1.0 / np.abs(weight.system.response(omega)[:, 0, 0])
     axis.semilogx(omega, _db(bound), "--", label="bound 1/|w|")
     axis.semilogx(omega, _db(gain), label=f"|{name}|")

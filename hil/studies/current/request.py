@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from design.hinf.reduction import Method
+from design.hinf.weights import Weights
 from design.motor import PmsmParameters
-from design.reduction import Method
 from design.statespace import StateSpace
-from design.weights import Weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)

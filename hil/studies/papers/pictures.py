@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
+from design.delay.speed_loop import RAD_S_PER_RPM
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_ON_S,
@@ -14,7 +15,6 @@ from design.papers.ling2012 import (
     load_pulse,
     start_up,
 )
-from design.speed_loop import RAD_S_PER_RPM
 from hil.studies.papers.runs import LOAD_AT_S, PaperRun
 
 mpl.use("Agg")

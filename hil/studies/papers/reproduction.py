@@ -6,7 +6,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from design.held_loop import SampledNetwork, Strategy
+from design.delay.speed_loop import Units
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_NM,
@@ -25,7 +25,7 @@ from design.papers.ling2012 import (
 from design.papers.ling2012 import (
     K as PUBLISHED_GAIN,
 )
-from design.speed_loop import Units
+from design.sampled.held_loop import SampledNetwork, Strategy
 from hil.studies.papers.runs import PaperRun, run_cases
 from hil.studies.speed.analysis import LoopRequest, sampled_figures
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from design.admissible_steps import deliveries_of
-from design.certificate import (
+from design.delay.certificate import (
     CLOSE_ENOUGH,
     ORDER_MAX,
     CertifiedGain,
@@ -16,17 +15,18 @@ from design.certificate import (
     certified_gain,
     certified_gain_auto,
 )
-from design.delay_loop import Array, DelayLoop
-from design.delay_norm import hinf_peak, largest_stable_delay_s
-from design.delay_response import step_peak
+from design.delay.delay_loop import Array, DelayLoop
+from design.delay.delay_norm import hinf_peak, largest_stable_delay_s
+from design.delay.delay_response import step_peak
+from design.delay.lmi import SOLVER
+from design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
 from design.errors import NoSolution
-from design.held_loop import SampledNetwork, Strategy
-from design.lmi import SOLVER
-from design.loss_patterns import Pattern
-from design.monte_carlo import Chance, Estimate, run_many
 from design.motor import PmsmParameters
-from design.sampled import SampledAnalysis, analyse_sampled, with_peak
-from design.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
+from design.sampled.admissible_steps import deliveries_of
+from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
+from design.sampled.held_loop import SampledNetwork, Strategy
+from design.sampled.loss_patterns import Pattern
+from design.speed.monte_carlo import Chance, Estimate, run_many
 
 
 @dataclass(frozen=True, slots=True, eq=False)

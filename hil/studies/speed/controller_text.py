@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from design.held_loop import SampledNetwork, Strategy
-from design.lmi import SOLVER
+from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
+from design.sampled.held_loop import SampledNetwork, Strategy
 from drivers.errors import BadInput
 from hil.configuration.config_axis import StateFeedbackController
 from hil.configuration.speed_controller_file import (

@@ -1,11 +1,11 @@
-"""``hil design pid``: the rule of :mod:`design.speed_pid` for a motor file and a current controller file."""
+"""``hil design pid``: the rule of :mod:`design.speed.speed_pid` for two files, motor and current control."""
 
 import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from design.motor import PmsmParameters
-from design.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
+from design.speed.speed_pid import SpeedPid, first_order_current_loop, pid_by_rule
 from design.statespace import StateSpace
 from hil.configuration.current_controller_file import CurrentController
 from hil.configuration.drive_current_loop import closed_loop

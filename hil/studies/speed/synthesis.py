@@ -4,20 +4,11 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from design.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
-from design.certificate import CertifiedGain, certified_gain, certified_gain_auto
-from design.cone_complementarity import largest_ccl_delay
-from design.delay_loop import Array
-from design.delay_norm import hinf_norm
-from design.errors import DesignError, NoSolution
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.lmi import SOLVER
-from design.lmi_design import largest_certified_delay, least_certified_gain
-from design.motor import PmsmParameters
-from design.sampled import SampledAnalysis, analyse_sampled, with_peak
-from design.sampled_design import least_sampled_gain
-from design.speed_design import largest_delay, least_gain
-from design.speed_loop import (
+from design.delay.certificate import CertifiedGain, certified_gain, certified_gain_auto
+from design.delay.delay_loop import Array
+from design.delay.delay_norm import hinf_norm
+from design.delay.lmi import SOLVER
+from design.delay.speed_loop import (
     Feedback,
     SpeedModel,
     current_rate_rad_s,
@@ -25,7 +16,16 @@ from design.speed_loop import (
     percent_of_speed,
     speed_model,
 )
-from design.speed_robustness import Changed, speed_robustness
+from design.errors import DesignError, NoSolution
+from design.motor import PmsmParameters
+from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
+from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.speed.cone_complementarity import largest_ccl_delay
+from design.speed.lmi_design import largest_certified_delay, least_certified_gain
+from design.speed.sampled_design import least_sampled_gain
+from design.speed.speed_design import largest_delay, least_gain
+from design.speed.speed_robustness import Changed, speed_robustness
 from hil.studies.speed.analysis import finite, sequence_figures
 
 _CCL_BISECTIONS = 12

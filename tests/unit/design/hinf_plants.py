@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.stats
 
-from design.hinf_plant import GeneralisedPlant
+from design.hinf.plant import GeneralisedPlant
 from design.statespace import StateSpace
 
 

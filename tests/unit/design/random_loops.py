@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from design.certificate import certified_gain
-from design.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.certificate import certified_gain
+from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.speed_loop import speed_model
 from design.errors import NoSolution
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.sampled import analyse_sampled
-from design.speed_loop import speed_model
+from design.sampled.analysis import analyse_sampled
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from tests.motors import LING
 
 

@@ -5,13 +5,13 @@ import itertools
 import numpy as np
 from scipy.linalg import expm
 
-from design.admissible_steps import families, node_count
-from design.held_loop import HeldLoop
-from design.loss_patterns import pattern_gains, slowest_pattern
-from design.peak_certificate import certify_peak
-from design.sampled import regular_patterns
-from design.sequence_certificate import certify_decay
-from design.worst_peak import worst_peak
+from design.sampled.admissible_steps import families, node_count
+from design.sampled.analysis import regular_patterns
+from design.sampled.held_loop import HeldLoop
+from design.sampled.loss_patterns import pattern_gains, slowest_pattern
+from design.sampled.peak_certificate import certify_peak
+from design.sampled.sequence_certificate import certify_decay
+from design.sampled.worst_peak import worst_peak
 from tests.unit.design.random_loops import random_loop
 
 

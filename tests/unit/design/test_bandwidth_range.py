@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from design.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
-from design.delay_norm import hinf_norm
-from design.held_loop import HeldLoop, SampledNetwork, Strategy
-from design.loss_patterns import pattern_of, worst_gain
-from design.sampled import analyse_sampled, regular_patterns
-from design.speed_loop import SpeedModel, speed_model
+from design.delay.delay_norm import hinf_norm
+from design.delay.speed_loop import SpeedModel, speed_model
+from design.sampled.analysis import analyse_sampled, regular_patterns
+from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.loss_patterns import pattern_of, worst_gain
 from hil.configuration.speed_controller_file import CurrentLoop
 from tests.motors import LING
 

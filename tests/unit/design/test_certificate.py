@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from design.as_printed import theorem_3_1, theorem_3_3
-from design.certificate import (
+from design.delay.certificate import (
     CLOSE_ENOUGH,
     certified_delay_s,
     certified_gain,
@@ -14,11 +13,12 @@ from design.certificate import (
     certified_stable,
     proved,
 )
-from design.delay_lmi import gain_problem, scaled
-from design.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.delay_lmi import gain_problem, scaled
+from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.lmi import solve
+from design.delay.speed_loop import speed_model
 from design.errors import NoSolution
-from design.lmi import solve
-from design.speed_loop import speed_model
+from design.papers.as_printed import theorem_3_1, theorem_3_3
 from tests.motors import AZAIZ, LING
 from tests.unit.design.random_loops import order_is_found
 

@@ -8,8 +8,8 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from design.current_design import design_axis, reduced_design, rule_weights
-from design.current_loop import (
+from design.current.current_design import design_axis, reduced_design, rule_weights
+from design.current.current_loop import (
     discrete_design,
     from_bilinear,
     gamma_min_over_rates,
@@ -19,7 +19,7 @@ from design.current_loop import (
     to_bilinear,
     tustin,
 )
-from design.dq_loop import (
+from design.current.dq_loop import (
     Decoupling,
     closed_loop_matrix,
     lowest_coupled_rate_hz,
@@ -28,15 +28,15 @@ from design.dq_loop import (
     spectral_radius,
 )
 from design.errors import InfeasibleDesign
-from design.fixed_structure import Structure, tune
-from design.margins import margins
-from design.mixed_sensitivity import axis_plant
+from design.hinf.fixed_structure import Structure, tune
+from design.hinf.margins import margins
+from design.hinf.mixed_sensitivity import axis_plant
+from design.hinf.reduction import Method, hankel_singular_values, reduce
+from design.hinf.step_response import step_figures
+from design.hinf.system_norm import hinf_norm
+from design.hinf.weights import crossing_weight, error_weight, slope_weight
 from design.papers.azaiz2007 import MOTOR, paper_design, printed_figures
-from design.reduction import Method, hankel_singular_values, reduce
 from design.statespace import StateSpace, connect, from_zpk, series, state_space, zeros, zpk
-from design.step_response import step_figures
-from design.system_norm import hinf_norm
-from design.weights import crossing_weight, error_weight, slope_weight
 
 Q, Q_REDUCED = paper_design("q")
 D, D_REDUCED = paper_design("d")

@@ -7,9 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from design.delay_loop import DelayLoop
-from design.delay_norm import hinf_norm, hinf_peak, is_stable, largest_stable_delay_s, norm_between
-from design.speed_loop import Feedback, Units, gain_for_error, peak_floor_rad_s, percent_of_speed, speed_model
+from design.delay.delay_loop import DelayLoop
+from design.delay.delay_norm import hinf_norm, hinf_peak, is_stable, largest_stable_delay_s, norm_between
+from design.delay.speed_loop import (
+    Feedback,
+    Units,
+    gain_for_error,
+    peak_floor_rad_s,
+    percent_of_speed,
+    speed_model,
+)
 from tests.motors import AZAIZ, LING
 from tests.unit.design.delay_oracles import generator_abscissa, magnitudes, random_loop
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.current_design import printed_weights, rule_weights
+from design.current.current_design import printed_weights, rule_weights
 from design.errors import InfeasibleDesign, SingularPlant
-from design.hinf import gamma_min, synthesise, verified_norm
-from design.hinf_plant import GeneralisedPlant
-from design.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.plant import GeneralisedPlant
+from design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from design.hinf.weights import error_weight
 from design.papers.azaiz2007 import MOTOR
 from design.statespace import StateSpace, state_space, zpk
-from design.weights import error_weight
 from tests.unit.design.hinf_plants import badly_scaled, random_plant, stiff_plant, with_weak_control
 
 PLANTS = {

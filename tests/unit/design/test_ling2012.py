@@ -2,6 +2,7 @@
 
 import pytest
 
+from design.delay.speed_loop import Units
 from design.papers.ling2012 import (
     DISAGREEMENTS,
     TABLE_2,
@@ -12,7 +13,6 @@ from design.papers.ling2012 import (
     published_design,
     table2_row,
 )
-from design.speed_loop import Units
 
 
 def test_printed_controller() -> None:

@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from design.box_sensitivity import AxisBox, Worst, worst_over_box
-from design.coupled_robustness import coupled_real_mu, coupled_robustness, worst_motor
-from design.margins import margins
-from design.mixed_sensitivity import axis_plant
+from design.current.coupled_robustness import coupled_real_mu, coupled_robustness, worst_motor
+from design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
+from design.hinf.margins import margins
+from design.hinf.mixed_sensitivity import axis_plant
+from design.hinf.robustness import axis_robustness, real_mu_upper_bound
+from design.hinf.system_norm import largest_gain
 from design.papers.azaiz2007 import MOTOR, paper_design
-from design.robustness import axis_robustness, real_mu_upper_bound
 from design.statespace import StateSpace, connect, from_zpk, series
-from design.system_norm import largest_gain
 
 Q, Q_REDUCED = paper_design("q")
 D, D_REDUCED = paper_design("d")

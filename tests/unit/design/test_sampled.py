@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from design.admissible_steps import Delivery, Family, families, steps_of
-from design.delay_norm import hinf_norm
+from design.delay.delay_norm import hinf_norm
+from design.delay.speed_loop import speed_model
 from design.errors import UnsuitableNetwork
-from design.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
-from design.lifting import sampled_gain
-from design.loss_patterns import (
+from design.sampled.admissible_steps import Delivery, Family, families, steps_of
+from design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns
+from design.sampled.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
+from design.sampled.lifting import sampled_gain
+from design.sampled.loss_patterns import (
     chain_of,
     pattern_gains,
     pattern_of,
@@ -24,13 +26,11 @@ from design.loss_patterns import (
     slowest_pattern,
     worst_gain,
 )
-from design.monte_carlo import Chance, Uncertainty, run_many, share
-from design.sampled import SampledAnalysis, analyse_sampled, regular_patterns
-from design.sequence_certificate import certify_gain
-from design.sequence_graph import between_deliveries, edges_of
-from design.speed_loop import speed_model
-from design.step_maps import step_maps
-from design.value_map import ValueMap
+from design.sampled.sequence_certificate import certify_gain
+from design.sampled.sequence_graph import between_deliveries, edges_of
+from design.sampled.step_maps import step_maps
+from design.sampled.value_map import ValueMap
+from design.speed.monte_carlo import Chance, Uncertainty, run_many, share
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from design.certificate import certified_gain
-from design.cone_complementarity import largest_ccl_delay
-from design.delay_norm import hinf_norm, is_stable
+from design.delay.certificate import certified_gain
+from design.delay.delay_norm import hinf_norm, is_stable
+from design.delay.speed_loop import Feedback, speed_model
 from design.errors import NoSolution
-from design.lmi_design import certified_delay_within, largest_certified_delay, least_certified_gain
 from design.motor import PmsmParameters
-from design.speed_design import delay_within, largest_delay, least_gain
-from design.speed_loop import Feedback, speed_model
+from design.speed.cone_complementarity import largest_ccl_delay
+from design.speed.lmi_design import certified_delay_within, largest_certified_delay, least_certified_gain
+from design.speed.speed_design import delay_within, largest_delay, least_gain
 from tests.motors import AZAIZ, LING
 
 MODEL = speed_model(LING)

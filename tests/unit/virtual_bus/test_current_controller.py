@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.current_loop import held, tustin
+from design.current.current_loop import held, tustin
 from design.papers.azaiz2007 import MOTOR, paper_design
 from design.statespace import StateSpace, connect, series
 from drivers.timebase import Instant

@@ -1,0 +1,157 @@
+"""A current controller for one axis, and every figure that is reported about it."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from design.errors import InfeasibleDesign, SingularPlant
+from design.hinf.margins import Margins, margins
+from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.reduction import Method, hankel_singular_values, reduce
+from design.hinf.step_response import StepFigures, step_figures
+from design.hinf.synthesis import gamma_min, synthesise, verified_norm
+from design.hinf.weights import Weight, Weights, error_weight, slope_weight
+from design.motor import PmsmParameters
+from design.statespace import ComplexArray, StateSpace, Zpk, connect, series, zpk
+
+_PAPER_RESISTANCE_OHM = 0.6
+_PAPER_RATE = {"q": 0.6 / 2.8e-3, "d": 0.6 / 1.4e-3}
+"""r/L of the motor that the rules of 3.2 were made for, rad/s."""
+_RULES = {"q": (156.75, 1.51, 235.0 / math.sqrt(3.0)), "d": (50.0, 1.7, 1000.0 / math.sqrt(3.0))}
+"""Crossing of w1, rad/s; high-frequency gain of 1/w1; end of w3's flat part, rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisDesign:
+    """A controller of one axis with its figures."""
+
+    plant: StateSpace
+    weights: Weights
+    controller: StateSpace
+    form: Zpk
+    gamma_min: float
+    closed_loop_norm: float
+    margins: Margins
+    steady_state_error: float
+    step: StepFigures
+
+
+def axis_inductance_h(motor: PmsmParameters, axis: str) -> float:
+    """L_d or L_q."""
+    return motor.inductance_d_h if axis == "d" else motor.inductance_q_h
+
+
+def rule_weights(motor: PmsmParameters, axis: str) -> Weights:
+    """The weights of [Azaiz2007] 3.2 by their rules, carried over to ``motor``.
+
+    Rates go with r/L and w2 with 1/r, so that the scaled problem, and gamma_min, is the paper's own.
+    """
+    scale = motor.resistance_ohm / axis_inductance_h(motor, axis) / _PAPER_RATE[axis]
+    crossing, peak, slope = _RULES[axis]
+    per_ohm = _PAPER_RESISTANCE_OHM / motor.resistance_ohm
+    return Weights(
+        error=error_weight(crossing * scale, peak, 1e-4),
+        control=Weight(25.0 * per_ohm, 1e3 * scale, 5e4 * scale),
+        output=slope_weight(0.5, 1e4, slope * scale),
+    )
+
+
+def printed_weights(axis: str) -> Weights:
+    """(44) to (49) as printed, (45) read as 0.5 (1 + 1e-3 s)/(1 + 2e-5 s), (46)'s pole as 271.35e4."""
+    control = Weight(25.0, 1e3, 5e4)
+    if axis == "q":
+        return Weights(Weight(1 / 1.51, 177.3493, 0.0117), control, Weight(1e4, 135.68, 271.35e4))
+    return Weights(Weight(1 / 1.7, 68.7386, 0.0040), control, Weight(1e4, 577.3503, 1.1547e7))
+
+
+def design_axis(motor: PmsmParameters, axis: str, weights: Weights, gamma: float) -> AxisDesign:
+    """The central controller of ``axis`` for ``gamma``. Raises SingularPlant and InfeasibleDesign."""
+    G = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
+    plant = mixed_sensitivity(G, weights)
+    least = gamma_min(plant)
+    K = synthesise(plant, gamma).controller
+    if not complementary(G, K).is_stable():
+        raise SingularPlant(
+            "A2",
+            f"nearly broken: w2 has a gain of {weights.control.high:.3g} at high frequency, and rounding "
+            "leaves an unstable loop",
+            "give w2 a larger gain at high frequency",
+        )
+    return describe(G, weights, K, least)
+
+
+def describe(G: StateSpace, weights: Weights, K: StateSpace, least: float) -> AxisDesign:
+    """The figures of ``K`` on ``G``; ``least``: gamma_min of the full-order problem.
+
+    Raises InfeasibleDesign for a loop that is not stable.
+    """
+    T = complementary(G, K)
+    if not T.is_stable():
+        raise InfeasibleDesign(
+            f"a controller of order {K.order}",
+            "its loop is unstable",
+            "keep more states, or residualise instead of truncating",
+        )
+    return AxisDesign(
+        plant=G,
+        weights=weights,
+        controller=K,
+        form=zpk(K),
+        gamma_min=least,
+        closed_loop_norm=verified_norm(mixed_sensitivity(G, weights), K),
+        margins=margins(series(G, K)),
+        steady_state_error=_steady_error(G, K),
+        step=step_figures(T),
+    )
+
+
+def _steady_error(G: StateSpace, K: StateSpace) -> float:
+    """1/(1 + L(0)); 0 with an integrator."""
+    gain = float((G.steady_gain() @ K.steady_gain())[0, 0])
+    return 0.0 if math.isinf(gain) else 1.0 / (1.0 + gain)
+
+
+def complementary(G: StateSpace, K: StateSpace) -> StateSpace:
+    """T = G K/(1 + G K)."""
+    return connect(series(G, K), [[-1.0]], [[1.0]], [[1.0]])
+
+
+def reduced_design(full: AxisDesign, order: int, method: Method) -> AxisDesign:
+    """``full`` with fewer states in its controller."""
+    return describe(full.plant, full.weights, reduce(full.controller, order, method), full.gamma_min)
+
+
+def roots(values: ComplexArray) -> list[list[float]]:
+    """[real, imaginary] of each."""
+    return [[float(value.real), float(value.imag)] for value in values]
+
+
+def design_figures(design: AxisDesign, reduced: AxisDesign | None = None) -> dict[str, Any]:
+    """What ``--json`` prints about one axis; zeros and poles as [real, imaginary] pairs, rad/s."""
+    found = design.margins
+    stable = design.controller.is_stable()
+    figures: dict[str, Any] = {
+        "gain": design.form.gain,
+        "zeros": roots(design.form.zeros),
+        "poles": roots(design.form.poles),
+        "gamma_min": design.gamma_min,
+        "closed_loop_norm": design.closed_loop_norm,
+        "gain_margin_db": found.gain_margin_db,
+        "gain_margin_rad_s": found.gain_margin_rad_s,
+        "phase_margin_deg": found.phase_margin_deg,
+        "phase_margin_rad_s": found.phase_margin_rad_s,
+        "modulus_margin": found.modulus_margin,
+        "steady_state_error": design.steady_state_error,
+        "rise_time_s": design.step.rise_time_s,
+        "settling_time_s": design.step.settling_time_s,
+        "overshoot_percent": design.step.overshoot_percent,
+        "hankel_singular_values": hankel_singular_values(design.controller).tolist() if stable else None,
+    }
+    if reduced is not None:
+        figures["reduced"] = {
+            "gain": reduced.form.gain,
+            "zeros": roots(reduced.form.zeros),
+            "poles": roots(reduced.form.poles),
+            "closed_loop_norm": reduced.closed_loop_norm,
+        }
+    return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in figures.items()}

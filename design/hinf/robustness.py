@@ -1,0 +1,128 @@
+"""What is left when r_s, L_d and L_q lie within a box about their nominal values.
+
+Two questions, answered apart: does every motor of the box give a stable loop, and how large does the
+weighted sensitivity get. For one axis both have exact answers (:mod:`design.hinf.box_sensitivity`); the
+coupled axes are in :mod:`design.current.coupled_robustness`. For real parameters in a general matrix M,
+mu(M) <= beta if for scalings D > 0 and G
+
+    M* D M + j (G M - M* G) <= beta^2 D        (Fan, Tits, Doyle 1991), here diagonal and searched.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
+from design.hinf.mixed_sensitivity import axis_plant
+from design.hinf.weights import Weights
+from design.statespace import Array, ComplexArray, StateSpace, connect, series
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRobustness:
+    """One axis over resistance and inductance, each within +-``spread`` of nominal."""
+
+    spread: float
+    stable: bool
+    """Of every motor of the box, by the bound of the sensitivity."""
+    real_mu_peak: float
+    """Below 1: every motor of the box gives a stable loop; the box may grow by 1/mu."""
+    real_mu_rad_s: float
+    sensitivity: Worst
+    """max |S|; 1 over it is the worst modulus margin."""
+    weighted: Worst
+    """max |w1 S|; 1 is the demand (41)."""
+
+    @property
+    def worst_modulus_margin(self) -> float:
+        """Of any motor of the box; 0 if one is unstable."""
+        return 1.0 / self.sensitivity.reached if self.stable else 0.0
+
+
+def axis_robustness(
+    resistance_ohm: float, inductance_h: float, K: StateSpace, weights: Weights, spread: float = 0.5
+) -> AxisRobustness:
+    """Worst cases and mu for the continuous controller ``K`` of one axis."""
+    box = AxisBox(resistance_ohm, inductance_h, spread)
+    sensitivity, weighted = worst_over_box(box, K), worst_over_box(box, K, weights.error)
+    nominal = connect(series(axis_plant(resistance_ohm, inductance_h), K), [[-1.0]], [[1.0]], [[1.0]])
+    omega = _grid(K, resistance_ohm / inductance_h, weights.error.pole_rad_s)
+    mu, at = _peak(resistance_ohm, inductance_h, K, omega, spread)
+    stable = nominal.is_stable() and math.isfinite(sensitivity.bound)
+    return AxisRobustness(spread, stable, mu, at, sensitivity, weighted)
+
+
+def _grid(K: StateSpace, corner: float, slowest: float) -> Array:
+    rates = np.abs(K.poles())
+    high = math.log10(max(rates.max(), corner)) + 1.0
+    return np.logspace(math.log10(slowest) - 2.0, high, 2400)
+
+
+def _peak(
+    resistance_ohm: float, inductance_h: float, K: StateSpace, omega: Array, spread: float
+) -> tuple[float, float]:
+    """The largest mu and its frequency: the best of the grid, and the top of the hill it stands on."""
+
+    def mu(at: Array) -> Array:
+        return axis_real_mu(resistance_ohm, inductance_h, K, at, spread)
+
+    values = mu(omega)
+    k = int(np.argmax(values))
+    bounds = (math.log(omega[max(k - 1, 0)]), math.log(omega[min(k + 1, len(omega) - 1)]))
+    found = scipy.optimize.minimize_scalar(
+        lambda log_omega: -float(mu(np.array([math.exp(log_omega)]))[0]),
+        bounds=bounds,
+        method="bounded",
+        options={"xatol": 1e-10},
+    )
+    if -found.fun > values[k]:
+        return -float(found.fun), math.exp(found.x)
+    return float(values[k]), float(omega[k])
+
+
+def axis_real_mu(
+    resistance_ohm: float, inductance_h: float, K: StateSpace, omega: Array, spread: float
+) -> Array:
+    """(k,) exact mu of one axis: 1 over the smallest box factor that puts a pole at j omega.
+
+    1 + (a + j b) (x r + j w y L) = 0 with G S = a + j b has one real solution (x, y).
+    """
+    g = axis_plant(resistance_ohm, inductance_h).response(omega)[:, 0, 0]
+    closed = g / (1.0 + g * K.response(omega)[:, 0, 0])
+    target = -1.0 / closed
+    x, y = target.real / (spread * resistance_ohm), target.imag / (spread * inductance_h * omega)
+    return np.asarray(1.0 / np.maximum(np.abs(x), np.abs(y)), dtype=float)
+
+
+def real_mu_upper_bound(M: ComplexArray, starts: int = 3) -> float:
+    """Bound of mu of ``M`` (n, n) against diagonal real perturbations, by diagonal D and G scalings.
+
+    Every D and G gives a bound; the search only tightens it.
+    """
+    n = len(M)
+
+    def bound(theta: Array) -> float:
+        D = np.exp(np.clip(theta[:n], -20.0, 20.0))
+        scaled = M * D[:, None] / D
+        size = np.linalg.norm(scaled, 2)
+        low, high = 0.0, float(size)
+        G = np.clip(theta[n:], -1e6, 1e6)
+        if not np.any(G):
+            return high
+        root = 1.0 / np.sqrt(1.0 + G**2) ** 0.5
+        for _ in range(40):
+            beta = 0.5 * (low + high)
+            tested = (scaled / max(beta, 1e-300) - 1j * np.diag(G)) * root[:, None] * root
+            low, high = (low, beta) if np.linalg.norm(tested, 2) <= 1.0 else (beta, high)
+        return high
+
+    best = min(bound(np.zeros(2 * n)), float(np.linalg.norm(M, 2)))
+    generator = np.random.default_rng(0)
+    for k in range(starts):
+        start = np.zeros(2 * n) if k == 0 else generator.normal(scale=1.0, size=2 * n)
+        start[n:] += 0.1
+        found = scipy.optimize.minimize(bound, start, method="Nelder-Mead", options={"maxiter": 400})
+        best = min(best, float(found.fun))
+    return best

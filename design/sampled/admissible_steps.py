@@ -1,0 +1,149 @@
+"""What a network can do to a sampled loop, as the walks of a graph whose edges take one period each.
+
+The nodes say what may come next. With ``arrival`` node i is: the sample that acts was taken i + 1 periods
+ago. The sample that acts at a time t is some s(t) that never goes back, and any such s can happen that
+
+    is at least T0 old, at most T old when it begins to act, and at least floor((t - T)/h) - D,
+
+for of D + 1 samples in a row one comes, and later than t only if it was taken after t - T. With ``stamp``
+node i is: i samples in a row did not come. With ``history`` there is one node.
+
+A family of steps leaves the moments of its switchings open, each within its window and none before the
+one of an older sample. A sample that is overtaken is in it too: it acts for no time.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from design.sampled.held_loop import PeriodStep, SampledNetwork, Strategy, Switch, periods_of
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """When the sample of ``back`` periods ago may begin to act, s after the period's begin."""
+
+    back: int
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Steps from node to node."""
+
+    source: int
+    target: int
+    windows: tuple[Window, ...]
+
+    def at(self, times_s: Sequence[float]) -> PeriodStep:
+        """The step whose switchings are at ``times_s``."""
+        switches = [Switch(window.back, time_s) for window, time_s in zip(self.windows, times_s, strict=True)]
+        return PeriodStep(self.source, self.target, tuple(switches))
+
+
+def node_count(network: SampledNetwork) -> int:
+    """Of the graph."""
+    if network.strategy is Strategy.HISTORY:
+        return 1
+    return network.losses_max + 1 + (network.behind if network.strategy is Strategy.ARRIVAL else 0)
+
+
+def families(network: SampledNetwork) -> list[Family]:
+    """Every step that the network admits."""
+    if network.strategy is Strategy.ARRIVAL:
+        found = [_arrivals(network, node) for node in range(node_count(network))]
+        return list(itertools.chain.from_iterable(found))
+    comes = (Window(network.behind, network.offset_s, network.offset_s),)
+    nodes = node_count(network)
+    return [Family(node, 0, comes) for node in range(nodes)] + [
+        Family(node, node + 1, ()) for node in range(nodes - 1)
+    ]
+
+
+def _arrivals(network: SampledNetwork, node: int) -> Iterator[Family]:
+    """Edges out of ``node``: for each sample that acts in the end, all between as steps on the way to it."""
+    behind, h = network.behind, network.period_s
+    forced = node == node_count(network) - 1
+    if not forced:
+        yield Family(node, node + 1, ())
+    windows = []
+    for back in range(min(node, behind), -1, -1):
+        first_s = max(0.0, network.delay_min_s - back * h)
+        last_s = network.offset_s if back == behind else h
+        if first_s <= last_s:
+            windows.append(Window(back, first_s, last_s))
+    for count in range(1, len(windows) + 1):
+        chosen = windows[:count]
+        yield Family(node, chosen[-1].back, tuple(chosen))
+        # the oldest may be lost, and the next come after the oldest's last moment
+        if count > 1 and chosen[0].back == behind and not forced and network.offset_s < h:
+            yield Family(node, chosen[-1].back, tuple(chosen[1:]))
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A sample that acted ``delay_s`` after it was taken; the next is ``interval`` periods younger."""
+
+    interval: int
+    delay_s: float
+
+
+def steps_of(network: SampledNetwork, deliveries: Sequence[Delivery]) -> tuple[PeriodStep, ...]:
+    """The periods of a pattern of deliveries that is repeated for ever; what is overtaken is dropped."""
+    total = sum(delivery.interval for delivery in deliveries)
+    rounds = 2 + (network.behind + total) // total
+    began: list[tuple[int, float, int]] = []
+    taken = 0
+    for delivery in [*deliveries] * (2 * rounds):
+        if network.strategy is Strategy.ARRIVAL:
+            back, at_s = periods_of(delivery.delay_s, network.period_s)
+        else:
+            back, at_s = network.behind, network.offset_s
+        began.append((taken + back, at_s, taken))
+        taken += delivery.interval
+    return tuple(_periods(network, began, rounds * total, total))
+
+
+def _periods(
+    network: SampledNetwork, began: list[tuple[int, float, int]], first: int, count: int
+) -> Iterator[PeriodStep]:
+    """Periods ``first`` .. of what began to act: (period, time in it, sample), in any order."""
+    newest = -(10**9)
+    by_period: dict[int, list[Switch]] = {}
+    acting: dict[int, int] = {}
+    for period, at_s, sample in sorted(began):
+        if sample > newest:
+            newest = sample
+            by_period.setdefault(period, []).append(Switch(period - sample, at_s))
+            acting[period] = sample
+    source = _node_at(network, acting, first)
+    for period in range(first, first + count):
+        target = _node_at(network, acting, period + 1)
+        yield PeriodStep(source, target, tuple(by_period.get(period, ())))
+        source = target
+
+
+def _node_at(network: SampledNetwork, acting: dict[int, int], period: int) -> int:
+    """The node at the begin of ``period``."""
+    sample = max(value for when, value in acting.items() if when < period)
+    if network.strategy is Strategy.HISTORY:
+        return 0
+    behind = 0 if network.strategy is Strategy.ARRIVAL else network.behind
+    return period - 1 - sample - behind
+
+
+def deliveries_of(network: SampledNetwork, steps: Iterable[PeriodStep]) -> tuple[Delivery, ...]:
+    """The deliveries of a pattern of periods that is repeated for ever."""
+    steps = list(steps)
+    acted: list[tuple[int, float]] = []
+    for period, step in enumerate(steps):
+        for number, switch in enumerate(step.switches):
+            overtaken = number + 1 < len(step.switches) and step.switches[number + 1].at_s <= switch.at_s
+            if not overtaken:
+                acted.append((period - switch.back, switch.back * network.period_s + switch.at_s))
+    after = [sample for sample, _ in acted[1:]] + [acted[0][0] + len(steps)]
+    return tuple(
+        Delivery(following - sample, delay_s)
+        for (sample, delay_s), following in zip(acted, after, strict=True)
+    )

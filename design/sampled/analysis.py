@@ -1,0 +1,133 @@
+"""What can be said of the loop that really runs: its decay and its gain, certified and found.
+
+Two kinds of statement, kept apart. What is *certified* holds under every admissible sequence of losses and
+delays. What is *found* is reached under one of them, a pattern that a search came upon: no certificate
+can be better, and between the two lies the truth.
+"""
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from design.delay.delay_loop import Array
+from design.delay.speed_loop import SpeedModel
+from design.errors import NoSolution
+from design.sampled.admissible_steps import Delivery
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.loss_patterns import (
+    Pattern,
+    WorstGain,
+    pattern_gains,
+    repeated,
+    slowest_pattern,
+    worst_gain,
+)
+from design.sampled.peak_certificate import certify_peak
+from design.sampled.sequence_certificate import SequenceCertificate, certify_decay, certify_gain
+from design.sampled.worst_peak import worst_peak
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledAnalysis:
+    """The figures of one sampled loop."""
+
+    loop: HeldLoop
+    regular: list[Pattern]
+    """Under d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
+    gains: list[float]
+    """Gain from load torque to speed error under each of them, rad/s per N m; inf where unstable."""
+    slowest: Pattern
+    """The periodic pattern of least decay that the search found."""
+    worst: WorstGain
+    """The one of largest gain."""
+    decay_proof: SequenceCertificate | None
+    """None: not even stability could be certified for every sequence."""
+    gain_proof: SequenceCertificate | None
+    without_certificate: str = ""
+    """Why there is none, if that is so."""
+    peak_found: float = math.nan
+    """Largest error after a load step of 1 N m that was reached, rad/s; nan: not looked at."""
+    peak_certified: float | None = None
+    """Error that no sequence exceeds, rad/s; None: none was proved."""
+
+    @property
+    def network(self) -> SampledNetwork:
+        """What the loop runs over."""
+        return self.loop.network
+
+    @property
+    def decay_found_per_s(self) -> float:
+        """Least decay that was found, 1/s; negative: unstable."""
+        return self.slowest.decay_per_s
+
+    @property
+    def decay_certified_per_s(self) -> float | None:
+        """Decay under every sequence, 1/s."""
+        return None if self.decay_proof is None else self.decay_proof.decay_per_s
+
+    @property
+    def gain_found(self) -> float:
+        """Largest gain that was found, rad/s per N m; inf: unstable."""
+        return self.worst.gain
+
+    @property
+    def gain_certified(self) -> float | None:
+        """Gain that no sequence exceeds, rad/s per N m."""
+        return None if self.gain_proof is None else self.gain_proof.gain
+
+    @property
+    def certified(self) -> bool:
+        """Whether decay and gain are proved under every admissible sequence."""
+        return bool(self.decay_certified_per_s) and self.gain_certified is not None
+
+    @property
+    def refuted(self) -> bool:
+        """Whether an admissible pattern is known that makes the loop unstable."""
+        return self.slowest.decay_per_s <= 0.0
+
+
+def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> SampledAnalysis:
+    """Everything of :class:`SampledAnalysis`."""
+    loop = HeldLoop(model, np.asarray(K, dtype=float), network)
+    regular = regular_patterns(loop)
+    gains = pattern_gains(loop, regular).tolist()
+    slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
+    if slowest.decay_per_s <= 0.0:
+        why = "a pattern is known that destabilises it"
+        worst = WorstGain(slowest, math.inf)
+        return SampledAnalysis(loop, regular, gains, slowest, worst, None, None, why)
+    worst = worst_gain(loop, [*regular, slowest])
+    patterns = [worst.pattern, slowest, *regular]
+    decay_proof, gain_proof, why = None, None, ""
+    try:
+        decay_proof = certify_decay(loop, patterns, worst.gain)
+        gain_proof = certify_gain(loop, patterns, worst.gain)
+    except NoSolution as error:
+        why = str(error)
+    if not why and (decay_proof is None or gain_proof is None):
+        why = "no quadratic functions were found that fall along every sequence"
+    return SampledAnalysis(loop, regular, gains, slowest, worst, decay_proof, gain_proof, why)
+
+
+def with_peak(found: SampledAnalysis) -> SampledAnalysis:
+    """The same with the largest error after a load step."""
+    if found.refuted:
+        return replace(found, peak_found=math.inf)
+    reached = worst_peak(found.loop).peak
+    bound = None
+    if found.decay_certified_per_s:
+        patterns = [found.worst.pattern, found.slowest, *found.regular]
+        with suppress(NoSolution):
+            bound = certify_peak(found.loop, patterns, found.gain_found, found.decay_certified_per_s, reached)
+    if bound is None:
+        return replace(found, peak_found=reached)
+    return replace(found, peak_found=max(reached, bound.reached), peak_certified=bound.certified)
+
+
+def regular_patterns(loop: HeldLoop) -> list[Pattern]:
+    """d lost of every d + 1 for d = 0 .. D, each delay T; with history losses make no difference."""
+    network = loop.network
+    most = 0 if network.strategy is Strategy.HISTORY else network.losses_max
+    return [repeated(loop, (Delivery(d + 1, network.delay_max_s),)) for d in range(most + 1)]

@@ -1,0 +1,215 @@
+"""The loop that really runs: sampled, held, with delay and loss, as a linear system from sample to sample.
+
+    x' = A x + B1 u + B2 d      z = C x      u = K x(s), held; s is the sample that is applied
+
+A sensor samples at 0, h, 2h ... A sample arrives after T0 to T, and at most D in a row are lost. A
+sample that arrives after a newer one is dropped.
+Which sample is applied when is the strategy's:
+
+    arrival   the newest, as soon as it arrives                    age    T0 .. (D + 1) h + T
+    stamp     x(k h) at k h + eta if it came, else the last held   age   eta .. eta + (D + 1) h
+    history   x(k h) at k h + eta, always: each packet carries     age   eta .. eta + h
+              the last D + 1 samples, so the latest that is needed is there by D h + T
+
+The state during a period is xi = [x, w, v_0 .. v_m]: w the input that is held, v_j = K x of the sample
+that was taken j periods ago, as far back as one may still begin to act. Every step is a chain of two
+operations: a jump xi -> J xi, and a flow of some length with u = w.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.linalg import expm
+
+from design.delay.delay_loop import Array
+from design.delay.speed_loop import SpeedModel
+from design.errors import UnsuitableNetwork
+
+_WHOLE = 1e-9
+"""Part of a period by which a delay may miss a multiple of it and still count as one."""
+
+
+class Strategy(Enum):
+    """When a sample is applied."""
+
+    ARRIVAL = "arrival"
+    STAMP = "stamp"
+    HISTORY = "history"
+
+
+@dataclass(frozen=True, slots=True)
+class SampledNetwork:
+    """What the network does at worst, and what is done about it. Raises UnsuitableNetwork."""
+
+    strategy: Strategy
+    period_s: float
+    losses_max: int
+    """D: samples lost in a row."""
+    delay_max_s: float
+    """T: from sample to actuator."""
+    agreed_delay_s: float = 0.0
+    """eta of the strategies stamp and history."""
+    delay_min_s: float = 0.0
+    """T0."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
+            raise UnsuitableNetwork(f"a period of {self.period_s * 1e3:g} ms", "more than 0")
+        if self.losses_max < 0:
+            raise UnsuitableNetwork(f"{self.losses_max} losses in a row", "0 or more")
+        if not (math.isfinite(self.delay_max_s) and self.delay_max_s >= 0.0):
+            raise UnsuitableNetwork(f"a delay of {self.delay_max_s * 1e3:g} ms", "0 or more")
+        if not 0.0 <= self.delay_min_s <= self.delay_max_s:
+            raise UnsuitableNetwork(
+                f"a least delay of {self.delay_min_s * 1e3:g} ms", f"0 to {self.delay_max_s * 1e3:g} ms"
+            )
+        if self.strategy is Strategy.ARRIVAL:
+            return
+        needed = self.delay_max_s
+        if self.strategy is Strategy.HISTORY:
+            needed += self.losses_max * self.period_s
+        if self.agreed_delay_s < needed - _WHOLE * self.period_s:
+            raise UnsuitableNetwork(
+                f"an agreed delay of {self.agreed_delay_s * 1e3:g} ms for {self.strategy.value}",
+                f"at least {needed * 1e3:g} ms, by when the sample certainly is there",
+            )
+
+    @property
+    def behind(self) -> int:
+        """Periods from a sample to the begin of the last one in which it may begin to act."""
+        if self.strategy is Strategy.ARRIVAL:
+            return periods_of(self.delay_max_s, self.period_s)[0]
+        return math.floor(self.agreed_delay_s / self.period_s + _WHOLE)
+
+    @property
+    def offset_s(self) -> float:
+        """When in that period it does so at the latest."""
+        return max(0.0, min(self._latest_s - self.behind * self.period_s, self.period_s))
+
+    @property
+    def _latest_s(self) -> float:
+        return self.delay_max_s if self.strategy is Strategy.ARRIVAL else self.agreed_delay_s
+
+    @property
+    def age_max_s(self) -> float:
+        """Oldest that an applied sample can become, s."""
+        if self.strategy is Strategy.ARRIVAL:
+            return (self.losses_max + 1) * self.period_s + self.delay_max_s
+        if self.strategy is Strategy.STAMP:
+            return self.agreed_delay_s + (self.losses_max + 1) * self.period_s
+        return self.agreed_delay_s + self.period_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jump:
+    """xi -> J xi at one instant."""
+
+    J: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """Time passes with u = w."""
+
+    length_s: float
+
+
+Operation = Jump | Flow
+
+
+@dataclass(frozen=True, slots=True)
+class Switch:
+    """``at_s`` after a sample is taken the one that was taken ``back`` periods before it begins to act."""
+
+    back: int
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodStep:
+    """What the network does from one sample to the next; nodes: :mod:`design.sampled.admissible_steps`."""
+
+    source: int
+    target: int
+    switches: tuple[Switch, ...]
+
+
+class HeldLoop:
+    """``model`` closed by u = K x over ``network``."""
+
+    def __init__(self, model: SpeedModel, K: Array, network: SampledNetwork) -> None:
+        self.model = model
+        self.K = np.asarray(K, dtype=float)
+        self.network = network
+        n = len(model.A)
+        self.size = n + 2 + network.behind
+        """Of xi."""
+        self.kept = n + 1 + network.behind
+        """So many entries of xi, the first, matter from one sample to the next."""
+
+    def chain(self, step: PeriodStep) -> list[Operation]:
+        """The operations of one period."""
+        chain: list[Operation] = [Jump(self.sampling)]
+        at_s = 0.0
+        for switch in step.switches:
+            chain += [Flow(switch.at_s - at_s), Jump(self.applying(switch.back))]
+            at_s = switch.at_s
+        return [*chain, Flow(self.network.period_s - at_s)]
+
+    def transition(self, chain: list[Operation]) -> Array:
+        """The product of a chain, (size, size)."""
+        total = np.eye(self.size)
+        for operation in chain:
+            total = (operation.J if isinstance(operation, Jump) else self._flow(operation.length_s)) @ total
+        return total
+
+    def kept_transition(self, chain: list[Operation]) -> Array:
+        """The same between the entries that matter."""
+        return self.transition(chain)[: self.kept, : self.kept]
+
+    @property
+    def generator(self) -> Array:
+        """F of xi' = F xi between two switchings, (size, size)."""
+        n = len(self.model.A)
+        F = np.zeros((self.size, self.size))
+        F[:n, :n], F[:n, n] = self.model.A, self.model.B1
+        return F
+
+    def _flow(self, length_s: float) -> Array:
+        n = len(self.model.A) + 1
+        total = np.eye(self.size)
+        total[:n, :n] = expm(self.generator[:n, :n] * length_s)
+        return total
+
+    @property
+    def sampling(self) -> Array:
+        """The jump when a sample is taken: v_0 = K x, and all others move on."""
+        n = len(self.model.A)
+        J = np.eye(self.size)
+        J[n + 1 :] = 0.0
+        J[n + 1, :n] = self.K
+        for place in range(n + 2, self.size):
+            J[place, place - 1] = 1.0
+        return J
+
+    def applying(self, back: int) -> Array:
+        """The jump when the sample of ``back`` periods ago becomes the input."""
+        n = len(self.model.A)
+        J = np.eye(self.size)
+        J[n] = 0.0
+        J[n, n + 1 + back] = 1.0
+        return J
+
+
+def periods_of(delay_s: float, period_s: float) -> tuple[int, float]:
+    """Whole periods before the one in which a delay ends, and the rest: (0, period], or no delay at all."""
+    back = max(0, math.ceil(delay_s / period_s - _WHOLE) - 1)
+    return back, min(delay_s - back * period_s, period_s)
+
+
+def decay_of(M: Array, time_s: float) -> float:
+    """Rate at which xi decays if M, over ``time_s``, is repeated for ever, 1/s; inf for a nilpotent M."""
+    radius = float(np.max(np.abs(np.linalg.eigvals(M))))
+    return math.inf if radius == 0.0 else -math.log(radius) / time_s

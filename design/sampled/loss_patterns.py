@@ -1,0 +1,330 @@
+"""Periodic patterns of a network, and the worst of them that a search finds.
+
+A pattern is a closed walk of :mod:`design.sampled.admissible_steps`, repeated for ever. Its decay is a
+spectral radius, its gain the largest at which the value map of its repetitions stays finite. The search puts
+patterns together from deliveries, each after as many losses as may be and at the ends of its delays:
+all short ones and all that alternate between two habits, a beam of longer ones, and then changes of
+single deliveries in the worst. What it finds is admissible: no certificate can be better.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from design.delay.delay_loop import Array
+from design.sampled.admissible_steps import Delivery, Family, deliveries_of, families, steps_of
+from design.sampled.held_loop import HeldLoop, Operation, PeriodStep, decay_of
+from design.sampled.pattern_chains import (
+    Chain,
+    Entries,
+    Letter,
+    alternating,
+    by_beam,
+    changed,
+    padded,
+    product_of,
+    root_of,
+    top_of,
+)
+from design.sampled.step_maps import step_maps
+from design.sampled.value_map import ValueMap, largest_product, nothing
+
+_BEAM = 40
+"""Partial patterns kept at each length of the search for the gain."""
+_LENGTH_MAX = 6
+"""Deliveries in the longest pattern that the beam grows."""
+_SLOW_BEAM, _SLOW_LENGTH_MAX = 200, 14
+"""The same of the search for the decay, in which a pattern costs a matrix product."""
+_WORTHWHILE = 3e-4
+"""Relative: a pattern whose gain is higher by less ends the search."""
+_CHANGED_MAX = 24
+"""Deliveries up to which a pattern is changed delivery by delivery."""
+_DOUBLINGS = 16
+"""A pattern is repeated two to this power times to tell whether its gain exceeds a level."""
+_SCORING = 10
+"""The same, to rank many."""
+_FORGOTTEN = 1e-40
+"""Entries of Phi below which nothing of the beginning is left: its square changes no digit."""
+_BEYOND = 2.0
+_LEVELS = 20
+"""Parts into which the span of a gain is cut at once."""
+_NEAR = 3.0
+"""Factor either way of a gain about which is looked first."""
+_LEAST = 1e-5
+"""Times what the load does in one period: where the span begins, and its inverse where it ends."""
+_ROUNDS = 30
+"""Of changes of the best."""
+_DELAY_PARTS = (0.0, 0.5, 1.0)
+"""Of a window, where the moment of a single switching is tried; several are tried at the ends."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Products:
+    """Transition matrices (N, kept, kept) and the time that each takes, s."""
+
+    M: Array
+    time_s: Array
+
+    def then(self, following: "_Products") -> "_Products":
+        return _Products(following.M @ self.M, self.time_s + following.time_s)
+
+    def __getitem__(self, part: Any) -> "_Products":
+        return _Products(self.M[part], self.time_s[part])
+
+    def slowness(self) -> Array:
+        """Minus the decay under the repetition of each, 1/s."""
+        radii = np.max(np.abs(np.linalg.eigvals(self.M)), axis=1)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(radii) / self.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Periods that are repeated for ever, and the rate at which the state decays under them, 1/s."""
+
+    steps: tuple[PeriodStep, ...]
+    decay_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class WorstGain:
+    """A pattern, and the gain under it, rad/s per N m; inf: it makes the loop unstable."""
+
+    pattern: Pattern
+    gain: float
+
+
+def repeated(loop: HeldLoop, deliveries: Sequence[Delivery]) -> Pattern:
+    """The pattern of ``deliveries`` with its decay."""
+    return pattern_of(loop, steps_of(loop.network, deliveries))
+
+
+def pattern_of(loop: HeldLoop, steps: Sequence[PeriodStep]) -> Pattern:
+    """The pattern of ``steps`` with its decay."""
+    total = np.eye(loop.kept)
+    for step in steps:
+        total = loop.kept_transition(loop.chain(step)) @ total
+    return Pattern(tuple(steps), decay_of(total, len(steps) * loop.network.period_s))
+
+
+def chain_of(loop: HeldLoop, pattern: Pattern) -> list[Operation]:
+    """The operations of one period of ``pattern``."""
+    return list(itertools.chain.from_iterable(loop.chain(step) for step in pattern.steps))
+
+
+def named_deliveries(loop: HeldLoop, pattern: Pattern) -> tuple[Delivery, ...]:
+    """The deliveries of ``pattern``."""
+    return deliveries_of(loop.network, pattern.steps)
+
+
+def pattern_gain(loop: HeldLoop, pattern: Pattern) -> float:
+    """Gain under ``pattern``, rad/s per N m, not above it; inf if unstable."""
+    return float(pattern_gains(loop, [pattern])[0])
+
+
+def pattern_gains(
+    loop: HeldLoop, patterns: Sequence[Pattern], tolerance: float = 1e-7, near: float | None = None
+) -> Array:
+    """The same of each, to the relative ``tolerance``: many levels at once, then between two of them.
+
+    ``near``: about which gain to look first, rad/s per N m.
+    """
+    letters = sorted({letter for each in patterns for letter in _split(each.steps)}, key=repr)
+    chains = [tuple(letters.index(letter) for letter in _split(each.steps)) for each in patterns]
+    reach = float(np.linalg.norm(loop.model.B2)) * loop.network.period_s
+    low, high = np.full(len(patterns), _LEAST * reach), np.full(len(patterns), reach / _LEAST)
+    rows, parts = np.arange(len(patterns)), np.arange(1, _LEVELS) / _LEVELS
+    while np.max(high / low) > 1.0 + tolerance:
+        if near is None:
+            levels = low[:, None] * (high / low)[:, None] ** parts
+        else:
+            levels = near * _NEAR ** (2.0 * parts - 1.0) * np.ones((len(patterns), 1))
+            near = None
+        maps = _letter_maps(loop, [Letter(letter) for letter in letters], levels.ravel())
+        bounded = _often(_own_product(maps.reshaped((-1, *levels.shape)), chains)).bounded
+        lowest = np.where(bounded.any(axis=1), np.argmax(bounded, axis=1), levels.shape[1])
+        edges = np.hstack([low[:, None], levels, high[:, None]])
+        low, high = edges[rows, lowest], edges[rows, lowest + 1]
+    unstable = np.array([each.decay_per_s <= 0.0 for each in patterns])
+    return np.where(unstable, math.inf, low)
+
+
+def _own_product(maps: ValueMap, chains: Sequence[Chain]) -> ValueMap:
+    """Each chain's letters one after the other, of maps (letters, chains, levels)."""
+    numbers, rows = padded(chains), np.arange(len(chains))
+    total = maps[numbers[:, 0], rows]
+    for place in range(1, numbers.shape[1]):
+        total = total.then(maps[numbers[:, place], rows])
+    return total
+
+
+def _split(steps: Sequence[PeriodStep]) -> list[tuple[PeriodStep, ...]]:
+    """Periods without a delivery and one with, as often as there is one."""
+    found: list[list[PeriodStep]] = [[]]
+    for step in steps:
+        found[-1].append(step)
+        if step.switches:
+            found.append([])
+    return [tuple(each) for each in found if each]
+
+
+def slowest_pattern(loop: HeldLoop) -> Pattern:
+    """The periodic pattern of least decay that the search finds: a refutation of any faster certificate."""
+    letters = _letters(loop)
+    h = loop.network.period_s
+    steps = np.stack([_transition(loop, letter) for letter in letters] + [np.eye(loop.kept)])
+    times = np.array([len(letter.steps) * h for letter in letters] + [0.0])
+    products = _Products(steps, times)
+    best = max(
+        top_of(alternating(letters, products), _Products.slowness),
+        by_beam(letters, products, _Products.slowness, _SLOW_BEAM, _SLOW_LENGTH_MAX),
+        key=lambda found: found[1],
+    )
+    while len(best[0]) <= _CHANGED_MAX:
+        better = top_of(changed(letters, products, best[0]), _Products.slowness)
+        if not better[1] > best[1] + 1e-9 * abs(best[1]):
+            break
+        best = root_of(better[0]), better[1]
+    return pattern_of(loop, _steps(letters, best[0]))
+
+
+def worst_gain(loop: HeldLoop, known: Sequence[Pattern], changed_max: int = _CHANGED_MAX) -> WorstGain:
+    """The pattern of largest gain that the search finds, from ``known`` ones.
+
+    ``changed_max``: deliveries up to which the best pattern is changed delivery by delivery.
+    """
+    gains = pattern_gains(loop, known)
+    found = WorstGain(known[int(np.argmax(gains))], float(np.max(gains)))
+    if math.isinf(found.gain):
+        return found
+    contest = _Contest(loop, found.gain)
+    contest.enter(alternating(contest.letters, contest.maps))
+    contest.enter_beam()
+    for _ in range(_ROUNDS):
+        if not contest.best or len(contest.best) > changed_max:
+            break
+        if not contest.enter(changed(contest.letters, contest.maps, contest.best)):
+            break
+    if contest.best:
+        pattern = pattern_of(loop, _steps(contest.letters, contest.best))
+        found = max(found, WorstGain(pattern, pattern_gain(loop, pattern)), key=lambda each: each.gain)
+    return found
+
+
+class _Contest:
+    """The chain of largest gain so far, and the level, rad/s per N m, that the next must exceed."""
+
+    def __init__(self, loop: HeldLoop, level: float) -> None:
+        self._loop = loop
+        self.letters = _letters(loop)
+        self.best: Chain = ()
+        self._level = level * (1.0 + _WORTHWHILE)
+        self.maps = _letter_maps(loop, self.letters, self._level)
+
+    def enter(self, entries: Entries[ValueMap]) -> bool:
+        """Whether one of them wins: of those that exceed the level the last that does so as it rises."""
+        chains, total = entries
+        survivors = [chains[place] for place in np.flatnonzero(~_often(total, _SCORING).bounded)]
+        if not survivors:
+            return False
+        share = _WORTHWHILE
+        while share > 0.5 * _WORTHWHILE:
+            level = self._level * (1.0 + share)
+            maps = _letter_maps(self._loop, self.letters, level)
+            left = np.flatnonzero(~_often(product_of(maps, survivors), _SCORING).bounded)
+            if len(left):
+                survivors, self._level, self.maps = [survivors[place] for place in left], level, maps
+                share = min(2.0 * share, 1.0)
+            else:
+                share /= 2.0
+        self.best = root_of(survivors[0])
+        return True
+
+    def enter_beam(self) -> None:
+        """Chains that grow from those that come nearest to the level."""
+        chain, score = by_beam(self.letters, self.maps, _nearness, _BEAM, _LENGTH_MAX)
+        if score >= _BEYOND:
+            self.enter(([chain], product_of(self.maps, [chain])))
+
+
+def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
+    """Each repeated two to the power ``doublings`` times, or until its beginning is forgotten."""
+    names = ("Phi", "W", "Q", "bounded")
+    flat = total.reshaped((-1,))
+    found = {name: getattr(flat, name).copy() for name in names}
+    left = np.arange(total.bounded.size)
+    for _ in range(doublings):
+        part = flat.then(flat)
+        for name in names:
+            found[name][left] = getattr(part, name)
+        moving = np.abs(part.Phi).max(axis=(-2, -1), initial=0.0) > _FORGOTTEN
+        flat, left = part[moving], left[moving]
+        if not len(left):
+            break
+    return ValueMap(**found).reshaped(total.bounded.shape)
+
+
+def _nearness(total: ValueMap) -> Array:
+    """How near each gain is to the level of the maps, from 0 to 1; beyond that 2."""
+    total = _often(total, _SCORING)
+    return np.where(total.bounded, largest_product(total.W, total.Q), _BEYOND)
+
+
+def _letter_maps(loop: HeldLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
+    """The value map of each letter at each of ``gains``, and last that of no time at all."""
+    steps = sorted({step for letter in letters for step in letter.steps}, key=repr)
+    by_step = dict(zip(steps, step_maps(loop, steps, gains), strict=True))
+    whole = []
+    for letter in letters:
+        total = by_step[letter.steps[0]]
+        for step in letter.steps[1:]:
+            total = total.then(by_step[step])
+        whole.append(total)
+    whole.append(nothing(whole[0].bounded.shape, loop.kept))
+    return ValueMap(
+        *(np.stack([getattr(each, part) for each in whole]) for part in ("Phi", "W", "Q", "bounded"))
+    )
+
+
+def _letters(loop: HeldLoop) -> list[Letter]:
+    by_source: dict[int, list[Family]] = {}
+    for family in families(loop.network):
+        by_source.setdefault(family.source, []).append(family)
+    begins = sorted({family.target for each in by_source.values() for family in each if family.windows})
+    return [Letter(steps) for begin in begins for steps in _until_delivery(by_source, begin)]
+
+
+def _until_delivery(by_source: dict[int, list[Family]], node: int) -> Iterator[tuple[PeriodStep, ...]]:
+    for family in by_source[node]:
+        if family.windows:
+            yield from ((step,) for step in _extremes(family))
+        else:
+            step = family.at(())
+            yield from ((step, *rest) for rest in _until_delivery(by_source, family.target))
+
+
+def _extremes(family: Family) -> Iterator[PeriodStep]:
+    parts = _DELAY_PARTS if len(family.windows) == 1 else (0.0, 1.0)
+    tried = [
+        sorted({window.first_s + part * (window.last_s - window.first_s) for part in parts})
+        for window in family.windows
+    ]
+    for times in itertools.product(*tried):
+        if all(earlier <= later for earlier, later in itertools.pairwise(times)):
+            yield family.at(times)
+
+
+def _steps(letters: Sequence[Letter], chain: Chain) -> tuple[PeriodStep, ...]:
+    return tuple(itertools.chain.from_iterable(letters[number].steps for number in chain))
+
+
+def _transition(loop: HeldLoop, letter: Letter) -> Array:
+    total = np.eye(loop.kept)
+    for step in letter.steps:
+        total = loop.kept_transition(loop.chain(step)) @ total
+    return total

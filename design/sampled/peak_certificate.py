@@ -1,0 +1,358 @@
+"""The largest speed error after a load step, bounded for every admissible sequence.
+
+The load steps by 1 N m at rest, anywhere in a period. Under it there is one state at rest, xi_r, for every
+sequence, and quadratic functions |xi - xi_r|_i^2 fall by rho^2 in each period (multiple Lyapunov functions).
+The states that are reached at node i are enclosed by
+
+    conv(S_i) + ball of radius r in |.|_i       or       those with |xi - xi_r|_i so small that what follows
+                                                         cannot exceed the largest error already reached
+
+S_i grows from the states at the first sample: each of its states is stepped through every corner of every
+edge, and what comes of it is taken in unless it is within (1 - rho) r, less what lies between the corners,
+of the hull. For steps are affine, and a ball of r becomes one of rho r. When nothing more is taken in, the
+enclosure holds for ever; the largest error of S_i, plus what a ball of r adds, is the bound. The states of
+S_i are truly reached, so their largest error is found as well. r is made smaller until S_i grows too large;
+where even the first does, the quadratic functions alone are left.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import cholesky
+from scipy.optimize import nnls
+
+from design.delay.delay_loop import Array
+from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
+from design.sampled.held_loop import HeldLoop
+from design.sampled.loss_patterns import Pattern
+from design.sampled.peak_steps import (
+    LoadedSteps,
+    between_instants,
+    instants_for,
+    loaded_steps,
+    responses,
+    rest_under_load,
+    start_curvature,
+)
+from design.sampled.sequence_certificate import ways_of
+from design.sampled.sequence_graph import Edge, edges_of
+from design.sampled.sequence_inequalities import Inequalities, coordinates, corner_inequality, exchanged
+from design.sampled.step_maps import corners_of
+
+_UNITS_AT = 1.2
+"""Times the largest gain: where the value functions are taken that give the units."""
+_DECAY_PARTS = (0.85, 0.5, 0.2)
+"""Of the decay certified: the faster the functions fall, the larger steps may be left out of the hull."""
+_SHARES = (0.15, 0.04, 0.01)
+"""Of the largest error: what a ball of r may add to it."""
+_STATES_MAX = 5000
+"""Of all S_i together, for one share."""
+_CANDIDATES_MAX = 100_000
+"""That are held against a hull, for one share: some 30 s."""
+_NEAREST = 48
+"""States of S_i that are tried first as corners of the hull around a candidate."""
+_CORNERS_SHARE = 0.5
+"""Of what may be left out: what may lie between the corners of an edge."""
+_COARSER = (64.0, 16.0, 4.0, 1.0)
+"""Times that: denser corners only for the states that need them."""
+_INSTANTS_SHARE = 0.1
+"""Of what a ball adds: what may lie between two instants."""
+_START_PARTS = 16
+"""Into which the period is cut in which the load steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeakBound:
+    """The bound, and the largest error that was reached on the way, rad/s per N m."""
+
+    certified: float
+    reached: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Norm:
+    """|xi|_i = |T_i xi|, falling by ``rho`` each period; |C xi| <= spread |xi|_i."""
+
+    T: list[Array]
+    rho: float
+    spread: float
+
+
+def certify_peak(
+    loop: HeldLoop, patterns: Sequence[Pattern], gain: float, decay_per_s: float, found: float
+) -> PeakBound | None:
+    """The least bound that is found; None if no quadratic functions are.
+
+    ``patterns``, ``gain``: as for :func:`design.sampled.sequence_certificate.certify_decay`;
+    ``decay_per_s``: what it certified; ``found``: the largest error known, rad/s per N m.
+    """
+    L = coordinates(loop, patterns, _UNITS_AT * gain)
+    for way in ways_of(loop, (False, True)):
+        for part in _DECAY_PARTS:
+            norm = _norm(loop, L, way, part * decay_per_s)
+            if norm is not None:
+                return _bound(loop, L, norm, found, way)
+    return None
+
+
+def _bound(loop: HeldLoop, L: Array, norm: _Norm, found: float, way: bool) -> PeakBound:
+    """By finer and finer balls, until the sets grow too large."""
+    best: PeakBound | None = None
+    for share in _SHARES:
+        tube = _Tube(loop, L, norm, found, share, way)
+        if best is None:
+            best = PeakBound(tube.bound_without_hull(), found)
+        closed = tube.close()
+        found = tube.reached
+        best = PeakBound(min(best.certified, tube.bound()) if closed else best.certified, found)
+        if not closed:
+            break
+    assert best is not None
+    return best
+
+
+def _norm(loop: HeldLoop, L: Array, way: bool, rate_per_s: float) -> _Norm | None:
+    """Functions that fall at ``rate_per_s`` or nearly so, and are smallest where the load begins."""
+    nodes, edges = edges_of(loop, L, way)
+    system = Inequalities(loop, nodes, edges, L, None)
+    n, h = len(loop.model.A), loop.network.period_s
+    inverse = np.linalg.inv(L)
+    row = np.append(loop.model.C, np.zeros(loop.kept - n)) @ inverse
+    starts = [L @ (start - rest_under_load(loop)) for start in _starts(loop, 2)]
+    growth = math.exp(2.0 * rate_per_s * h)
+    answer = exchanged(system, partial(_problem, system, row, starts, growth=growth), growth)
+    if answer is None:
+        return None
+    try:
+        roots = [cholesky(P) for P in answer[0]]
+    except np.linalg.LinAlgError:
+        return None
+    rho = math.sqrt(max(system.share_left(answer[0], place) for place in range(len(edges))))
+    spread = max(float(np.linalg.norm(np.linalg.solve(root.T, row))) for root in roots)
+    return _Norm([root @ L for root in roots], rho, spread) if rho < 1.0 else None
+
+
+def _problem(
+    system: Inequalities, row: Array, starts: Sequence[Array], chosen: Sequence[Sequence[int]], growth: float
+) -> LmiProblem:
+    """Least b with start' P_i start <= b, P_i >= row' row, falling by ``growth`` at the chosen corners."""
+    k = len(system.L)
+    unknowns = Unknowns()
+    for node in range(system.nodes):
+        unknowns.symmetric(f"P{node}", k)
+    unknowns.symmetric("objective", 1)
+    inequalities = []
+    for node in range(system.nodes):
+        above = MatrixInequality.zero(unknowns, k)
+        above.add(unknowns, f"P{node}", np.eye(k))
+        above.constant -= np.outer(row, row)
+        inequalities.append(above)
+        for start in starts:
+            below = MatrixInequality.zero(unknowns, 1)
+            below.add(unknowns, f"P{node}", start[None, :])
+            below.coefficients *= -1.0
+            below.coefficients[-1] += 1.0
+            inequalities.append(below)
+    for place in range(len(system.edges)):
+        for corner in chosen[place]:
+            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
+    objective = np.zeros(unknowns.count)
+    objective[-1] = 1.0
+    return LmiProblem("certificate of the peak", unknowns, inequalities, objective)
+
+
+def _starts(loop: HeldLoop, parts: int) -> Array:
+    """(parts + 1, kept): at the first sample, the load having begun so much before, up to a period."""
+    times = np.linspace(0.0, loop.network.period_s, parts + 1)
+    found = np.zeros((parts + 1, loop.kept))
+    found[:, : len(loop.model.A)] = responses(loop, times)[2]
+    return found
+
+
+def _loaded(
+    loop: HeldLoop, L: Array, edges: Sequence[Edge], target: float, instants: int
+) -> list[LoadedSteps]:
+    """The steps of each edge, their corners so dense as :func:`design.sampled.step_maps.corners_of` says."""
+    corners = {id(edge.corners): corners_of(loop, edge.corners.family, L, target) for edge in edges}
+    return [
+        loaded_steps(loop, edge.source, edge.target, corners[id(edge.corners)], instants) for edge in edges
+    ]
+
+
+class _Tube:
+    """The sets S_i while they grow, for one r."""
+
+    def __init__(self, loop: HeldLoop, L: Array, norm: _Norm, found: float, share: float, way: bool) -> None:
+        self._loop = loop
+        self._norm = norm
+        self._rest = rest_under_load(loop)
+        self._rest_error = abs(float(loop.model.C @ self._rest[: len(loop.model.C)]))
+        self.reached = found
+        self._r = share * found / norm.spread
+        self._starts = _starts(loop, _START_PARTS)
+        self._instants = instants_for(loop, self._starts, _INSTANTS_SHARE * share * found)
+        size = max(float(np.linalg.norm(L @ (start - self._rest))) for start in self._starts)
+        turned = max(float(np.linalg.norm(T @ np.linalg.inv(L), 2)) for T in norm.T)
+        target = _CORNERS_SHARE * (1.0 - norm.rho) * self._r / (size * turned)
+        nodes, edges = edges_of(loop, L, way)
+        self._levels = [_loaded(loop, L, edges, factor * target, self._instants) for factor in _COARSER]
+        self._edges = self._levels[-1]
+        self._spread = max(norm.spread, *(self._spread_of(edge) for edge in self._edges))
+        self._states = [np.zeros((0, loop.kept)) for _ in range(nodes)]
+        self._candidates = 0
+
+    def close(self) -> bool:
+        """Let the sets grow until nothing is left to take in; False where that goes too far."""
+        first = np.vstack([self._rest, self._starts])
+        if self._start_bend() > self._r:
+            return False
+        new = [self._taken_in(node, first, np.zeros(len(first))) for node in range(len(self._states))]
+        while any(len(states) for states in new):
+            came: list[list[tuple[Array, Array]]] = [[] for _ in self._states]
+            for number, edge in enumerate(self._edges):
+                if len(new[edge.source]):
+                    came[edge.target].append(self._stepped(number, new[edge.source]))
+            new = []
+            for node, pairs in enumerate(came):
+                states = np.vstack([pair[0] for pair in pairs]) if pairs else first[:0]
+                allowed = np.concatenate([pair[1] for pair in pairs]) if pairs else np.zeros(0)
+                if np.any(allowed <= 0.0):
+                    return False
+                new.append(self._taken_in(node, states, allowed))
+            if sum(map(len, self._states)) > _STATES_MAX or self._candidates > _CANDIDATES_MAX:
+                return False
+        return True
+
+    def bound(self) -> float:
+        """Of the closed sets."""
+        small = (self.reached - self._rest_error) / self._spread
+        largest = self.reached
+        box = np.zeros(self._loop.kept)
+        for edge in self._edges:
+            states = self._states[edge.source]
+            errors = np.abs(states @ edge.rows.T + edge.errors).max(axis=1) + _between(edge, states)
+            largest = max(largest, float(np.max(errors)) + self._spread * self._r)
+            sizes = self._entries(edge.source)
+            box = np.maximum(box, np.abs(states).max(axis=0) + self._r * sizes)
+            box = np.maximum(box, np.abs(self._rest) + max(small, 0.0) * sizes)
+        return largest + between_instants(self._loop, box, self._instants)
+
+    def bound_without_hull(self) -> float:
+        """By the quadratic functions alone: what is so near to rest at first remains so."""
+        starts = self._starts - self._rest
+        size = max(float(np.linalg.norm(starts @ T.T, axis=1).max()) for T in self._norm.T)
+        size += self._start_bend()
+        entries = np.max([self._entries(node) for node in range(len(self._norm.T))], axis=0)
+        box = np.abs(self._rest) + size * entries
+        return self._rest_error + self._spread * size + between_instants(self._loop, box, self._instants)
+
+    def _stepped(self, number: int, states: Array) -> tuple[Array, Array]:
+        """What the corners make of ``states``, and how far from a hull each may lie and be left out.
+
+        Each state is stepped through the fewest corners that leave half of that.
+        """
+        allowed_max = (1.0 - self._norm.rho) * self._r
+        came: list[Array] = []
+        allowed: list[Array] = []
+        for level, edges in enumerate(self._levels):
+            edge = edges[number]
+            sizes = np.linalg.norm(self._norm.T[edge.target], axis=0)[: edge.bends.shape[1]]
+            left = allowed_max - np.abs(states @ edge.differences.T) @ (edge.bends @ sizes)
+            here = left >= 0.5 * allowed_max
+            if level == len(self._levels) - 1:
+                here[:] = True
+            own = states[here]
+            if len(own):
+                errors = np.abs(own @ edge.rows.T + edge.errors)
+                self.reached = max(self.reached, float(np.max(errors)))
+                stepped = np.einsum("cij,sj->csi", edge.M, own) + edge.m[:, None, :]
+                came.append(stepped.reshape(-1, states.shape[1]))
+                allowed.append(np.tile(left[here], len(edge.M)))
+            states = states[~here]
+        return np.vstack(came), np.concatenate(allowed)
+
+    def _taken_in(self, node: int, states: Array, allowed: Array) -> Array:
+        """Those of ``states`` that are taken into S_node: the ones farthest from rest first."""
+        T = self._norm.T[node]
+        distance = np.linalg.norm((states - self._rest) @ T.T, axis=1)
+        matter = self._rest_error + self._spread * (distance + self._r) > self.reached
+        if not len(self._states[node]):
+            matter[:] = True
+        order = np.argsort(-distance, kind="stable")
+        taken: list[Array] = []
+        hull = _Hull(self._states[node] @ T.T)
+        for place in order[matter[order]]:
+            self._candidates += 1
+            if self._candidates > _CANDIDATES_MAX:
+                break
+            turned = T @ states[place]
+            if hull.is_near(turned, float(allowed[place])):
+                continue
+            hull.add(turned)
+            taken.append(states[place])
+        found = np.array(taken).reshape(-1, states.shape[1])
+        self._states[node] = np.vstack([self._states[node], found])
+        return found
+
+    def _spread_of(self, edge: LoadedSteps) -> float:
+        """What a state of size 1 may add to the error at any instant of the period."""
+        inverse = np.linalg.inv(self._norm.T[edge.source])
+        sizes = np.linalg.norm(edge.differences @ inverse, axis=1)
+        return float(np.linalg.norm(edge.rows @ inverse, axis=1).max() + edge.output_bends @ sizes)
+
+    def _entries(self, node: int) -> Array:
+        """What a state of size 1 may have in each entry."""
+        return np.asarray(np.linalg.norm(np.linalg.inv(self._norm.T[node]), axis=1))
+
+    def _start_bend(self) -> float:
+        """By how much the first states depart from the chords between those that are looked at."""
+        width = self._loop.network.period_s / _START_PARTS
+        bend = width**2 / 8.0 * start_curvature(self._loop)
+        return max(float(np.linalg.norm(T, axis=0)[: len(bend)] @ bend) for T in self._norm.T)
+
+
+def _between(edge: LoadedSteps, states: Array) -> Array:
+    """What the moments between the corners may add to the error of each state."""
+    return np.asarray(np.abs(states @ edge.differences.T) @ edge.output_bends)
+
+
+class _Hull:
+    """Points whose convex hull grows."""
+
+    def __init__(self, points: Array) -> None:
+        self._points = points.copy()
+        self._count = len(points)
+
+    def add(self, point: Array) -> None:
+        """One more."""
+        if self._count == len(self._points):
+            room = np.zeros((max(64, self._count), len(point)))
+            self._points = np.vstack([self._points, room])
+        self._points[self._count] = point
+        self._count += 1
+
+    def is_near(self, point: Array, distance: float) -> bool:
+        """Whether some point of the hull is found within ``distance`` of ``point``."""
+        points = self._points[: self._count]
+        apart = points - point
+        far = np.linalg.norm(apart, axis=1)
+        if not len(points) or np.min(far) <= distance:
+            return bool(len(points))
+        if len(points) > _NEAREST:
+            nearest = np.argpartition(far, _NEAREST)[:_NEAREST]
+            towards = np.argpartition(apart @ (points.mean(axis=0) - point), _NEAREST)[:_NEAREST]
+            if _apart(apart[np.union1d(nearest, towards)]) <= distance:
+                return True
+        return _apart(apart) <= distance
+
+
+def _apart(points: Array) -> float:
+    """Distance of a point of their hull, nearly the nearest one, from 0: never less than the hull's."""
+    weight = float(np.linalg.norm(points, axis=1).max())
+    whole = np.vstack([points.T, np.full(len(points), weight)])
+    shares, _ = nnls(whole, np.append(np.zeros(points.shape[1]), weight))
+    total = float(shares.sum())
+    return float(np.linalg.norm(shares @ points)) / total if total > 0.0 else math.inf

@@ -1,0 +1,134 @@
+"""The steps of a sampled loop under a load of 1 N m: from sample to sample, and the error in between.
+
+A state is xi of :mod:`design.sampled.held_loop`, its step xi+ = M xi + m, and the error at an instant t of
+the period c xi + e. With the moments of switching between those of the corners
+(:mod:`design.sampled.step_maps`) both lie in the hull of what the corners make of them, but for
+
+    |R_s| |Delta_s xi|   of each state,   Z_s |Delta_s xi|   of the error at any instant
+
+and between two instants the error departs from its chord by at most width^2/8 times its largest z''.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from design.delay.delay_loop import Array
+from design.errors import NoSolution
+from design.sampled.held_loop import HeldLoop
+from design.sampled.step_maps import Corners
+
+_INSTANTS_MIN, _INSTANTS_MAX = 8, 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedSteps:
+    """All steps of an edge."""
+
+    source: int
+    target: int
+    M: Array
+    """(N, kept, kept) of each corner."""
+    m: Array
+    """(N, kept)."""
+    rows: Array
+    """(R, kept): c of each corner and instant."""
+    errors: Array
+    """(R,): e."""
+    differences: Array
+    """(windows, kept): Delta_s."""
+    bends: Array
+    """(windows, n): R_s, the largest of all cells."""
+    output_bends: Array
+    """(windows,): Z_s."""
+
+
+def rest_under_load(loop: HeldLoop) -> Array:
+    """xi at which nothing moves under the load, (kept,)."""
+    model = loop.model
+    x = np.linalg.solve(model.A + np.outer(model.B1, loop.K), -model.B2)
+    return np.concatenate([x, np.full(loop.kept - len(x), float(loop.K @ x))])
+
+
+def responses(loop: HeldLoop, times_s: Array) -> tuple[Array, Array, Array]:
+    """(N, n, n), (N, n) and (N, n): e^{At}, and what the input and the load of 1 make of the state in t."""
+    A, n = loop.model.A, len(loop.model.A)
+    F = np.zeros((n + 2, n + 2))
+    F[:n, :n], F[:n, n], F[:n, n + 1] = A, loop.model.B1, loop.model.B2
+    whole = expm(F * np.asarray(times_s, dtype=float)[:, None, None])
+    return whole[:, :n, :n], whole[:, :n, n], whole[:, :n, n + 1]
+
+
+def loaded_steps(loop: HeldLoop, source: int, target: int, corners: Corners, instants: int) -> LoadedSteps:
+    """The steps of one edge; the error ``instants`` times in a period."""
+    model, h = loop.model, loop.network.period_s
+    n, k, C = len(model.A), loop.kept, loop.model.C
+    family = corners.family
+    chains = [loop.chain(family.at(times)) for times in corners.times_s.tolist()]
+    M = np.array([loop.kept_transition(chain) for chain in chains])
+    m = np.zeros((len(M), k))
+    m[:, :n] = responses(loop, np.array([h]))[2][0]
+    times = np.linspace(0.0, h, instants + 1)
+    Phi, Gamma, Psi = responses(loop, times)
+    plain = np.zeros((len(times), k))
+    plain[:, :n], plain[:, n] = Phi.transpose(0, 2, 1) @ C, Gamma @ C
+    rows = np.broadcast_to(plain, (len(M), *plain.shape)).copy()
+    for s in range(len(family.windows)):
+        after = np.maximum(times[None, :] - corners.times_s[:, s, None], 0.0)
+        unique, place = np.unique(after.ravel(), return_inverse=True)
+        gain = (responses(loop, unique)[1] @ C)[place].reshape(after.shape)
+        rows += gain[:, :, None] * corners.differences[s]
+    windows = len(family.windows)
+    bends = corners.bends.max(axis=0) if windows else np.zeros((0, n))
+    outputs = np.array([_output_bend(loop, corners.times_s[:, s]) for s in range(windows)])
+    errors = np.tile(Psi @ C, len(M))
+    return LoadedSteps(source, target, M, m, rows.reshape(-1, k), errors, corners.differences, bends, outputs)
+
+
+def _output_bend(loop: HeldLoop, times_s: Array) -> float:
+    """Z_s: the error's response to a step of the input has no slope at first, and then this curvature."""
+    grid = np.unique(times_s)
+    width = float(np.max(np.diff(grid), initial=0.0))
+    return width**2 / 8.0 * _slope_max(loop) if width else 0.0
+
+
+def _slope_max(loop: HeldLoop) -> float:
+    """Bound of |C A e^{At} B1| within a period."""
+    model = loop.model
+    return float(np.abs(model.C @ model.A) @ _growth(loop) @ np.abs(model.B1))
+
+
+def _growth(loop: HeldLoop) -> Array:
+    """Bound of |e^{At}| within a period, entry by entry: without what decays by itself."""
+    A = loop.model.A
+    bound = np.abs(A)
+    np.fill_diagonal(bound, np.maximum(np.diag(A), 0.0))
+    return np.asarray(expm(bound * loop.network.period_s))
+
+
+def instants_for(loop: HeldLoop, states: Array, allowed: float) -> int:
+    """So many instants that the error of ``states`` departs from its chords by ``allowed`` at most."""
+    bend = max(between_instants(loop, xi, 1) for xi in states)
+    wanted = math.ceil(math.sqrt(bend / allowed))
+    return min(max(wanted, _INSTANTS_MIN), _INSTANTS_MAX)
+
+
+def between_instants(loop: HeldLoop, xi: Array, instants: int) -> float:
+    """By how much the error may depart from its chords between the instants of a period that begins at xi."""
+    model, n, h = loop.model, len(loop.model.A), loop.network.period_s
+    A, C = model.A, model.C
+    if abs(C @ model.B1) > 0.0:
+        raise NoSolution("certificate of the peak", "the input acts on the error at once")
+    held = max(float(np.max(np.abs(xi[n:]))), float(np.abs(loop.K) @ np.abs(xi[:n])))
+    size = _growth(loop) @ (np.abs(xi[:n]) + h * (np.abs(model.B1) * held + np.abs(model.B2)))
+    # with e = C x the second derivative jumps with the input, the first does not
+    second = np.abs(C @ A @ A) @ size + abs(C @ A @ model.B1) * held + abs(C @ A @ model.B2)
+    return float((h / instants) ** 2 / 8.0 * second)
+
+
+def start_curvature(loop: HeldLoop) -> Array:
+    """(n,): bound of the second derivative of the state in the first period under load."""
+    model = loop.model
+    return np.asarray(np.abs(model.A) @ _growth(loop) @ np.abs(model.B2))

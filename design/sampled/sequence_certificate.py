@@ -1,0 +1,258 @@
+"""Certificates of a sampled loop for every admissible sequence of losses and delays.
+
+The sequences are the walks of a graph (:mod:`design.sampled.admissible_steps`), each edge with the corners of
+all that it may mean and the bounds of what lies between (:mod:`design.sampled.step_maps`). Quadratic functions
+xi' P_i xi, one for each node, with
+
+    value of any stretch from i to j of P_j  <=  P_i         the gain is proved
+    e^{2 alpha t} M' P_j M <= P_i, P_i > 0                   the decay alpha is proved, t the stretch's length
+
+along every edge hold for every walk (multiple Lyapunov functions; Lee and Dullerud, Automatica 42(2), 2006).
+A stretch lasts from one delivery to the next; for a range of current loops it is a period, for what lies
+between two rates is known of one period at a time. Nodes that remember how the last delivery was reached
+prove more.
+
+What is given out has been put into all inequalities, at its own gain, in numpy.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from design.delay.delay_loop import Array
+from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality, Unknowns
+from design.errors import NoSolution
+from design.sampled.admissible_steps import node_count
+from design.sampled.held_loop import HeldLoop
+from design.sampled.loss_patterns import Pattern
+from design.sampled.sequence_graph import Edge, between_deliveries, edges_of
+from design.sampled.sequence_inequalities import (
+    MARGIN,
+    Inequalities,
+    coordinates,
+    corner_inequality,
+    exchanged,
+    proved,
+)
+
+_STRICT = 1e-6
+"""Margin demanded of the solver, in the same coordinates."""
+_BISECTIONS = 14
+_DECAY_TOLERANCE = 2e-4
+_LEVELS = 5
+_RAISED = (1e-4, 1e-3, 1e-2)
+"""Relative: so much above the solver's gain the proof is tried."""
+_LOWERED = (1e-6, 1e-4, 1e-2)
+"""Relative: so much below the decay of the functions the proof is tried."""
+_NEAR = 2e-3
+"""Of the gain's square: so near to its level the solver's gain is no other than one at a level of its own."""
+_CLOSE = 1.01
+"""Certified over found at which nodes need not remember."""
+_UNITS_AT = (1.2, 2.0, 1.05, 5.0)
+"""Times the largest gain: where the value functions are taken that give the units."""
+_SIZE_MAX = 42.0
+"""States, times nodes to the power 1/3: it takes minutes, and grows by the sixth power."""
+_SIZE_REMEMBERING_MAX = 45.0
+"""The same where nodes remember and are squared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequenceCertificate:
+    """The proof: P_i of each node in the loop's own coordinates, and what it proves."""
+
+    P: list[Array]
+    min_margin: float
+    """Smallest eigenvalue of all inequalities, in coordinates in which they are of size 1."""
+    decay_per_s: float | None = None
+    gain: float | None = None
+    """rad/s per N m."""
+    solver: str = SOLVER
+    status: str = "Solved"
+
+
+def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: float) -> LmiProblem:
+    """Least gain^2/level^2 that the chosen corners allow; without a level minus the largest margin."""
+    k, nodes = len(system.L), system.nodes
+    unknowns = Unknowns()
+    for node in range(nodes):
+        unknowns.symmetric(f"P{node}", k)
+    unknowns.symmetric("objective", 1)
+    identity = np.eye(k)
+    inequalities = []
+    for node in range(nodes):
+        positive = MatrixInequality.zero(unknowns, k)
+        positive.add(unknowns, f"P{node}", identity)
+        inequalities.append(positive)
+    for place in range(len(system.edges)):
+        for corner in chosen[place]:
+            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
+    if system.level is None:
+        for inequality in inequalities:
+            inequality.coefficients[-1] += identity
+        bound = MatrixInequality(np.full((1, 1), float(k * nodes)), np.zeros((unknowns.count, 1, 1)))
+        for node in range(nodes):
+            part = unknowns.slice_of(f"P{node}")
+            bound.coefficients[part, 0, 0] -= np.trace(unknowns.basis(f"P{node}"), axis1=1, axis2=2)
+        inequalities.append(bound)
+    objective = np.zeros(unknowns.count)
+    objective[-1] = 1.0
+    margin = 0.0 if system.level is None else _STRICT
+    return LmiProblem("certificate for every sequence", unknowns, inequalities, objective, margin)
+
+
+def certify_gain(
+    loop: HeldLoop,
+    patterns: Sequence[Pattern],
+    found: float,
+    remembering: Sequence[bool] = (False, True),
+    other: HeldLoop | None = None,
+) -> SequenceCertificate | None:
+    """The least gain that can be certified; None if none can.
+
+    ``patterns``: those that give the units, the worst among them; ``found``: their largest gain,
+    rad/s per N m; ``remembering``: what is tried, in turn, until it comes close; ``other``: for every
+    rate of the current loop between those of the two loops.
+    """
+    for units_at in _UNITS_AT:
+        # the solver's luck turns with the units; whatever it says, the proof decides
+        best: SequenceCertificate | None = None
+        L = coordinates(loop, patterns, units_at * found)
+        for way in ways_of(loop, remembering):
+            nodes, edges = _graph(loop, L, way, other)
+            certificate = _least_gain(loop, nodes, edges, L, found)
+            if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
+                best = certificate
+            if best is not None and _gain(best) < _CLOSE * found:
+                break
+        if best is not None:
+            return best
+    return None
+
+
+def certify_decay(
+    loop: HeldLoop,
+    patterns: Sequence[Pattern],
+    gain: float,
+    remembering: Sequence[bool] = (False, True),
+    other: HeldLoop | None = None,
+) -> SequenceCertificate | None:
+    """The fastest decay that can be certified; None if not even stability can.
+
+    ``gain``: the largest of ``patterns``, at which the units are taken; all else as for the gain.
+    """
+    worst = min(pattern.decay_per_s for pattern in patterns)
+    best: SequenceCertificate | None = None
+    L = coordinates(loop, patterns, _UNITS_AT[0] * gain)
+    for way in ways_of(loop, remembering):
+        nodes, edges = _graph(loop, L, way, other)
+        certificate = _fastest(Inequalities(loop, nodes, edges, L, None), worst)
+        if certificate is not None and (best is None or _decay(certificate) > _decay(best)):
+            best = certificate
+        if best is not None and _decay(best) > worst / _CLOSE:
+            break
+    return best
+
+
+def _graph(loop: HeldLoop, L: Array, remembering: bool, other: HeldLoop | None) -> tuple[int, list[Edge]]:
+    """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
+    nodes, edges = edges_of(loop, L, remembering, other)
+    return between_deliveries(edges) if other is None else (nodes, edges)
+
+
+def _gain(certificate: SequenceCertificate) -> float:
+    assert certificate.gain is not None
+    return certificate.gain
+
+
+def _decay(certificate: SequenceCertificate) -> float:
+    assert certificate.decay_per_s is not None
+    return certificate.decay_per_s
+
+
+def ways_of(loop: HeldLoop, remembering: Sequence[bool]) -> Sequence[bool]:
+    """Whether nodes remember: not where there is nothing to be remembered, or too much.
+
+    Raises NoSolution if the loop is too large for the inequalities.
+    """
+    nodes = node_count(loop.network)
+    if loop.kept * nodes ** (1.0 / 3.0) > _SIZE_MAX:
+        raise NoSolution(
+            "certificate for arbitrary sequences",
+            f"{loop.kept} states and {nodes} nodes are too many",
+            "a longer period or a shorter agreed delay makes the loop smaller",
+        )
+    if nodes == 1 or loop.kept * nodes ** (2.0 / 3.0) > _SIZE_REMEMBERING_MAX:
+        return (False,)
+    return remembering
+
+
+def _least_gain(
+    loop: HeldLoop, nodes: int, edges: list[Edge], L: Array, found: float
+) -> SequenceCertificate | None:
+    level, slope = math.log(found), -2.0
+    last: tuple[float, float, list[Array]] | None = None
+    for _ in range(_LEVELS):
+        system = Inequalities(loop, nodes, edges, L, math.exp(level))
+        answer = exchanged(system, partial(_problem, system, growth=1.0), 1.0)
+        if answer is None or answer[1] <= 0.0:
+            break
+        excess = math.log(answer[1])
+        # the solver's gain is that of its level, and is wanted where it is the level
+        if last is not None and (excess - last[1]) * (level - last[0]) < 0.0:
+            slope = (excess - last[1]) / (level - last[0])
+        last = level, excess, answer[0]
+        if abs(excess) < _NEAR:
+            break
+        level -= excess / slope
+    if last is None:
+        return None
+    level, excess, P = last
+    gains = [math.exp(level + 0.5 * excess) * (1.0 + raised) for raised in _RAISED]
+    if excess < 0.0:
+        gains.append(math.exp(level) * (1.0 + _RAISED[0]))
+    for gain in sorted(gains):
+        margin = proved(Inequalities(loop, nodes, edges, L, gain), P, 1.0)
+        if margin > MARGIN:
+            return SequenceCertificate([L.T @ matrix @ L for matrix in P], margin, gain=gain)
+    return None
+
+
+def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
+    """By bisection, after no decay at all and nearly the ``worst`` known, which often is proved."""
+    low, high, best = 0.0, worst, None
+    rates = [0.0, worst * (1.0 - _DECAY_TOLERANCE)]
+    for number in range(_BISECTIONS):
+        rate = rates[number] if number < len(rates) else 0.5 * (low + high)
+        growth = math.exp(2.0 * rate * system.period_s)
+        answer = exchanged(system, partial(_problem, system, growth=growth), growth, objective_max=0.0)
+        proof = None if answer is None else _decay_of(system, answer[0], rate)
+        if proof is not None:
+            low, best = _decay(proof), proof
+        elif best is None:
+            return None
+        else:
+            high = rate
+        if high - low <= _DECAY_TOLERANCE * high:
+            break
+    return best
+
+
+def _decay_of(system: Inequalities, P: list[Array], asked: float) -> SequenceCertificate | None:
+    """The fastest decay that the functions prove, whatever they were made for; ``asked`` if that is all."""
+    try:
+        fastest = min(
+            -math.log(system.share_left(P, place)) / (2.0 * edge.periods * system.period_s)
+            for place, edge in enumerate(system.edges)
+        )
+    except np.linalg.LinAlgError:
+        return None
+    for rate in (*(fastest * (1.0 - lowered) for lowered in _LOWERED), asked):
+        if rate < asked:
+            continue
+        margin = proved(system, P, math.exp(2.0 * rate * system.period_s))
+        if margin > MARGIN:
+            return SequenceCertificate([system.L.T @ matrix @ system.L for matrix in P], margin, rate)
+    return None

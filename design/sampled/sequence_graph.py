@@ -1,0 +1,110 @@
+"""The graph of a certificate: nodes, and edges with the corners of all that a step may mean.
+
+A node may remember from which node the last delivery came: then more is proved, with more unknowns. Nodes
+at which nothing was delivered may be left out: the periods up to the next delivery are then one edge, which
+proves no less, with fewer unknowns.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from design.delay.delay_loop import Array
+from design.sampled.admissible_steps import families, node_count
+from design.sampled.held_loop import HeldLoop, PeriodStep
+from design.sampled.step_maps import Corners, corners_of
+
+_EPSILON = 2e-5
+"""epsilon of :mod:`design.sampled.step_maps`: what a certificate gives away, each period, between corners."""
+_BEND = 0.7 * _EPSILON
+"""Bound of a bend where P is of size 1; its square over epsilon is of the order of epsilon."""
+_EPSILON_OF_RATES = 5e-4
+"""The same where the rate of the current loop may lie between two."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """An edge of the graph with the corners of its steps."""
+
+    source: int
+    target: int
+    corners: Corners
+    loop: HeldLoop
+    epsilon: float
+    """Of :mod:`design.sampled.step_maps`; nothing lies between the corners where no window is open."""
+    before: tuple[PeriodStep, ...] = ()
+    """Periods without a delivery, which come before that of the corners."""
+
+    @property
+    def periods(self) -> int:
+        """That it lasts."""
+        return len(self.before) + 1
+
+
+def edges_of(
+    loop: HeldLoop, coordinates: Array, remembering: bool, other: HeldLoop | None = None
+) -> tuple[int, list[Edge]]:
+    """Number of nodes, and the edges.
+
+    ``remembering``: nodes know from which node the last delivery came; ``other``: the loop with another
+    rate of the current loop, for every rate between the two.
+    """
+    plain = []
+    for family in families(loop.network):
+        if other is None:
+            corners = corners_of(loop, family, coordinates, _BEND)
+            plain.append(
+                Edge(family.source, family.target, corners, loop, _EPSILON if corners.terms else 0.0)
+            )
+            continue
+        for one, end in ((loop, other), (other, loop)):
+            corners = corners_of(one, family, coordinates, _BEND).between_rates(one, end)
+            plain.append(Edge(family.source, family.target, corners, one, _EPSILON_OF_RATES))
+    count = node_count(loop.network)
+    if not remembering:
+        return count, plain
+    found = []
+    for edge in plain:
+        for memory in range(count):
+            kept = edge.source if edge.corners.family.windows else memory
+            source, target = edge.source + count * memory, edge.target + count * kept
+            found.append(replace(edge, source=source, target=target))
+    return _reachable(count * count, found)
+
+
+def between_deliveries(edges: list[Edge]) -> tuple[int, list[Edge]]:
+    """The same graph with the nodes alone at which a sample has just come: their number, and the edges."""
+    nodes = sorted({edge.target for edge in edges if edge.corners.family.windows})
+    number = {node: place for place, node in enumerate(nodes)}
+    by_source: dict[int, list[Edge]] = {}
+    for edge in edges:
+        by_source.setdefault(edge.source, []).append(edge)
+    return len(nodes), [
+        replace(edge, source=number[node], target=number[edge.target])
+        for node in nodes
+        for edge in _until_delivery(by_source, node, ())
+    ]
+
+
+def _until_delivery(
+    by_source: dict[int, list[Edge]], node: int, before: tuple[PeriodStep, ...]
+) -> Iterator[Edge]:
+    for edge in by_source[node]:
+        if edge.corners.family.windows:
+            yield replace(edge, before=before)
+        else:
+            yield from _until_delivery(by_source, edge.target, (*before, edge.corners.family.at(())))
+
+
+def _reachable(count: int, edges: list[Edge]) -> tuple[int, list[Edge]]:
+    """Without the nodes that no walk comes back to."""
+    alive = set(range(count))
+    while True:
+        entered = {edge.target for edge in edges if edge.source in alive and edge.target in alive}
+        if entered == alive:
+            break
+        alive = entered
+    number = {node: place for place, node in enumerate(sorted(alive))}
+    kept = [edge for edge in edges if edge.source in alive and edge.target in alive]
+    return len(alive), [
+        replace(edge, source=number[edge.source], target=number[edge.target]) for edge in kept
+    ]

@@ -1,0 +1,239 @@
+"""The inequalities of quadratic functions along every edge of a graph of steps, and how they are met.
+
+They are solved for a few of the corners of the edges, then all are looked at, and those that do not hold
+are added. What is given out has been put into all of them in numpy
+(:mod:`design.sampled.sequence_certificate`).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cholesky
+
+from design.delay.delay_loop import Array
+from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
+from design.sampled.held_loop import HeldLoop
+from design.sampled.loss_patterns import Pattern
+from design.sampled.sequence_graph import Edge
+from design.sampled.step_maps import step_maps, value_maps
+from design.sampled.value_map import ValueMap, nothing
+
+MARGIN = 1e-9
+"""Smallest eigenvalue that counts as proof."""
+_EXCHANGES = 12
+_ADDED = 3
+"""Corners of an edge that are added in one exchange."""
+_FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
+_TOLERANCE = 1e-8
+"""Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
+_DOUBLINGS = 14
+_ROUND = 1e-6
+
+Build = Callable[[Sequence[Sequence[int]]], LmiProblem]
+"""The problem of the corners chosen of each edge; its unknowns P0, P1 .., its objective the last."""
+
+
+class Inequalities:
+    """Those of one graph in good coordinates, for a gain level or for a decay."""
+
+    def __init__(self, loop: HeldLoop, nodes: int, edges: list[Edge], L: Array, level: float | None) -> None:
+        self._loop = loop
+        self.nodes = nodes
+        self.edges = edges
+        self.L = L
+        self.period_s = loop.network.period_s
+        self._inverse = np.linalg.inv(L)
+        self.level = level
+        self._by_family: dict[int, ValueMap] = {}
+        self._by_periods: dict[int, ValueMap] = {}
+        self.maps = [self._maps(edge, level) for edge in edges]
+        self.before = [self._before(edge) for edge in edges]
+        self.excess = [self._excess(edge) for edge in edges]
+
+    def _maps(self, edge: Edge, level: float | None) -> ValueMap:
+        """Of the period of the corners; the bends cost a factor of the gain. No level: no disturbance."""
+        key = id(edge.corners)
+        if key not in self._by_family:
+            gain = math.inf if level is None else level / math.sqrt(1.0 + edge.epsilon)
+            plain = value_maps(edge.loop, edge.corners.family, edge.corners.times_s, gain)
+            self._by_family[key] = self._turned(plain)
+        return self._by_family[key]
+
+    def _before(self, edge: Edge) -> ValueMap:
+        """Of the periods before that of the corners: all are the same step."""
+        periods = len(edge.before)
+        if periods not in self._by_periods:
+            gain = math.inf if self.level is None else self.level
+            total = nothing((), self._loop.kept)
+            for step in step_maps(edge.loop, edge.before, gain):
+                total = total.then(step)
+            self._by_periods[periods] = self._turned(total)
+        return self._by_periods[periods]
+
+    def _turned(self, plain: ValueMap) -> ValueMap:
+        """In good coordinates."""
+        L, inverse = self.L, self._inverse
+        Q = inverse.T @ plain.Q @ inverse if self.level is not None else np.zeros_like(plain.Q)
+        return ValueMap(L @ plain.Phi @ inverse, L @ plain.W @ L.T, Q, plain.bounded)
+
+    def _excess(self, edge: Edge) -> list[tuple[Array, Array, Array]]:
+        """For each window: difference (kept,), bends (N, n), output bends (N,), with their factors."""
+        corners = edge.corners
+        factor = (1.0 + 1.0 / edge.epsilon) * corners.terms if edge.epsilon else 0.0
+        return [
+            (
+                corners.differences[s] @ self._inverse,
+                math.sqrt(factor) * corners.bends[:, s],
+                factor * corners.output_bends[:, s] ** 2
+                if self.level is not None
+                else np.zeros(len(corners.times_s)),
+            )
+            for s in range(len(corners.differences))
+        ]
+
+    def slack(self, P: Sequence[Array], place: int, growth: float, squared: float = 1.0) -> Array:
+        """(N,): smallest eigenvalue of each corner's inequality of one edge; -inf for an infinite value.
+
+        ``squared``: of the gain over the level's, for W alone.
+        """
+        values, finite = self.values(P, place, squared)
+        edge = self.edges[place]
+        smallest = np.linalg.eigvalsh(P[edge.source] - growth**edge.periods * values)[:, 0]
+        return np.where(finite, smallest, -np.inf)
+
+    def share_left(self, P: Sequence[Array], place: int) -> float:
+        """Largest share of xi' P_i xi that one edge leaves of it, between its corners too."""
+        inverse = np.linalg.inv(cholesky(P[self.edges[place].source]))
+        values, _ = self.values(P, place)
+        return float(np.max(np.linalg.eigvalsh(inverse.T @ values @ inverse)))
+
+    def values(self, P: Sequence[Array], place: int, squared: float = 1.0) -> tuple[Array, np.ndarray]:
+        """(N, k, k): what the steps of an edge make of P_j, all between corners counted; where finite."""
+        edge, maps, before = self.edges[place], self.maps[place], self.before[place]
+        if self.level is not None:
+            maps, before = (replace(each, W=each.W / squared) for each in (maps, before))
+        value, finite = maps.of(P[edge.target])
+        value = (1.0 + edge.epsilon) * value + self._between(P[edge.target], place)
+        if not edge.before:
+            return value, finite
+        whole, also_finite = before.of(value)
+        return whole, finite & also_finite
+
+    def _between(self, P: Array, place: int) -> Array:
+        total = np.zeros((len(self.edges[place].corners.times_s), *P.shape))
+        n = len(self._loop.model.A)
+        columns = self.L[:, :n]
+        sizes = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", columns, P, columns), 0.0))
+        for difference, bends, outputs in self.excess[place]:
+            size = (bends @ sizes) ** 2 + outputs
+            total += size[:, None, None] * np.outer(difference, difference)
+        return total
+
+    def between_linear(self, unknowns: Unknowns, name: str, place: int, corner: int) -> Array:
+        """A bound of :meth:`_between` linear in P: (entries of P, kept, kept), and its constant last."""
+        n = len(self._loop.model.A)
+        columns = self.L[:, :n]
+        basis = unknowns.basis(name)
+        diagonal = np.einsum("ki,ekl,li->ei", columns, basis, columns)
+        k = len(self.L)
+        found = np.zeros((len(basis) + 1, k, k))
+        for difference, bends, outputs in self.excess[place]:
+            square = np.outer(difference, difference)
+            found[:-1] += (n * (diagonal @ bends[corner] ** 2))[:, None, None] * square
+            found[-1] += outputs[corner] * square
+        return found
+
+
+def corner_inequality(
+    system: Inequalities, unknowns: Unknowns, place: int, corner: int, growth: float
+) -> MatrixInequality:
+    """Schur's complement of P_i - growth * before((1 + epsilon) value of P_j + what lies between) >= 0.
+
+    In [xi, d, d']: d disturbs the periods before that of the corner, d' the corner's own.
+    """
+    edge, k, maps, before = system.edges[place], len(system.L), system.maps[place], system.before[place]
+    source, target = f"P{edge.source}", f"P{edge.target}"
+    spread = 1.0 + edge.epsilon
+    disturbed = system.level is not None
+    first = math.sqrt(spread) * _root(before.W) if disturbed and edge.before else np.zeros((k, 0))
+    second = _root(maps.W[corner]) if disturbed else np.zeros((k, 0))
+    m = k + first.shape[1] + second.shape[1]
+    found = MatrixInequality.zero(unknowns, m)
+    found.add(unknowns, source, math.sqrt(1.0 / (growth**edge.periods * spread)) * np.eye(m)[:, :k])
+    found.constant[:k, :k] -= before.Q / spread
+    found.coefficients[-1, k:, k:] += np.eye(m - k)
+    # xi when the corner's period begins, of [xi, d]; d may have either sign
+    begun = np.hstack([before.Phi, first])
+    own = len(begun.T)
+    between = begun.T @ (system.between_linear(unknowns, target, place, corner) / spread) @ begun
+    part = unknowns.slice_of(target)
+    found.coefficients[part, :own, :own] -= between[:-1]
+    found.constant[:own, :own] -= begun.T @ maps.Q[corner] @ begun + between[-1]
+    ended = np.hstack([maps.Phi[corner] @ begun, second])
+    found.coefficients[part] -= ended.T @ unknowns.basis(target) @ ended
+    return found
+
+
+def _root(W: Array) -> Array:
+    """B with B B' = W, its columns without those that are nothing."""
+    values, vectors = np.linalg.eigh(W)
+    kept = values > 1e-13 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def exchanged(
+    system: Inequalities, build: Build, growth: float, objective_max: float = math.inf
+) -> tuple[list[Array], float] | None:
+    """P_i that meet every corner, and the objective; or one that is above ``objective_max`` and too much to
+    ask for. None if the solver has none."""
+    chosen = [
+        sorted({round(part * (len(edge.corners.times_s) - 1)) for part in _FIRST_PARTS})
+        for edge in system.edges
+    ]
+    answer = None
+    for _ in range(_EXCHANGES):
+        problem = build(chosen)
+        y = last_answer(problem, _TOLERANCE)
+        if y is None:
+            return None
+        P = [problem.unknowns.value(f"P{node}", y) for node in range(system.nodes)]
+        answer = P, float(y[-1])
+        if answer[1] >= objective_max:
+            return answer
+        missing = 0
+        for place in range(len(system.edges)):
+            slack = system.slack(P, place, growth, float(y[-1]))
+            bad = np.flatnonzero(slack < MARGIN)
+            missing += len(bad)
+            worst = bad[np.argsort(slack[bad])[:_ADDED]]
+            chosen[place] = sorted({*chosen[place], *(int(corner) for corner in worst)})
+        if missing == 0:
+            return answer
+    return answer
+
+
+def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
+    """Smallest eigenvalue of all inequalities."""
+    own = min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in P)
+    slacks = (float(system.slack(P, place, growth).min()) for place in range(len(system.edges)))
+    return min(own, *slacks)
+
+
+def coordinates(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> Array:
+    """L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1."""
+    total = np.zeros((loop.kept, loop.kept))
+    for pattern in patterns:
+        maps = step_maps(loop, pattern.steps, gain)
+        for phase in range(len(maps)):
+            whole = maps[phase]
+            for following in (*maps[phase + 1 :], *maps[:phase]):
+                whole = whole.then(following)
+            for _ in range(_DOUBLINGS):
+                whole = whole.then(whole)
+            if whole.bounded:
+                total = total + whole.Q
+    size = np.sqrt(np.diag(total) + 1e-12 * np.trace(total))
+    correlation = total / np.outer(size, size)
+    return np.asarray(cholesky(correlation + _ROUND * np.eye(len(size))) * size)

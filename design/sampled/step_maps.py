@@ -1,0 +1,236 @@
+"""The steps of a sampled loop as value maps, on a grid of switching times with a bound for what lies between.
+
+With u(t) = w + sum_s Delta_s xi 1[t >= tau_s] the state at a period's end and the error within it are
+affine in F(tau_s), the response to a step of the input at tau_s. Between two neighbours of the grid F
+departs from its chord by at most width^2/8 times the largest of F'' (the output too: a step of the input
+moves neither it nor its slope). So for any tau in a cell, and any epsilon > 0,
+
+    value(tau) <= (1 + epsilon) max over the cell's corners of value at gain/sqrt(1 + epsilon)
+                  + (1 + 1/epsilon) sum_s r (R_s' P R_s + |Z_s|^2) (Delta_s xi)^2
+
+with R_s and Z_s the bounds of the departure of the state and of the output, r the number of open
+windows; for the square of a norm is convex. Where windows overlap, the ordered corners suffice: a cell's
+ordered half is their hull.
+
+The rate a of the current loop may lie anywhere between two: the disturbance does not reach the current,
+so state and output are affine in e^{-a t}, the response to i_q - u at the begin and to every Delta_s.
+Its chord between the two rates is bounded in the same way, each such response adding one term to r.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from design.delay.delay_loop import Array
+from design.errors import NoSolution
+from design.sampled.admissible_steps import Family, Window
+from design.sampled.held_loop import HeldLoop, PeriodStep
+from design.sampled.value_map import ValueMap, flows
+
+_SUBCELL_TURN = 0.2
+"""Norm of |A| times the width of the part of a cell on which |F''| is bounded from its value at one end."""
+_CELLS_MAX = 512
+"""Of one window."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """All corners of a family: steps, and the bounds of what lies between them.
+
+    ``bends``: (N, windows, n) R_s above; ``output_bends``: (N, windows) Z_s, zero where a window is a point.
+    """
+
+    family: Family
+    times_s: Array
+    """(N, windows)."""
+    bends: Array
+    output_bends: Array
+    differences: Array
+    """(windows, kept): Delta_s."""
+
+    @property
+    def terms(self) -> int:
+        """r above."""
+        return int(np.count_nonzero(self.bends.any(axis=(0, 2)))) if self.bends.size else 0
+
+    def between_rates(self, loop: HeldLoop, other: HeldLoop) -> "Corners":
+        """The same with the terms for every rate of the current loop between those of the two loops."""
+        n = len(loop.model.A)
+        start = np.zeros(loop.kept)
+        start[0], start[n] = 1.0, -1.0
+        rows = np.vstack([start, self.differences])
+        bend, output = _rate_bend(loop, other)
+        count, added = len(self.times_s), len(rows)
+        return Corners(
+            self.family,
+            self.times_s,
+            np.concatenate([self.bends, np.broadcast_to(bend, (count, added, n))], axis=1),
+            np.hstack([self.output_bends, np.full((count, added), output)]),
+            np.vstack([self.differences, rows]),
+        )
+
+
+def corners_of(loop: HeldLoop, family: Family, coordinates: Array, target: float) -> Corners:
+    """Corners so dense that no bend times its difference exceeds ``target`` in ``coordinates``."""
+    differences = _differences(loop, family)
+    n = len(loop.model.A)
+    inverse = np.linalg.inv(coordinates)
+    grids, bounds = [], []
+    for window, difference in zip(family.windows, differences, strict=True):
+        share = target / max(float(np.linalg.norm(difference @ inverse)), 1e-300)
+        times, bends, outputs = _grid(loop, window, coordinates[:, :n], share)
+        grids.append(times)
+        bounds.append((bends, outputs))
+    places = [
+        chosen
+        for chosen in itertools.product(*(range(len(grid)) for grid in grids))
+        if all(grids[k][chosen[k]] <= grids[k + 1][chosen[k + 1]] + 1e-15 for k in range(len(chosen) - 1))
+    ]
+    count, windows = len(places), len(grids)
+    times_s, all_bends = np.zeros((count, windows)), np.zeros((count, windows, n))
+    outputs_s = np.zeros((count, windows))
+    for row, chosen in enumerate(places):
+        for s, place in enumerate(chosen):
+            times_s[row, s] = grids[s][place]
+            all_bends[row, s], outputs_s[row, s] = bounds[s][0][place], bounds[s][1][place]
+    return Corners(family, times_s, all_bends, outputs_s, differences)
+
+
+def _differences(loop: HeldLoop, family: Family) -> Array:
+    """(windows, kept): what each switching adds to the input, as a function of xi at the period's begin."""
+    n = len(loop.model.A)
+    before = np.eye(loop.kept)[n]
+    found = []
+    for window in family.windows:
+        value = np.zeros(loop.kept)
+        if window.back == 0:
+            value[:n] = loop.K
+        else:
+            value[n + window.back] = 1.0
+        found.append(value - before)
+        before = value
+    return np.array(found).reshape(len(family.windows), loop.kept)
+
+
+def _grid(loop: HeldLoop, window: Window, coordinates: Array, share: float) -> tuple[Array, Array, Array]:
+    """Times from the window's begin to its end; at each the larger of the bounds of the cells beside it."""
+    n = len(loop.model.A)
+    if window.last_s - window.first_s <= 1e-12 * loop.network.period_s:
+        return np.array([window.first_s]), np.zeros((1, n)), np.zeros(1)
+    times, bends, outputs = [window.first_s], [], []
+    stack = [(window.first_s, window.last_s)]
+    while stack:
+        first_s, last_s = stack.pop()
+        bend, output = _bend(loop, first_s, last_s)
+        size = math.hypot(float(np.sum(np.linalg.norm(coordinates, axis=0) * bend)), output)
+        if size > share and len(times) + len(stack) < _CELLS_MAX:
+            middle_s = 0.5 * (first_s + last_s)
+            stack += [(middle_s, last_s), (first_s, middle_s)]
+            continue
+        times.append(last_s)
+        bends.append(bend)
+        outputs.append(output)
+    cells, cell_outputs = np.array(bends), np.array(outputs)
+    left, right = np.vstack([cells[:1], cells]), np.vstack([cells, cells[-1:]])
+    own = np.append(cell_outputs[:1], cell_outputs), np.append(cell_outputs, cell_outputs[-1:])
+    return np.array(times), np.maximum(left, right), np.maximum(*own)
+
+
+def _bend(loop: HeldLoop, first_s: float, last_s: float) -> tuple[Array, float]:
+    """width^2/8 times the largest of F'' on a cell: of the state at the period's end (n,), of the output."""
+    A, B1, C = loop.model.A, loop.model.B1, loop.model.C
+    if abs(C @ B1) > 0.0:
+        raise NoSolution("certificate for arbitrary sequences", "the input acts on the output at once")
+    width = last_s - first_s
+    size = np.abs(A)
+    parts = max(1, math.ceil(width * float(np.linalg.norm(size, 2)) / _SUBCELL_TURN))
+    step = expm(A * (width / parts))
+    grow = expm(size * (width / parts))
+    vector = A @ expm(A * (loop.network.period_s - last_s)) @ B1
+    largest = np.zeros(len(A))
+    for _ in range(parts):
+        largest = np.maximum(largest, grow @ np.abs(vector))
+        vector = step @ vector
+    slope = C @ A
+    # the square integral of the output's second derivative, over the whole rest of the period
+    rest_s = loop.network.period_s - first_s
+    energy = _energy(A, B1, slope, rest_s)
+    return width**2 / 8.0 * largest, width**2 / 8.0 * math.sqrt(energy)
+
+
+def _rate_bend(loop: HeldLoop, other: HeldLoop) -> tuple[Array, float]:
+    """(difference of the rates)^2/8 times the largest second derivative by the rate: state (n,), output.
+
+    That of e^{-at} is t^2 e^{-at}, at most 4/(e a)^2, its integral 2/a^3; friction makes it only less.
+    """
+    A, h = loop.model.A, loop.network.period_s
+    slow, fast = sorted(-each.model.A[0, 0] for each in (loop, other))
+    share = (fast - slow) ** 2 / 8.0
+    speed = float(A[1, 0]) * 2.0 / slow**3
+    state = [4.0 / (math.e * slow) ** 2, speed, speed * h]
+    return share * np.array(state[: len(A)]), share * speed * math.sqrt(h)
+
+
+def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
+    """Integral over [0, length] of (row e^{At} B1)^2 (Van Loan, IEEE Trans. Autom. Control 23(3), 1978)."""
+    n = len(A)
+    halvings = max(0, math.ceil(math.log2(max(length_s * float(np.linalg.norm(A, 2)), 1.0))))
+    M = np.block([[-A.T, np.outer(row, row)], [np.zeros((n, n)), A]]) * (length_s / 2.0**halvings)
+    turned = expm(M)
+    Phi = turned[n:, n:]
+    gramian = Phi.T @ turned[:n, n:]
+    for _ in range(halvings):
+        gramian = gramian + Phi.T @ gramian @ Phi
+        Phi = Phi @ Phi
+    return max(float(B1 @ gramian @ B1), 0.0)
+
+
+def value_maps(loop: HeldLoop, family: Family, times_s: Array, gain: float) -> ValueMap:
+    """The value maps of the steps of ``family`` at ``times_s`` (N, windows), between the entries kept."""
+    h = loop.network.period_s
+    count = len(times_s)
+    edges = np.hstack([np.zeros((count, 1)), times_s, np.full((count, 1), h)])
+    lengths = np.maximum(np.diff(edges, axis=1), 0.0)
+    unique, places = np.unique(np.round(lengths / h, 14), return_inverse=True)
+    places = places.reshape(lengths.shape)
+    flow = embedded_flows(loop, unique * h, gain)
+    total = flow[places[:, 0]].after_jump(loop.sampling)
+    for s, window in enumerate(family.windows):
+        total = total.then_jump(loop.applying(window.back)).then(flow[places[:, s + 1]])
+    k = loop.kept
+    return ValueMap(total.Phi[:, :k, :k], total.W[:, :k, :k], total.Q[:, :k, :k], total.bounded)
+
+
+def embedded_flows(loop: HeldLoop, lengths_s: Array, gains: ArrayLike) -> ValueMap:
+    """The flows of x and w over ``lengths_s``, all else of xi standing still."""
+    n = len(loop.model.A) + 1
+    E, C = np.append(loop.model.B2, 0.0), np.append(loop.model.C, 0.0)
+    own = flows(loop.generator[:n, :n], E, C, gains, lengths_s)
+    shape = (*own.bounded.shape, loop.size, loop.size)
+    Phi, W, Q = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    Phi[:] = np.eye(loop.size)
+    Phi[..., :n, :n], W[..., :n, :n], Q[..., :n, :n] = own.Phi, own.W, own.Q
+    return ValueMap(Phi, W, Q, own.bounded)
+
+
+def step_maps(loop: HeldLoop, steps: Sequence[PeriodStep], gains: ArrayLike) -> list[ValueMap]:
+    """The value map of each of ``steps`` at each of ``gains``."""
+    h = loop.network.period_s
+    instants = [[0.0, *(switch.at_s for switch in step.switches), h] for step in steps]
+    lengths = [[max(0.0, b - a) for a, b in itertools.pairwise(times)] for times in instants]
+    unique = sorted({length for each in lengths for length in each})
+    flow = embedded_flows(loop, np.array(unique), gains)
+    k = loop.kept
+    found = []
+    for step, own in zip(steps, lengths, strict=True):
+        total = flow[unique.index(own[0])].after_jump(loop.sampling)
+        for switch, length in zip(step.switches, own[1:], strict=True):
+            total = total.then_jump(loop.applying(switch.back)).then(flow[unique.index(length)])
+        parts = (total.Phi[..., :k, :k], total.W[..., :k, :k], total.Q[..., :k, :k])
+        found.append(ValueMap(*parts, total.bounded))
+    return found

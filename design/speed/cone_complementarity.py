@@ -1,0 +1,263 @@
+"""[Ling2012] Theorem 4.1 and Algorithm 4.2: feedback by cone complementarity linearisation (CCL).
+
+Multiplied by X = P^-1, the certificate of Theorem 3.3 is linear in the gain as well, F = K X, but
+only beside constraints that are not linear, (4.4): S = Z^-1, N = M^-1, P = X^-1. The algorithm
+relaxes each to a linear one, (4.5), and pushes towards equality by minimising a linearised trace,
+(4.6), again and again. As it is shipped here:
+
+* (4.2) as printed, (4.3) as [Z, P; P, N] > 0, (4.5) as blocks >= 0, and the trace of (4.6) with its
+  missing term N_k M; the disturbance enters through the second column of B only.
+* Step 4's check is Theorem 3.3 itself with K = F X^-1 fixed and P, Q, Z free.
+* Asked here is the largest delay for a given gamma, as in the paper's section 5. After a success the
+  delay goes on from the largest that Theorem 3.3 certifies for the gain found. A start from which
+  nothing is found is taken back to half its delay.
+
+Time is counted in delays, the disturbance so that gamma is 1, the speed error in gamma and the
+current in what balances 1 N m: the trace is not the same in every unit.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from design.delay.certificate import CertifiedGain, certified_gain
+from design.delay.delay_lmi import STRICT
+from design.delay.delay_loop import Array
+from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
+from design.delay.speed_loop import SpeedModel
+from design.errors import NoSolution
+from design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
+
+ITERATIONS_MAX = 30
+"""k_max of Step 4."""
+_FIRST_STEP = 0.05
+"""Relative increase of the delay after a success; a failure divides it by 4."""
+_LAST_STEP = 5e-4
+_STARTS = 8
+"""First delays tried, each half of the last."""
+_SETTLED = 10
+"""Iterations after which the pace of the algorithm says how far it will come."""
+_MATRICES = ("X", "P", "Q", "Z", "M", "S", "N")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CclDesign:
+    """What the algorithm ends with: a gain, its delay and the certificate of Theorem 3.3 there."""
+
+    K: Array
+    delay_s: float
+    certified: CertifiedGain
+    programmes: int
+    """Programmes of Step 3 that were solved in all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plant:
+    """The open loop in the units of the module's head: x' = A x + B u(t-1) + E d, z = C x."""
+
+    A: Array
+    B: Array
+    E: Array
+    C: Array
+    scale: Array
+    """K = scaled K / scale."""
+
+
+def largest_ccl_delay(model: SpeedModel, gamma: float, iterations_max: int = ITERATIONS_MAX) -> CclDesign:
+    """The delay, s, to which Algorithm 4.2 comes for ``gamma``, rad/s per N m, with full feedback.
+
+    Raises NoSolution if even the first feasible set, S = X, is not found.
+    """
+    delay_s, K, point, programmes = _first_gain(model, gamma, iterations_max)
+    delay_s = max(delay_s, certified_delay_within(model, K, gamma))
+    step = _FIRST_STEP
+    while step > _LAST_STEP:
+        tried_s = delay_s * (1.0 + step)
+        found, point, used = _complement(model, tried_s, gamma, point, iterations_max)
+        programmes += used
+        if found is None:
+            step /= 4.0
+            continue
+        K = found
+        delay_s = max(tried_s, certified_delay_within(model, K, gamma))
+    # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
+    delay_s *= 1.0 - 1e-7
+    return CclDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0), programmes)
+
+
+def _first_gain(
+    model: SpeedModel, gamma: float, iterations_max: int
+) -> tuple[float, Array, dict[str, Array], int]:
+    """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point, programmes used."""
+    first_s = _first_delay(model, gamma)
+    programmes = 0
+    for start in range(_STARTS):
+        delay_s = first_s * 0.5**start
+        point = _with_equal(model, delay_s, gamma)
+        if point is None:
+            continue
+        K, point, used = _complement(model, delay_s, gamma, point, iterations_max)
+        programmes += used
+        if K is not None:
+            return delay_s, K, point, programmes
+    raise NoSolution(
+        f"Algorithm 4.2 for {gamma:g} rad/s per N m",
+        f"(3.10) does not hold after {iterations_max} iterations",
+        f"delays from {first_s * 1e3:g} ms down to {first_s * 0.5 ** (_STARTS - 1) * 1e3:g} ms",
+    )
+
+
+def _complement(
+    model: SpeedModel, delay_s: float, gamma: float, point: dict[str, Array], iterations_max: int
+) -> tuple[Array | None, dict[str, Array], int]:
+    """Steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point; programmes used.
+
+    A delay is given up early if the certified gain, at the pace of the last iteration, cannot come
+    within ``gamma`` in those that are left.
+    """
+    plant = _plant(model, delay_s, gamma)
+    unknowns, inequalities = _inequalities(plant)
+    last = math.inf
+    for k in range(iterations_max):
+        objective = _linearised_trace(unknowns, point)
+        problem = LmiProblem("Step 3 of Algorithm 4.2", unknowns, inequalities, objective, STRICT)
+        try:
+            y = solve(problem, 1e-8, 1e-6).y
+        except NoSolution:
+            return None, point, k + 1
+        values = unknowns.values(y)
+        point = {name: values[name] for name in _MATRICES}
+        K = (values["F"] @ np.linalg.inv(values["X"]))[0] / plant.scale
+        gain = certified_gain_or_inf(model, K, delay_s, gamma)
+        if gain <= gamma:
+            return K, point, k + 1
+        if k >= _SETTLED and gain - gamma > (last - gain) * (iterations_max - 1 - k):
+            return None, point, k + 1
+        last = gain
+    return None, point, iterations_max
+
+
+def _first_delay(model: SpeedModel, gamma: float) -> float:
+    """Step 2: the largest delay, s, to a per cent, with a feasible set for S = X."""
+    delay_s = 1.0 / abs(float(model.A[0, 0]))
+    found: float | None = None
+    low, high = 0.0, math.inf
+    for _ in range(60):
+        if _with_equal(model, delay_s, gamma) is not None:
+            found = low = delay_s
+        else:
+            high = delay_s
+        if high - low < 0.01 * high:
+            break
+        delay_s = 2.0 * low if math.isinf(high) else (0.5 * high if low == 0.0 else 0.5 * (low + high))
+    if found is None:
+        what = f"Algorithm 4.2 for {gamma:g} rad/s per N m"
+        raise NoSolution(what, "no feasible set with S = X at any delay")
+    return found
+
+
+def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Array] | None:
+    """A feasible set at ``delay_s`` with S = M = X, so that P = Z = N = X^-1; None if there is none."""
+    plant = _plant(model, delay_s, gamma)
+    n = len(plant.A)
+    unknowns = Unknowns()
+    for name in ("X", "Q"):
+        unknowns.symmetric(name, n)
+    _free_matrices(unknowns, n)
+    # the least trace of X keeps the set away from the edge of what numbers can tell apart
+    positive = [_positive(unknowns, name, n) for name in ("X", "Q")]
+    bounded = _closed_loop(plant, unknowns, S="X", M="X")
+    objective = np.zeros(unknowns.count)
+    objective[unknowns.slice_of("X")] = np.trace(unknowns.basis("X"), axis1=1, axis2=2)
+    try:
+        y = solve(LmiProblem("S = X", unknowns, [*positive, bounded], objective, STRICT), 1e-8, 1e-6).y
+    except NoSolution:
+        return None
+    X, Q = unknowns.value("X", y), unknowns.value("Q", y)
+    inverse: Array = np.asarray(np.linalg.inv(X), dtype=np.float64)
+    return {"X": X, "S": X, "M": X, "P": inverse, "Z": inverse, "N": inverse, "Q": Q}
+
+
+def _plant(model: SpeedModel, delay_s: float, gamma: float) -> _Plant:
+    current_per_nm = model.B2[1] / model.A[1, 0]
+    T = np.array([current_per_nm, gamma])
+    return _Plant(
+        A=delay_s * model.A * T / T[:, None],
+        B=delay_s * model.B1 / T,
+        E=delay_s * model.B2 / T,
+        C=model.C * T / gamma,
+        scale=T,
+    )
+
+
+def _free_matrices(unknowns: Unknowns, n: int) -> None:
+    unknowns.full("Y", n, n)
+    unknowns.full("W", n, n)
+    unknowns.full("F", 1, n)
+
+
+def _inequalities(plant: _Plant) -> tuple[Unknowns, list[MatrixInequality]]:
+    """(4.2), (4.3) and (4.5)."""
+    n = len(plant.A)
+    unknowns = Unknowns()
+    for name in _MATRICES:
+        unknowns.symmetric(name, n)
+    _free_matrices(unknowns, n)
+    inequalities = [_closed_loop(plant, unknowns, S="S", M="M"), _pair(unknowns, "Z", "P", "N", n)]
+    inequalities += [_pair(unknowns, a, None, b, n) for a, b in (("S", "Z"), ("N", "M"), ("P", "X"))]
+    inequalities.append(_positive(unknowns, "Q", n))
+    return unknowns, inequalities
+
+
+def _positive(unknowns: Unknowns, name: str, n: int) -> MatrixInequality:
+    part = MatrixInequality.zero(unknowns, n)
+    part.add(unknowns, name, np.eye(n))
+    return part
+
+
+def _pair(unknowns: Unknowns, first: str, between: str | None, second: str, n: int) -> MatrixInequality:
+    """[first, between; between, second], the identity between them if ``between`` is None."""
+    rows = np.eye(2 * n)
+    top, bottom = rows[:, :n], rows[:, n:]
+    found = MatrixInequality.zero(unknowns, 2 * n)
+    found.add(unknowns, first, top)
+    found.add(unknowns, second, bottom)
+    if between is None:
+        found.constant += top @ bottom.T + bottom @ top.T
+    else:
+        found.add(unknowns, between, top, bottom.T)
+    return found
+
+
+def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixInequality:
+    """The negative of (4.2), with eta = gamma = 1; ``S`` and ``M`` name the matrices that stand for them."""
+    n = len(plant.A)
+    m = 4 * n + 2
+    rows = np.eye(m)
+    one, two, three, five = (rows[:, start : start + n] for start in (0, n, 2 * n, 3 * n + 1))
+    d, z = rows[:, 3 * n], rows[:, 4 * n + 1]
+    B = plant.B[:, None]
+    found = MatrixInequality.zero(unknowns, m)
+    # - (A X + X A') and - X A', - X C'
+    found.add(unknowns, "X", -one, plant.A.T @ one.T + plant.A.T @ five.T + np.outer(plant.C, z))
+    # - (Y + Y'), and Y with the second and third columns
+    found.add(unknowns, "Y", -one, one.T - two.T - three.T)
+    # W~ stands transposed in row one, plain in rows two and three
+    found.add(unknowns, "W", two, two.T + three.T - one.T)
+    found.add(unknowns, "F", -(one + five) @ B, two.T)
+    for name, rows_of, sign in (("Q", one, -1.0), ("Q", two, 1.0), (M, three, 1.0), (S, five, 1.0)):
+        part = unknowns.slice_of(name)
+        found.coefficients[part] += sign * (rows_of @ unknowns.basis(name) @ rows_of.T)
+    drive = one @ plant.E + five @ plant.E
+    found.constant += np.outer(d, d) + np.outer(z, z) - np.outer(drive, d) - np.outer(d, drive)
+    return found
+
+
+def _linearised_trace(unknowns: Unknowns, point: dict[str, Array]) -> Array:
+    """tr(S_k Z + S Z_k + N_k M + N M_k + P_k X + P X_k) as a row over the unknowns."""
+    objective = np.zeros(unknowns.count)
+    for a, b in (("S", "Z"), ("N", "M"), ("P", "X")):
+        for name, weight in ((a, point[b]), (b, point[a])):
+            objective[unknowns.slice_of(name)] += np.einsum("kij,ji->k", unknowns.basis(name), weight)
+    return objective

@@ -1,0 +1,302 @@
+"""The best gain that the certificate of a given order can vouch for: Theorem 4.1 of [Ling2012], solved.
+
+For a fixed gain K the certified figure is a convex programme; over K it is not. Theorem 4.1's question,
+"the largest delay with a certificate for gamma", is therefore asked over K and the delay alone:
+
+    max delay   such that   certified gain(K, delay) <= gamma
+
+The certified gain is the value of a semidefinite programme, whose multipliers are its derivatives by
+whatever enters the inequalities. So a smooth method (SLSQP) walks over a handful of parameters,
+each step one or two small programmes, and where the optimum is not smooth it is begun again from
+where it came to rest. What is returned is proved afterwards, like every certificate.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq, minimize
+
+from design.delay.certificate import CertifiedGain, certified_gain
+from design.delay.delay_lmi import gain_problem, scaled
+from design.delay.delay_loop import Array, DelayLoop
+from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
+from design.delay.lmi import solve
+from design.delay.speed_loop import Feedback, SpeedModel
+from design.errors import NoSolution
+from design.speed.speed_design import largest_delay, least_gain
+
+_ROUNDS = 6
+_ENOUGH = 2e-6
+"""Relative gain of a round below which no further one is begun."""
+_CLIMBED = 2
+"""So many of the best starts are followed to their optimum."""
+_STEP = 1e-5
+"""Relative step of the differences by which the inequalities' derivatives are taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CertifiedDesign:
+    """A gain, the delay, and the certificate that the loop keeps ``certified.gain`` at it."""
+
+    K: Array
+    delay_s: float
+    certified: CertifiedGain
+
+
+def largest_certified_delay(
+    model: SpeedModel,
+    gamma: float,
+    feedback: Feedback = Feedback.FULL,
+    order: int = 0,
+    starts: Sequence[Array] = (),
+) -> CertifiedDesign:
+    """The feedback with the largest delay at which the certificate of ``order`` keeps ``gamma``.
+
+    ``gamma``: rad/s per N m. ``starts``: gains to begin at, if some are known to be near; else the
+    exact optima. Raises NoSolution if no start is certified at any delay.
+    """
+    found: list[tuple[float, Array]] = []
+    for start in starts or _starts(model, gamma, feedback):
+        # the exact optimum often has its gain at rest on the bound, where nothing is left to certify
+        for K in (start, 1.03 * start, 1.2 * start):
+            found.append((certified_delay_within(model, K, gamma, order), K))
+    found = sorted(found, key=lambda each: -each[0])[:_CLIMBED]
+    reached = [_climb(model, K, delay_s, gamma, feedback, order) for delay_s, K in found if delay_s > 0.0]
+    if not reached:
+        what = f"certified feedback for {gamma:g} rad/s per N m"
+        raise NoSolution(what, "no start is certified at any delay")
+    delay_s, K = max(reached, key=lambda each: each[0])
+    return _proved(model, K, delay_s, gamma, order)
+
+
+def least_certified_gain(
+    model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.FULL, order: int = 0
+) -> CertifiedDesign:
+    """The feedback whose certificate of ``order`` at ``delay_s`` is the least.
+
+    Raises NoSolution if none of the starts is certified.
+    """
+    best: tuple[float, Array] | None = None
+    for start in _gain_starts(model, delay_s, feedback):
+        found = _descend(model, start, delay_s, feedback, order)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+    if best is None:
+        raise NoSolution(f"certified feedback for a delay of {delay_s * 1e3:g} ms", "no start is certified")
+    K = best[1]
+    return CertifiedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), order))
+
+
+def certified_delay_within(model: SpeedModel, K: Array, gamma: float, order: int = 0) -> float:
+    """The largest delay, s, at which the certificate of ``order`` keeps ``gamma``; 0 if there is none.
+
+    What order 0 certifies at a delay it certifies at every smaller one: a shorter delay only makes
+    the term of Jensen's inequality larger.
+    """
+    stable_s = largest_stable_delay_s(model.loop(K, 0.0))
+    if stable_s == 0.0 or hinf_norm(model.loop(K, 0.0)) >= gamma:
+        return 0.0
+
+    def excess(delay_s: float) -> float:
+        value = _value(model, K, delay_s, gamma, order)
+        return 1.0 if value is None else min(0.5 * math.log(value.squared), 1.0)
+
+    high = stable_s * (1.0 - 1e-9) if math.isfinite(stable_s) else 10.0
+    low = high
+    while low > 1e-9 * high:
+        low *= 0.5
+        if excess(low) < 0.0:
+            break
+    else:
+        return 0.0
+    high = 2.0 * low
+    if excess(high) <= 0.0:
+        return high
+    return float(brentq(excess, low, high, xtol=1e-10, rtol=1e-9, maxiter=60))
+
+
+def certified_gain_or_inf(model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int = 0) -> float:
+    """The gain that the certificate of ``order`` gives, in the scale of ``gamma``; infinite if none."""
+    value = _value(model, K, delay_s, gamma, order)
+    return math.inf if value is None else gamma * math.sqrt(value.squared)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Value:
+    """Certified gain over gamma, squared, and its derivatives by [K, log delay]."""
+
+    squared: float
+    by_gain: Array
+    by_log_delay: float
+
+
+def _value(
+    model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int, slopes: bool = False
+) -> _Value | None:
+    """None where the programme has no optimum: the loop is not certified at all, or not stable."""
+    loop = model.loop(K, delay_s)
+    if not is_stable(loop):
+        return None
+    problem = gain_problem(scaled(loop, model.state_scale, gamma), order)
+    try:
+        answer = solve(problem)
+    except NoSolution:
+        return None
+    squared = float(answer.y[-1])
+    n = len(K)
+    if not slopes:
+        return _Value(squared, np.zeros(n), 0.0)
+
+    def shifted(loop: DelayLoop) -> float:
+        other = gain_problem(scaled(loop, model.state_scale, gamma), order)
+        return sum(
+            float(np.sum(dual * (there.at(answer.y) - here.at(answer.y))))
+            for dual, here, there in zip(answer.duals, problem.inequalities, other.inequalities, strict=True)
+        )
+
+    steps = _STEP * np.maximum(np.abs(K), 1e-3 * np.abs(K).max())
+    by_gain = np.array([-shifted(loop.with_gain(K + row)) / row.sum() for row in np.diag(steps)])
+    by_log_delay = -shifted(loop.with_delay(delay_s * math.exp(_STEP))) / _STEP
+    return _Value(squared, by_gain, by_log_delay)
+
+
+def _climb(
+    model: SpeedModel, K: Array, delay_s: float, gamma: float, feedback: Feedback, order: int
+) -> tuple[float, Array]:
+    """From (K, delay) to the local optimum of the delay."""
+    free = np.array(model.free_gains(feedback))
+    for _ in range(_ROUNDS):
+        walk = _Walk(model, K, free, delay_s, gamma, order)
+        x = walk.run(sign=-1.0)
+        K_new = walk.gain_of(x)
+        reached = certified_delay_within(model, K_new, gamma, order)
+        if reached <= delay_s * (1.0 + _ENOUGH):
+            if reached > delay_s:
+                K, delay_s = K_new, reached
+            break
+        K, delay_s = K_new, reached
+    return delay_s, K
+
+
+def _descend(
+    model: SpeedModel, K: Array, delay_s: float, feedback: Feedback, order: int
+) -> tuple[float, Array] | None:
+    """From K to the local optimum of the certified gain."""
+    scale = hinf_norm(model.loop(K, delay_s))
+    value = _value(model, K, delay_s, scale, order)
+    if value is None:
+        return None
+    gain = scale * math.sqrt(value.squared)
+    free = np.array(model.free_gains(feedback))
+    for _ in range(_ROUNDS):
+        walk = _Walk(model, K, free, delay_s, gain, order, for_delay=False)
+        K_new = walk.gain_of(walk.run(sign=1.0))
+        reached = _value(model, K_new, delay_s, gain, order)
+        if reached is None or reached.squared >= 1.0 - _ENOUGH:
+            break
+        K, gain = K_new, gain * math.sqrt(reached.squared)
+    return gain, K
+
+
+class _Walk:
+    """SLSQP over x = [K/scale of the free entries, log of the delay or of the gain relative to the start]."""
+
+    def __init__(
+        self, model: SpeedModel, K: Array, free: Array, delay_s: float, gamma: float, order: int,
+        for_delay: bool = True,
+    ) -> None:  # fmt: skip
+        self._model = model
+        self._K = K
+        self._free = free
+        self._scale = np.where(free == 0, 1.0, np.abs(K[free]))
+        self._delay_s = delay_s
+        self._gamma = gamma
+        self._order = order
+        self._for_delay = for_delay
+        self._known: tuple[bytes, float, Array] | None = None
+
+    def gain_of(self, x: Array) -> Array:
+        return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
+
+    def run(self, sign: float) -> Array:
+        start = np.append(self._K[self._free] / self._scale, 0.0)
+        gradient = np.append(np.zeros(len(self._free)), sign)
+        answer = minimize(
+            lambda x: sign * float(x[-1]),
+            start,
+            jac=lambda _x: gradient,
+            bounds=[(value - 0.4, value + 0.4) for value in start],
+            constraints=[{"type": "ineq", "fun": self._slack, "jac": self._slope}],
+            method="SLSQP",
+            options={"ftol": 1e-9, "maxiter": 25},
+        )
+        return np.asarray(answer.x)
+
+    def _slack(self, x: Array) -> float:
+        return self._ask(x)[0]
+
+    def _slope(self, x: Array) -> Array:
+        return self._ask(x)[1]
+
+    def _ask(self, x: Array) -> tuple[float, Array]:
+        """- log of the certified gain over what is allowed, and its gradient."""
+        key = x.tobytes()
+        if self._known is not None and self._known[0] == key:
+            return self._known[1], self._known[2]
+        delay_s = self._delay_s * math.exp(x[-1]) if self._for_delay else self._delay_s
+        value = _value(self._model, self.gain_of(x), delay_s, self._gamma, self._order, slopes=True)
+        if value is None:
+            # no certificate: as bad as the bounds of the walk let it be, sloping back to the start
+            slack, slope = -1.0 - float(np.sum(np.square(x))), -2.0 * x
+        else:
+            slack = -0.5 * math.log(value.squared)
+            part = -0.5 / value.squared
+            last = part * value.by_log_delay if self._for_delay else 1.0
+            by_gain = value.by_gain.copy()
+            if self._model.has_integral:
+                by_gain[1] += by_gain[2] * self._K[2] / self._K[1]
+            slope = np.append(part * by_gain[self._free] * self._scale, last)
+            if not self._for_delay:
+                slack += float(x[-1])
+        self._known = (key, slack, slope)
+        return slack, slope
+
+
+def starts_between(full: Array, speed: Array) -> list[Array]:
+    """Gains to begin at, from the exact optima with full and with speed-only feedback."""
+    return [full, 0.5 * (full + speed), 0.9 * speed + 0.1 * full, speed]
+
+
+def _starts(model: SpeedModel, gamma: float, feedback: Feedback) -> list[Array]:
+    """From the exact optima; where speed alone does not keep ``gamma``, with less current feedback."""
+    if feedback is Feedback.SPEED:
+        speed = largest_delay(model, gamma, Feedback.SPEED).K
+        return [speed, 1.2 * speed]
+    full = largest_delay(model, gamma, Feedback.FULL).K
+    try:
+        return starts_between(full, largest_delay(model, gamma, Feedback.SPEED).K)
+    except NoSolution:
+        return [full, 1.2 * full, 1.5 * full]
+
+
+def _gain_starts(model: SpeedModel, delay_s: float, feedback: Feedback) -> list[Array]:
+    speed = least_gain(model, delay_s, Feedback.SPEED).K
+    if feedback is Feedback.SPEED:
+        return [speed, 0.8 * speed]
+    full = least_gain(model, delay_s, Feedback.FULL).K
+    return [full, 0.5 * (full + speed), speed, 0.8 * speed]
+
+
+def _proved(model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int) -> CertifiedDesign:
+    """The certificate at the delay found, or a hair below it where rounding asks for that."""
+    for share in (1.0, 1.0 - 1e-7, 1.0 - 1e-6, 1.0 - 1e-5, 1.0 - 1e-4):
+        try:
+            found = certified_gain(model, model.loop(K, delay_s * share), order)
+        except NoSolution:
+            continue
+        if found.gain <= gamma * (1.0 + 1e-7):
+            return CertifiedDesign(K, delay_s * share, found)
+    what = f"certificate of the gain {gamma:g} at {delay_s * 1e3:g} ms"
+    raise NoSolution(what, "the optimum fails its check")

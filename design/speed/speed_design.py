@@ -1,0 +1,331 @@
+"""The best gain there is for a loop with constant delay: exact limits, no conservatism.
+
+Two questions, for full or speed-only feedback, with or without integral action:
+
+    least gain      min over K of   sup_w |G(jw; K, delay)|
+    largest delay   max over K, delay   such that   |G(jw; K, delay)| <= gamma for all w
+
+Both are semi-infinite programmes: smooth in K and delay at each frequency, but with a constraint for every
+frequency, of which a few are active at the optimum (the gain at rest meets one or two resonances).
+They are solved by exchange: a smooth programme over a finite set of frequencies (SLSQP), to which
+the peaks of its answer are added until none of them breaks the bound. Each start ends in a local optimum;
+the best of several is returned, and its norm is the proven one of :mod:`design.delay.delay_norm`.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from design.delay.delay_loop import Array, DelayLoop, loop_function
+from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, peaks, sampled_norm
+from design.delay.speed_loop import Feedback, SpeedModel
+from design.errors import NoSolution
+
+_EXCHANGES = 30
+_RADIUS = 0.5
+"""How far one exchange may go at first, in parts of each gain and of the delay."""
+_RESTARTS = 5
+_LEAST = 1e-12
+_LESS = (0.0, 1e-6, 1e-4, 1e-3, 1e-2, 0.1)
+_EXCESS = 1e-8
+"""Relative excess of a peak over the bound that is let pass."""
+_K1_STARTS = (-2.0, -1.4, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.2)
+"""Current feedback, A/A, among which the search for full feedback chooses where to start."""
+_K1_FAST = (-4.0, -8.0, -16.0, -32.0, -64.0, -128.0)
+_REFINED = 2
+"""So many of the best starts are refined."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeedDesign:
+    """A gain with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
+
+    K: Array
+    delay_s: float
+    gain: float
+
+
+def least_gain(
+    model: SpeedModel,
+    delay_s: float,
+    feedback: Feedback = Feedback.FULL,
+    integral_time_s: float | None = None,
+) -> SpeedDesign:
+    """The feedback with the least gain from load torque to speed error at ``delay_s``.
+
+    ``integral_time_s``: K2/K3 of a model with integral, by default :meth:`SpeedModel.integral_time_s`.
+    Raises NoSolution if no start leads to a stable loop.
+    """
+    found = []
+    for K in _starts(model, delay_s, feedback, integral_time_s or model.integral_time_s(delay_s)):
+        design = _refine(model, K, delay_s, None, feedback)
+        if design is not None:
+            found.append(design)
+    if not found:
+        raise NoSolution(f"feedback for a delay of {delay_s * 1e3:g} ms", "no stable loop was found")
+    return min(found, key=lambda design: design.gain)
+
+
+def largest_delay(
+    model: SpeedModel,
+    gamma: float,
+    feedback: Feedback = Feedback.FULL,
+    integral_time_s: float | None = None,
+) -> SpeedDesign:
+    """The feedback with the largest delay at which the gain stays within ``gamma``, rad/s per N m.
+
+    ``integral_time_s``: K2/K3 of a model with integral; by default that of the largest delay without
+    integral. Raises NoSolution if no feedback was found that keeps it even without delay.
+    """
+    if model.has_integral and integral_time_s is None:
+        plain = largest_delay(model.without_integral, gamma, Feedback.SPEED)
+        integral_time_s = model.integral_time_s(plain.delay_s)
+    found = []
+    for K in _delay_starts(model, gamma, integral_time_s or math.inf, feedback):
+        design = _refine(model, K, _delay_within(model, K, gamma), gamma, feedback)
+        if design is not None:
+            found.append(design)
+    if not found:
+        what = f"{feedback.value} feedback for a gain of {gamma:g} rad/s per N m"
+        raise NoSolution(what, "no start keeps it even without delay")
+    return max(found, key=lambda design: design.delay_s)
+
+
+def _delay_starts(model: SpeedModel, gamma: float, integral_time_s: float, feedback: Feedback) -> list[Array]:
+    """The most promising of many gains that keep ``gamma`` without delay; some are infeasible, or all."""
+    speed = _speed_starts(model, gamma, integral_time_s)
+    # with current feedback the current loop's rate is a (1 - K1): a small gain may need it fast
+    for first in (_K1_STARTS, _K1_FAST):
+        tried = speed if feedback is Feedback.SPEED else [_with_current(K, K1) for K in speed for K1 in first]
+        ranked = sorted(((_delay_within(model, K, gamma, coarse=True), K) for K in tried), key=_longest)
+        kept = [K for delay_s, K in ranked[:_REFINED] if delay_s > 0.0]
+        if kept or feedback is Feedback.SPEED:
+            break
+    return kept
+
+
+def _longest(ranked: tuple[float, Array]) -> float:
+    return -ranked[0]
+
+
+def delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
+    """The largest delay, s, up to which every smaller one keeps the norm within ``gamma``; 0 if none."""
+    return _delay_within(model, np.asarray(K, dtype=float), gamma, exact=True)
+
+
+def _delay_within(
+    model: SpeedModel, K: Array, gamma: float, exact: bool = False, coarse: bool = False
+) -> float:
+    stable_s = largest_stable_delay_s(model.loop(K, 0.0))
+    if stable_s == 0.0:
+        return 0.0
+
+    def within(delay_s: float) -> bool:
+        return _keeps(model.loop(K, delay_s), gamma, exact)
+
+    if not within(0.0):
+        return 0.0
+    high = stable_s if math.isfinite(stable_s) else 100.0
+    # the norm may come back under the bound: look for the first delay at which it leaves it
+    steps = np.linspace(0.0, high, 25)[1:] if math.isfinite(stable_s) else np.geomspace(1e-4, high, 40)
+    low = 0.0
+    for step in steps:
+        if not within(float(step)):
+            high = float(step)
+            break
+        low = float(step)
+    else:
+        return low
+    while high - low > (0.02 * high if coarse else 1e-9 + 1e-9 * high):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if within(middle) else (low, middle)
+    return low
+
+
+def _keeps(loop: DelayLoop, gamma: float, exact: bool = False) -> bool:
+    """Whether the loop is stable and its norm within ``gamma``."""
+    if not is_stable(loop):
+        return False
+    norm = hinf_norm(loop) if exact else sampled_norm(loop)
+    return norm <= gamma * (1.0 + 1e-9)
+
+
+def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time_s: float) -> list[Array]:
+    """Gains that are stable at ``delay_s``, from the least of speed-only feedback."""
+    free = len(model.A)
+    best: tuple[float, Array] = (math.inf, np.zeros(free))
+    for k in np.geomspace(1e-5, 1e3, 161) * _natural_gain(model):
+        K = _speed_gain(model, -float(k), integral_time_s)
+        loop = model.loop(K, delay_s)
+        if is_stable(loop):
+            gain = sampled_norm(loop)
+            if gain < best[0]:
+                best = (gain, K)
+    if math.isinf(best[0]):
+        return []
+    found = [best[1]]
+    if feedback is Feedback.FULL:
+        found += [K for K1 in _K1_STARTS if is_stable(model.loop(K := _with_current(best[1], K1), delay_s))]
+    return found
+
+
+def _natural_gain(model: SpeedModel) -> float:
+    """A speed gain, A s/rad, at which the crossing is about the current loop's rate over ten."""
+    rate = -float(model.A[0, 0])
+    return rate / 10.0 / float(model.A[1, 0])
+
+
+def _speed_gain(model: SpeedModel, K2: float, integral_time_s: float) -> Array:
+    K = np.zeros(len(model.A))
+    K[1] = K2
+    if model.has_integral:
+        K[2] = K2 / integral_time_s
+    return K
+
+
+def _speed_starts(model: SpeedModel, gamma: float, integral_time_s: float) -> list[Array]:
+    """Speed gains around the least that keeps the gain at rest within ``gamma``."""
+    slope, friction = float(model.A[1, 0]), -float(model.A[1, 1])
+    J = 1.0 / float(model.B2[1])
+    needed = max((1.0 / gamma - friction * J) / (slope * J), 1e-6 * _natural_gain(model))
+    # beside an integral, or where the current loop is slow for it, the resonance counts, not the gain at rest
+    factors = (1.02, 1.15, 1.6, 2.5, 4.0, 8.0, 20.0)
+    return [_speed_gain(model, -needed * factor, integral_time_s) for factor in factors]
+
+
+def _with_current(K: Array, K1: float) -> Array:
+    """K with current feedback and the rest turned so that the gain at rest stays."""
+    turned = K * (1.0 - K1)
+    turned[0] = K1
+    return np.asarray(turned)
+
+
+def _refine(
+    model: SpeedModel, K: Array, delay_s: float, gamma: float | None, feedback: Feedback
+) -> SpeedDesign | None:
+    """The best that :func:`_refine_once` reaches, begun again from where it ended until it gains no more."""
+    best: SpeedDesign | None = None
+    for _ in range(_RESTARTS):
+        found = _refine_once(model, K, delay_s, gamma, feedback)
+        if found is None or (best is not None and not _better(found, best, gamma, 1e-7)):
+            break
+        best = found
+        K, delay_s = best.K, best.delay_s
+    return best
+
+
+def _refine_once(
+    model: SpeedModel, K: Array, delay_s: float, gamma: float | None, feedback: Feedback
+) -> SpeedDesign | None:
+    """The local optimum next to (K, delay): of the gain, or of the delay within ``gamma``."""
+    free = np.array(model.free_gains(feedback))
+    scale = np.where(free == 0, 1.0, np.abs(K[free]))
+    bound = gamma if gamma is not None else hinf_norm(model.loop(K, delay_s))
+    if math.isinf(bound):
+        return None
+    programme = _Programme(model, K.copy(), free, scale, delay_s, bound, gamma is not None)
+    centre, radius = programme.start(), _RADIUS
+    x = centre
+    frequencies = np.array([peak.frequency_rad_s for peak in peaks(programme.loop(x), share=0.3)])
+    best: SpeedDesign | None = None
+    for _ in range(_EXCHANGES):
+        x = programme.solve(x, frequencies, centre, radius)
+        loop = programme.loop(x)
+        if not is_stable(loop):
+            # too far for what these frequencies know
+            radius, x = 0.5 * radius, centre
+            continue
+        found = peaks(loop, share=0.5)
+        worst = max(peak.gain for peak in found)
+        design = _measured(model, programme, x, gamma, worst)
+        if design is not None and (best is None or _better(design, best, gamma)):
+            best = design
+        if worst <= programme.allowed(x) * (1.0 + _EXCESS):
+            if np.max(np.abs(x - centre)) < 0.9 * radius:
+                break
+            centre = x
+        frequencies = np.union1d(frequencies, [peak.frequency_rad_s for peak in found])
+    if best is None:
+        return None
+    norm = hinf_norm(model.loop(best.K, best.delay_s))
+    return SpeedDesign(best.K, best.delay_s, norm)
+
+
+def _better(design: SpeedDesign, best: SpeedDesign, gamma: float | None, by: float = 0.0) -> bool:
+    if gamma is None:
+        return design.gain < best.gain * (1.0 - by)
+    return design.delay_s > best.delay_s * (1.0 + by)
+
+
+def _measured(
+    model: SpeedModel, programme: "_Programme", x: Array, gamma: float | None, worst: float
+) -> SpeedDesign | None:
+    K = programme.gain_of(x)
+    if gamma is None:
+        return SpeedDesign(K, programme.delay_s, worst)
+    # on the way the programme stands outside the bound: a little less delay brings it in
+    for share in _LESS:
+        delay_s = programme.delay_of(x) * (1.0 - share)
+        if (share == 0.0 and worst <= gamma * (1.0 + _EXCESS)) or _keeps(model.loop(K, delay_s), gamma):
+            return SpeedDesign(K, delay_s, gamma)
+    delay_s = _delay_within(model, K, gamma)
+    return SpeedDesign(K, delay_s, gamma) if delay_s > 0.0 else None
+
+
+class _Programme:
+    """The smooth programme over given frequencies; x = [K/scale, log of delay or gain relative to start]."""
+
+    def __init__(
+        self, model: SpeedModel, K: Array, free: Array, scale: Array, delay_s: float, bound: float,
+        for_delay: bool,
+    ) -> None:  # fmt: skip
+        self._model = model
+        self._K = K
+        self._free = free
+        self._scale = scale
+        self.delay_s = delay_s
+        self._bound = bound
+        self._for_delay = for_delay
+
+    def start(self) -> Array:
+        return np.append(self._K[self._free] / self._scale, 0.0)
+
+    def gain_of(self, x: Array) -> Array:
+        return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
+
+    def delay_of(self, x: Array) -> float:
+        return self.delay_s * math.exp(x[-1]) if self._for_delay else self.delay_s
+
+    def allowed(self, x: Array) -> float:
+        """The bound on |G|."""
+        return self._bound if self._for_delay else self._bound * math.exp(x[-1])
+
+    def loop(self, x: Array) -> DelayLoop:
+        return self._model.loop(self.gain_of(x), self.delay_of(x))
+
+    def solve(self, x: Array, frequencies: Array, centre: Array, radius: float) -> Array:
+        """From ``x``, the optimum within ``radius`` of ``centre`` when only ``frequencies`` count."""
+        sign = -1.0 if self._for_delay else 1.0
+
+        def slack(x: Array) -> Array:
+            function = loop_function(self.loop(x))
+            # with an integral the gain at rest is zero
+            values = np.maximum(function.magnitude(frequencies * function.time_unit_s), _LEAST)
+            return np.asarray(math.log(self.allowed(x)) - np.log(values))
+
+        objective: Callable[[Array], float] = lambda x: sign * float(x[-1])  # noqa: E731
+        gradient = np.zeros(len(x))
+        gradient[-1] = sign
+        answer = minimize(
+            objective,
+            x,
+            jac=lambda _x: gradient,
+            bounds=[(value - radius, value + radius) for value in centre],
+            constraints=[{"type": "ineq", "fun": slack}],
+            method="SLSQP",
+            options={"ftol": 1e-12, "maxiter": 60},
+        )
+        return np.asarray(answer.x)

@@ -1,0 +1,118 @@
+"""How much a speed loop bears beyond what it was designed for.
+
+The margins are those of L = -K (s I - A)^{-1} B1 e^{-s eta}, the loop cut at its input, with one constant
+delay: the largest age of a sample, so that they are what is left at worst. The noise is that of the
+sampled loop, or with a constant delay of what the speed gain passes on.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from design.delay.delay_loop import Array, DelayLoop
+from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.delay_response import step_peak
+from design.delay.speed_loop import SpeedModel, peak_floor_rad_s
+from design.hinf.margins import Margins, margins_of
+from design.motor import PmsmParameters
+from design.sampled.admissible_steps import Delivery
+from design.sampled.held_loop import HeldLoop
+from design.sampled.loss_patterns import Pattern, chain_of, pattern_gains, pattern_of, repeated
+from design.statespace import ComplexArray
+
+_DECADES = 1e4
+"""Around the loop's rates, either way: where crossings are looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """What a plant other than the design's makes of the gains, rad/s per N m; inf: unstable."""
+
+    gain: float
+    """With the constant delay."""
+    gain_found: float | None
+    """The largest under the patterns that are worst for the design's plant; None: no network is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRobustness:
+    """Figures of one speed loop."""
+
+    peak_over_floor: float
+    """Largest error after a load step, over the least that any controller reaches with this delay."""
+    margins: Margins
+    delay_margin_s: float
+    """Beyond the design's delay, up to instability."""
+    inertia_less: Changed
+    inertia_more: Changed
+    current_loop_slower: Changed
+    noise_nm_s_rad: float
+    """Torque command, N m rms, that 1 rad/s rms of white noise on each speed sample makes."""
+
+
+def speed_robustness(
+    plant: Callable[[PmsmParameters, float], SpeedModel],
+    motor: PmsmParameters,
+    loop: DelayLoop,
+    held: HeldLoop | None,
+    patterns: list[Pattern],
+) -> SpeedRobustness:
+    """The figures.
+
+    ``plant``: model of a motor whose current loop has so many times the design's rate; ``held``: the
+    sampled loop, if a network is known, with the ``patterns`` that are worst for it.
+    """
+
+    def changed(inertia: float, rate: float) -> Changed:
+        model = plant(replace(motor, inertia_kg_m2=motor.inertia_kg_m2 * inertia), rate)
+        constant = hinf_norm(model.loop(loop.K, loop.delay_s))
+        if held is None:
+            return Changed(constant, None)
+        other = HeldLoop(model, held.K, held.network)
+        same = [pattern_of(other, pattern.steps) for pattern in patterns]
+        return Changed(constant, float(np.max(pattern_gains(other, same, 1e-4))))
+
+    return SpeedRobustness(
+        step_peak(loop) / peak_floor_rad_s(motor, loop.delay_s) if loop.delay_s > 0.0 else math.inf,
+        loop_margins(loop),
+        max(0.0, largest_stable_delay_s(loop) - loop.delay_s),
+        changed(0.7, 1.0),
+        changed(1.3, 1.0),
+        changed(1.0, 0.5),
+        noise_gain(motor, loop, held),
+    )
+
+
+def loop_margins(loop: DelayLoop) -> Margins:
+    """Margins of the loop cut at its input."""
+
+    def response(omega: Array) -> ComplexArray:
+        s = 1j * omega[:, None, None]
+        column = np.broadcast_to(loop.B[:, None], (len(omega), len(loop.B), 1))
+        inner = np.linalg.solve(s * np.eye(len(loop.A)) - loop.A, column)[:, :, 0]
+        return np.asarray(-(inner @ loop.K) * np.exp(-1j * omega * loop.delay_s))
+
+    rate = float(np.max(np.abs(np.linalg.eigvals(loop.A))))
+    return margins_of(response, rate / _DECADES, rate * math.sqrt(_DECADES))
+
+
+def noise_gain(motor: PmsmParameters, loop: DelayLoop, held: HeldLoop | None) -> float:
+    """N m rms of torque command by 1 rad/s rms of white noise on each speed sample; inf if unstable."""
+    own = motor.torque_constant_nm_a * abs(float(loop.K[1]))
+    if held is None:
+        return own
+    # every sample comes, as late as it may: v_0 = K x + K2 noise, and the loop feeds it back
+    pattern = repeated(held, (Delivery(1, held.network.delay_max_s),))
+    if pattern.decay_per_s <= 0.0:
+        return math.inf
+    n, k = len(held.model.A), held.kept
+    chain = chain_of(held, pattern)
+    noise = np.zeros(held.size)
+    noise[n + 1] = held.K[1]
+    entered = (held.transition(chain[1:]) @ noise)[:k]
+    covariance = solve_discrete_lyapunov(held.kept_transition(chain), np.outer(entered, entered))
+    row = np.append(held.K, np.zeros(k - n))
+    return motor.torque_constant_nm_a * math.sqrt(float(row @ covariance @ row) + float(held.K[1]) ** 2)
