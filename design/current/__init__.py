@@ -1,0 +1,1 @@
+"""Current controllers of one axis and of both together."""

@@ -1,0 +1,1 @@
+"""Loops with a constant delay: norms, responses, LMIs, certificates."""

@@ -1,0 +1,1 @@
+"""H-infinity synthesis, and what it needs: weights, reduction, margins, robustness."""

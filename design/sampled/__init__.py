@@ -1,0 +1,1 @@
+"""The loop that really runs: sampled, with losses and delays that vary; certified and found."""

@@ -1,7 +1,8 @@
 """Certificates of a sampled loop for every admissible sequence of losses and delays.
 
 The sequences are the walks of a graph (:mod:`design.sampled.admissible_steps`), each edge with the corners of
-all that it may mean and the bounds of what lies between (:mod:`design.sampled.step_maps`). Quadratic functions
+all that it may mean and the bounds of what lies between (:mod:`design.sampled.step_maps`). Quadratic
+functions
 xi' P_i xi, one for each node, with
 
     value of any stretch from i to j of P_j  <=  P_i         the gain is proved

@@ -1,0 +1,1 @@
+"""Speed controllers: designed, tuned, held against spread of the motor."""

@@ -1,0 +1,1 @@
+"""The CANopen master: network, SDO, PDO, NMT, LSS, heartbeats (CiA 301, 305)."""

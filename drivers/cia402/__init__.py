@@ -1,0 +1,1 @@
+"""The client of a servo drive: states, modes, set-points, readings, scaling (CiA 402)."""

@@ -1,0 +1,1 @@
+"""Dynamometers on a serial line."""

@@ -1,0 +1,1 @@
+"""One bus segment to the bit: arbitration, errors, the simulated bus, the hub."""

@@ -1,0 +1,1 @@
+"""A CANopen device without I/O (CiA 301)."""

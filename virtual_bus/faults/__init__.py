@@ -1,0 +1,1 @@
+"""Fault plans, and what strikes frames and devices by them."""
