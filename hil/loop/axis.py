@@ -246,7 +246,7 @@ class Axis:
     def settle(self, now: int) -> None:
         """Record the cycles of which everything is known in cycle ``now``."""
         self._collect_demands()
-        for fate in self.meter.settle():
+        for fate in self.meter.settle(self.parts.syncs.heard_until):
             self._hold(fate)
         settled = self._settled
         while settled:

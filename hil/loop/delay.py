@@ -13,6 +13,9 @@ from typing import Final
 from drivers.timebase import Duration, Instant
 from hil.loop.samples import Dropout, DropoutCause, Observation, Sample
 
+UNHEARD_MAX: Final = 100
+"""Cycles beyond the horizon for which a fate waits while nothing is heard of the bus: five times the longest
+standstill of a process that was seen on a shared machine."""
 MEDIAN_STEP: Final = 20.0
 """The running median moves by this part of itself: it follows a change within some twenty readings, and one
 outlier hardly moves it."""
@@ -109,23 +112,32 @@ class DelayMeter:
         place.fate = Fate(sequence, observation, delay)
         return cause is None
 
-    def settle(self) -> list[Fate]:
-        """The fates that have become final since the last call, in order of sequence."""
+    def settle(self, heard_until: Instant) -> list[Fate]:
+        """The fates that have become final since the last call, in order of sequence.
+
+        ``heard_until``: what the bus brought up to then is known. A reading may lie on its way in a hub or an
+        adapter that stands still, with its stamp: it is lost for certain when the bus has been heard beyond
+        the horizon.
+        """
         outstanding = self._outstanding
         fates: list[Fate] = []
         while outstanding:
             fate = outstanding[0].fate
             if fate is None:
-                if len(outstanding) <= self._horizon:
+                behind = len(outstanding) - 1 - self._horizon
+                if behind < 0:
                     break
-                fate = self._lost(outstanding[0])
+                heard = heard_until >= outstanding[self._horizon].due_at
+                if not heard and behind < UNHEARD_MAX:
+                    break
+                fate = self._lost(outstanding[0], heard)
             fates.append(fate)
             outstanding.pop(0)
         return fates
 
     def settle_all(self) -> list[Fate]:
         """End of the run: what has not come by now is lost."""
-        fates = [place.fate or self._lost(place) for place in self._outstanding]
+        fates = [place.fate or self._lost(place, True) for place in self._outstanding]
         self._outstanding.clear()
         return fates
 
@@ -137,8 +149,8 @@ class DelayMeter:
             return self._outstanding[index]
         return None
 
-    def _lost(self, place: _Outstanding) -> Fate:
-        return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, True), None)
+    def _lost(self, place: _Outstanding, certain: bool) -> Fate:
+        return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, certain), None)
 
     def doubts(self, sequence: int) -> bool:
         """Whether a reading of uncertain place may have been that of cycle ``sequence``."""

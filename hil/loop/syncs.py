@@ -165,6 +165,12 @@ class SyncLog:
         return self._counted
 
     @property
+    def heard_until(self) -> Instant:
+        """What the bus brought up to then has come in, as frames come in their order: until the last SYNC of
+        which it gave word. A bus without echoes gives none, and is taken to bring all at once."""
+        return self._last_on_bus if self._echoed else Instant(1 << 62)
+
+    @property
     def last_on_bus(self) -> Instant:
         """The end of the last SYNC on the bus."""
         return self._last_on_bus

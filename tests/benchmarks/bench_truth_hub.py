@@ -29,8 +29,9 @@ def main() -> None:
         "--commands", choices=SIDES, action="append", help="where they are lost and late; each, if left out"
     )
     parser.add_argument("--stalls", type=int, metavar="SEED", help="let the processes stand still at times")
+    parser.add_argument("--longest-ms", type=float, default=15.0, help="for how long at most")
     options = parser.parse_args()
-    stalls = None if options.stalls is None else Stalls(options.stalls)
+    stalls = None if options.stalls is None else Stalls(options.stalls, longest_ms=options.longest_ms)
     for axes in options.axes or (1, 3):
         for side in options.commands or SIDES:
             at_host = COMMANDS_LATE if side == "host" else ""

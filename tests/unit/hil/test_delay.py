@@ -5,11 +5,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.loop.delay import DelayMeter
+from hil.loop.delay import UNHEARD_MAX, DelayMeter
 from hil.loop.samples import Dropout, DropoutCause, Sample
 from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)
+HEARD = Instant(1 << 62)
+"""Nothing is on its way any more."""
 
 
 def sample(sequence: int, delay_us: int, certain: bool = True) -> Sample:
@@ -24,7 +26,7 @@ def sent(meter: DelayMeter, *sequences: int) -> None:
 
 
 def causes(meter: DelayMeter) -> list[DropoutCause | None]:
-    fates = meter.settle()
+    fates = meter.settle(HEARD)
     return [fate.observation.cause if isinstance(fate.observation, Dropout) else None for fate in fates]
 
 
@@ -32,10 +34,31 @@ def test_a_reading_in_time_is_used() -> None:
     meter = DelayMeter(DEADLINE, 5)
     sent(meter, 1)
     assert meter.arrived(sample(1, 300))
-    (fate,) = meter.settle()
+    (fate,) = meter.settle(HEARD)
     assert fate.sequence == 1
     assert fate.delay == 300_000
-    assert meter.settle() == []
+    assert meter.settle(HEARD) == []
+
+
+def test_a_reading_is_given_up_when_the_bus_has_been_heard_beyond_the_horizon() -> None:
+    """A hub that stands still keeps readings that have their stamps already."""
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, *range(1, 12))
+    assert meter.settle(Instant(4 * NS_PER_MS - 1)) == []
+    meter.arrived(sample(1, 300))
+    used, lost = meter.settle(Instant(5 * NS_PER_MS))
+    assert used.observation.certain
+    assert isinstance(lost.observation, Dropout)
+    assert (lost.sequence, lost.observation.cause, lost.observation.certain) == (2, DropoutCause.LOST, True)
+
+
+def test_what_is_given_up_while_nothing_is_heard_is_uncertain() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, *range(1, UNHEARD_MAX + 4))
+    assert meter.settle(Instant(0)) == []
+    sent(meter, UNHEARD_MAX + 4)
+    (lost,) = meter.settle(Instant(0))
+    assert (lost.sequence, lost.observation.certain) == (1, False)
 
 
 def test_a_reading_after_the_deadline_is_late_and_of_no_use() -> None:
@@ -60,7 +83,7 @@ def test_a_reading_is_certainly_stale_only_if_the_newer_one_was_certain() -> Non
     assert not meter.arrived(sample(1, 1500))
     meter.arrived(sample(3, 100))
     assert not meter.arrived(sample(2, 1800))
-    certain = [fate.observation.certain for fate in meter.settle()]
+    certain = [fate.observation.certain for fate in meter.settle(HEARD)]
     assert certain == [False, True, True]
 
 
@@ -80,7 +103,7 @@ def test_a_duplicate_and_one_beyond_the_horizon_are_unmatched() -> None:
     sent(meter, 1)
     meter.arrived(sample(1, 100))
     assert not meter.arrived(sample(1, 150))
-    meter.settle()
+    meter.settle(HEARD)
     assert not meter.arrived(sample(1, 900))
     assert meter.unmatched == 2
 
@@ -98,7 +121,7 @@ def test_the_typical_delay_is_the_median_not_the_mean() -> None:
     for number in range(1, 2001):
         sent(meter, number)
         meter.arrived(sample(number, 40_000 if number % 4 == 0 else 500))
-        meter.settle()
+        meter.settle(HEARD)
     assert meter.typical_delay == pytest.approx(500_000, rel=0.1)
 
 
@@ -116,7 +139,7 @@ def test_every_sequence_has_exactly_one_fate_in_order(delays_us: list[int | None
             sent(meter, number)
         else:
             meter.arrived(sample(number, delays_us[number - 1] or 0))
-        fates += meter.settle()
+        fates += meter.settle(HEARD)
     fates += meter.settle_all()
     assert [fate.sequence for fate in fates] == list(range(1, len(delays_us) + 1))
     for fate, delay in zip(fates, delays_us, strict=True):
@@ -161,6 +184,6 @@ def test_a_certain_reading_takes_the_place_of_an_uncertain_one() -> None:
     sent(meter, 1, 2)
     assert meter.arrived(sample(1, 100, certain=False))
     assert meter.arrived(sample(1, 300))
-    (fate,) = meter.settle()
+    (fate,) = meter.settle(HEARD)
     assert fate.delay == 300_000
     assert fate.observation.certain
