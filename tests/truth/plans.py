@@ -102,6 +102,7 @@ COMMANDS_LATE: Final = _fault("loss", "probability = 0.1", _OUT) + _fault("delay
 COMMANDS_LATE_BEHIND: Final = _fault("loss", "probability = 0.1", _OUT, _BEHIND) + _fault(
     "delay", "delay_us = 600", _OUT, _BEHIND
 )
+_SYNCS_HELD: Final = _fault("delay", _span("delay", 0, 12_000), _SYNC)
 _STOPPED: Final = _fault("host_stall", "every_s = 0.0837", "late_us = 30000")
 _BLACKOUTS: Final = "blackout = [{from_s = 0.5, duration_s = 0.015}, {from_s = 1.0, duration_s = 0.06}]"
 _RANDOM_STEPS: Final = _fault(
@@ -119,13 +120,9 @@ PLANS: Final = (
     Plan("loss in bursts", _fault("burst", "p_good_to_bad = 0.02, p_bad_to_good = 0.2")),
     Plan("two of three lost", _fault("periodic_loss", "lost = 2", _IN)),
     Plan("blackouts", _BLACKOUTS),
-    Plan("SYNCs lost", _SYNC_LOSS, decides=False),
-    Plan(
-        "SYNCs lost in bursts",
-        _fault("burst", "p_good_to_bad = 0.01, p_bad_to_good = 0.2", _SYNC),
-        decides=False,
-    ),
-    Plan("SYNCs and PDOs lost", _SYNC_PDO_LOSS, decides=False),
+    Plan("SYNCs lost", _SYNC_LOSS),
+    Plan("SYNCs lost in bursts", _fault("burst", "p_good_to_bad = 0.01, p_bad_to_good = 0.2", _SYNC)),
+    Plan("SYNCs and PDOs lost", _SYNC_PDO_LOSS),
     # delays
     Plan("delay 600 us", _delay(600)),
     Plan("delay 3300 us", _delay(3300), deadline_us=5000),
@@ -142,6 +139,8 @@ PLANS: Final = (
     Plan("gateway from 0.5 s on", _GATEWAY, deadline_us=7000),
     Plan("SYNCs 0-300 us late", _fault("delay", _span("delay", 0, 300), _SYNC)),
     Plan("SYNCs 1200 us late", _fault("delay", "delay_us = 1200", _SYNC)),
+    Plan("SYNCs 0-12 ms late", _SYNCS_HELD),
+    Plan("SYNCs 0-12 ms late, three axes", _SYNCS_HELD, axes=3),
     Plan("SYNCs twice", _fault("duplicate", "probability = 0.1, later_us = 200", _SYNC)),
     Plan(
         "loss, delay, reordering", _LOSS + _JITTER + _fault("reorder", "probability = 0.05, held_us = 2500")
@@ -172,7 +171,7 @@ PLANS: Final = (
     # without stamps
     Plan("no stamps", stamps=False),
     Plan("no stamps, loss", _LOSS, stamps=False),
-    Plan("no stamps, SYNCs lost", _SYNC_LOSS, stamps=False, decides=False),
+    Plan("no stamps, SYNCs lost", _SYNC_LOSS, stamps=False),
     Plan("no stamps, delay 0-500 us", _delay(0, 500), stamps=False),
     Plan("no stamps, delay 0-1500 us", _JITTER, stamps=False, decides=False, delay_us=NO_LIMIT),
     Plan("no stamps, gateway", _GATEWAY, stamps=False, decides=False, delay_us=NO_LIMIT, deadline_us=7000),
@@ -226,6 +225,7 @@ SHORT: Final = (
     "clock steps -350 us",
     "clock steps +1 s",
     "SYNCs 1200 us late",
+    "SYNCs 0-12 ms late, three axes",
     "host 0-5 ms late",
     "no stamps, loss",
     "kernel's SYNCs and PDOs lost",

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from drivers.record import replaced
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
 from virtual_bus.bus.segment import Segment
@@ -164,7 +163,6 @@ class HostTap(FramePort):
 
     def transmit(self, frame: Frame) -> None:
         if frame.can_id == SYNC_ID or frame.can_id in PDO_IDS:
-            frame = replaced(frame)  # an object of its own, even if the sender keeps one for all its SYNCs
             self._log.handed.append(Passed(self._now(), frame))
         self._inner.transmit(frame)
 
