@@ -7,17 +7,12 @@ from drivers.errors import LimitExceeded
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import BENCH
+from tests.vcan.late_machine import NO_MATTER_HOW_LATE
 
 pytestmark = pytest.mark.servo_bus("vcan")
 
 PERIOD_S = 0.01
 SILENT_S = 20 * PERIOD_S
-NO_MATTER_HOW_LATE = {
-    "verdict.speed_error_peak_percent_max": 100.0,
-    "verdict.after_load_percent_max": 100.0,
-    "verdict.dropouts_percent_max": 100.0,
-}
-"""The time of a machine inside another means nothing."""
 
 
 def assert_cycles_are_syncs(run: Run) -> None:

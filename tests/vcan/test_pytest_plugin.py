@@ -6,6 +6,7 @@ from drivers.cia402.profile import State
 from hil.pytest_plugin import MakeDrive
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import BENCH
+from tests.vcan.late_machine import NO_MATTER_HOW_LATE
 
 pytestmark = pytest.mark.servo_bus("vcan")
 
@@ -22,7 +23,7 @@ def test_a_drive_turns_and_stops_and_says_nothing_else(servo_bus: str, servo_dri
 
 
 def test_a_bench_passes_in_the_process_of_the_test(servo_bench: BenchRunner) -> None:
-    run = servo_bench(BENCH)
+    run = servo_bench(BENCH, NO_MATTER_HOW_LATE)
     run.assert_passed()
     run.assert_stayed(State.OPERATION_ENABLED)
     run.assert_no_unintended_frame()
