@@ -39,8 +39,10 @@ MODES = (
     Mode.CYCLIC_SYNCHRONOUS_VELOCITY,
     Mode.CYCLIC_SYNCHRONOUS_TORQUE,
 )
-DWELL = Duration(30 * NS_PER_MS)
-"""Time for the monitor to have heard what was sent."""
+MARK = 0x7FF
+"""An identifier that nobody uses (CiA 301 keeps it free): what was sent before it has been heard with it."""
+HEARD_WITHIN_S = 10.0
+"""For a monitor that the machine keeps from running."""
 
 
 @dataclass
@@ -89,7 +91,7 @@ class ModesRig:
     def words(self) -> list[int]:
         """Controlwords on the wire since the last call, in RPDOs and by SDO: each that was another than
         the one before."""
-        self.network.pump(self.network.deadline_after(DWELL))
+        self._let_all_be_heard()
         words: list[int] = []
         for can_id, data in self.heard:
             word = self._controlword(can_id, data)
@@ -98,6 +100,14 @@ class ModesRig:
                 words.append(word)
         self.heard.clear()
         return words
+
+    def _let_all_be_heard(self) -> None:
+        """Until the monitor has heard a frame that the client hands over behind all its others."""
+        given_up = self.soon(HEARD_WITHIN_S)
+        self.network.send_message(MARK, b"")
+        while (MARK, b"") not in self.heard:
+            assert self.network.clock.now() < given_up, "the monitor hears nothing"
+            self.wait(0.001)
 
     def _controlword(self, can_id: int, data: bytes) -> int | None:
         for pdo in self.plan.rpdos:
