@@ -294,4 +294,5 @@ class ModesSuite:
         released = rig.drive.release()
         assert released.at_rest, released.evidence
         assert released.state is State.SWITCH_ON_DISABLED
-        assert rig.words() == [0x02, 0x00]
+        words = rig.words()
+        assert words in ([0x02], [0x02, 0x00]), "a quick stop disables by itself; 0 where it had not yet"
