@@ -92,6 +92,8 @@ def _print(plan: Plan, found: HubOutcome) -> None:
         f" ({commands.true_loss_percent:.1f}) %, delay us {delays}"
     )
     print(f"  of them {commands.wrong} wrong, {commands.outside} outside of their interval")
+    for example in commands.examples:
+        print(f"    {example}")
 
 
 def _print_holdings(holdings: list[Holding]) -> None:

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from drivers.timebase import NS_PER_US, Duration
+from tests.truth.judge import EXAMPLES_MAX
 from tests.truth.rows import ACTING, COMMAND_LOST, NO_INSTANT, NOT_IDENTIFIABLE, Told
 from tests.truth.truth import AxisTruth
 
@@ -34,11 +35,14 @@ class CommandJudgement:
     """Hand-over to acting, of those told acting that did."""
     told_delays_ns: list[int] = field(default_factory=list)
     """The same as told: to the middle of the interval."""
+    examples: list[str] = field(default_factory=list)
+    """Of what is wrong, told in words."""
 
     def add(self, other: "CommandJudgement") -> None:
         """Take ``other`` in."""
         self.true_delays_ns += other.true_delays_ns
         self.told_delays_ns += other.told_delays_ns
+        self.examples = (self.examples + other.examples)[:EXAMPLES_MAX]
         for name in (
             "handed",
             "lost",
@@ -88,15 +92,23 @@ def judge_commands(told: Told, truth: AxisTruth) -> CommandJudgement:
         result.lost += command.acts_at is None
         on_bus_at = int(row["command_on_bus_at"])
         fate = int(row["command_fate"])
+        if (fate == COMMAND_LOST and command.acts_at is not None) or (
+            fate == ACTING and command.acts_at is None
+        ):
+            result.wrong += 1
+            if len(result.examples) < EXAMPLES_MAX:
+                told_as = "lost" if fate == COMMAND_LOST else "acting"
+                result.examples.append(
+                    f"command of cycle {row['sequence']}, handed over {handed_at}: told as {told_as}, by its"
+                    f" echo {on_bus_at}; in truth on the bus {command.on_bus_at}, acts {command.acts_at}"
+                )
         if fate != NOT_IDENTIFIABLE:  # of two equal frames the echo does not say whose it is
             result.echo_wrong += on_bus_at not in (NO_INSTANT, command.on_bus_at)
         if fate == COMMAND_LOST:
             result.told_lost += 1
-            result.wrong += command.acts_at is not None
         elif fate == ACTING:
             result.told_acting += 1
             if command.acts_at is None:
-                result.wrong += 1
                 continue
             after, by = int(row["command_acts_after"]), int(row["command_acts_by"])
             inside = after - INSTANT_TOLERANCE <= command.acts_at <= by + INSTANT_TOLERANCE

@@ -24,8 +24,8 @@ from virtual_bus.frame import Frame
 _SYNC: Final = Frame(SYNC_ID)
 ON_BUS_WITHIN: Final = Duration(100 * NS_PER_MS)
 """Longer no process waits for a core, even on a machine that others use too."""
-COMMAND_WITHIN_CYCLES: Final = 16
-"""No command takes longer than so many cycles to the drive."""
+COMMAND_WITHIN_CYCLES: Final = 80
+"""No command takes longer than so many cycles to the drive: the longest standstill, and its backlog."""
 
 Instants = NDArray[np.int64]
 
