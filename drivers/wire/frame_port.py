@@ -65,7 +65,7 @@ class EchoBasis(Enum):
     HARDWARE = "hardware"
     """They come back with the adapter's stamp."""
     BUS = "bus"
-    """They come back with the computed end of frame: simulated bus and hub."""
+    """They come back with the computed end of frame, and tell which frame it is: simulated bus and hub."""
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

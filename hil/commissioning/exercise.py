@@ -245,7 +245,7 @@ class Exerciser:
             by_stamp=StampAttribution(syncs, ClockMap(), period, transit, _unsaid),
             by_order=OrderAttribution(syncs, period, transit, _unsaid),
             meter=DelayMeter(Duration(5 * period), _HORIZON),
-            commands=CommandMeter(_HORIZON),
+            commands=CommandMeter(_HORIZON, syncs),
         )
         return Axis(0, parts, period, records.append)
 

@@ -203,7 +203,7 @@ def axis(
         by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
         by_order=OrderAttribution(syncs, timing.period, transit, tell),
         meter=DelayMeter(config.loop.deadline, config.loop.horizon_periods),
-        commands=CommandMeter(config.loop.horizon_periods, _settles(timing)),
+        commands=CommandMeter(config.loop.horizon_periods, syncs, _settles(timing)),
     )
     return Axis(number, parts, timing.period, record, Duration(later))
 

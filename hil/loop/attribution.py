@@ -60,10 +60,13 @@ class Question:
     stays; the rows of a run wait for that (:data:`HELD_MAX` cycles, :data:`HELD_FOR` at most).
     """
 
-    __slots__ = ("_amended", "cleared", "open")
+    __slots__ = ("_amended", "cleared", "open", "since")
 
     def __init__(self) -> None:
         self.open = False
+        self.since: int | None = None
+        """While it is open: the first cycle whose reading had been placed and may not have been its own; None
+        if no such one is in doubt."""
         self.cleared = False
         """Whether a question ended without leaving a reading uncertain, since this was last set back."""
         self._amended: dict[int, tuple[bool, int]] = {}

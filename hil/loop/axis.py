@@ -19,6 +19,8 @@ from hil.loop.scenario import LoadProfile, SpeedProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
 
+_SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
+"""What a cycle's reading is known to be by the places of other readings."""
 READINGS_REMEMBERED: Final = 64
 """Readings that a read-back may come after."""
 
@@ -177,7 +179,7 @@ class Axis:
         decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
         decision.mark = self.parts.syncs.last_of(tick.sequence)
         self._decisions.append(decision)
-        self.meter.sync_sent(tick.sequence, tick.due_at)
+        self.meter.sync_sent(tick.sequence, tick.due_at, self.parts.syncs.heard_ns)
 
     def miss(self, tick: Tick) -> str | None:
         """A planned cycle goes without SYNC; why the run must stop after it, or None."""
@@ -246,7 +248,7 @@ class Axis:
     def settle(self, now: int) -> None:
         """Record the cycles of which everything is known in cycle ``now``."""
         self._collect_demands()
-        for fate in self.meter.settle(self.parts.syncs.heard_until):
+        for fate in self.meter.settle(self.parts.syncs.heard_ns):
             self._hold(fate)
         settled = self._settled
         while settled:
@@ -263,7 +265,7 @@ class Axis:
 
     def settle_all(self, now: int) -> None:
         """End of the run: record what is left, with what is known; ``now``: beyond any horizon."""
-        for fate in self.meter.settle_all():
+        for fate in self.meter.settle_all(self.parts.syncs.heard_ns):
             if self._decisions:
                 self._hold(fate)
         self.settle(now)
@@ -271,13 +273,19 @@ class Axis:
     def _take(self, reading: Reading) -> None:
         self._readings += 1
         by_stamp = reading.device_time_ns is not None
+        question = self._by_stamp.question if by_stamp else self._by_order.question
+        was_open = question.open
         sample = self._by_stamp.place(reading) if by_stamp else self._by_order.place(reading)
         place = (self._readings - 1) % READINGS_REMEMBERED
         self._placed[place] = None
-        question = self._by_stamp.question if by_stamp else self._by_order.question
         if question.cleared:
             question.cleared = False
-            self.meter.forget_doubt()
+            self.meter.forget_doubts()
+        if question.open:
+            newest = self.meter.newest
+            if not was_open:
+                self.meter.keep_doubts()
+            self.meter.doubt(newest if question.since is None else question.since, newest)
         if sample is None or not self.meter.arrived(sample):
             return
         if sample.certain:
@@ -321,8 +329,8 @@ class Axis:
         assert fate is not None
         clock = self._by_stamp.clock
         observation = self._by_order.question.applied(self._by_stamp.question.applied(fate.observation))
-        lost = isinstance(observation, Dropout) and observation.cause is DropoutCause.LOST
-        if (mark is not None and not mark.sure) or (lost and self.meter.doubts(tick.sequence)):
+        by_others = isinstance(observation, Dropout) and observation.cause in _SHOWN_BY_OTHERS
+        if (mark is not None and not mark.sure) or (by_others and self.meter.doubts(tick.sequence)):
             observation = replaced(observation, certain=False)
         self.uncertain += not observation.certain
         self._record(

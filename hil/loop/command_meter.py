@@ -9,16 +9,23 @@
 command began to act. A command that equals the one before or after it cannot be told from that; and one that
 was replaced before the next telling is not seen at all: both are *not identifiable*, and counted apart from
 those that were lost.
+
+Where an echo tells of which frame it is, a command without one was not on the bus: it cannot act, and is lost
+once the bus has been heard of for longer than a frame may take.
 """
 
 from typing import Final
 
 from drivers.exchange import SentCommand
 from drivers.timebase import Duration, Instant
+from drivers.wire.frame_port import EchoBasis
+from hil.loop.delay import UNHEARD_MAX
 from hil.loop.samples import CommandFate, Sending
+from hil.loop.syncs import SyncLog
 
-FOLLOWED_MAX: Final = 128
-"""Commands followed at a time: more than any horizon."""
+FOLLOWED_MAX: Final = 256
+"""Commands followed at a time: more than there are cycles for which a row waits, the longest horizon and
+:data:`UNHEARD_MAX` together."""
 ECHO_CYCLES: Final = 2
 """A command's echo is there within so many cycles, or it is of no use to wait for it."""
 
@@ -26,10 +33,14 @@ ECHO_CYCLES: Final = 2
 class _Followed:
     """A command and what is known of its effect."""
 
-    __slots__ = ("acts_after", "acts_by", "fate", "sent")
+    __slots__ = ("acts_after", "acts_by", "fate", "heard_ns", "sent", "shows")
 
-    def __init__(self, sent: SentCommand) -> None:
+    def __init__(self, sent: SentCommand, shows: bool, heard_ns: int) -> None:
+        """``shows``: its own echo tells when it is on the bus. ``heard_ns``: for how long the bus had been
+        heard of."""
         self.sent = sent
+        self.shows = shows
+        self.heard_ns = heard_ns
         self.fate: CommandFate | None = None
         """None while it is open."""
         self.acts_after: Instant | None = None
@@ -37,21 +48,31 @@ class _Followed:
         self.acts_by: Instant | None = None
 
     def was_there(self, at: Instant) -> bool:
-        """Whether it had been handed over by ``at`` and, where that is known, was on the bus."""
+        """Whether it was on the bus by ``at``; where no echo tells, whether it had been handed over."""
         on_bus_at = self.sent.on_bus_at
-        return (self.sent.handed_at if on_bus_at is None else on_bus_at) <= at
+        if on_bus_at is not None:
+            return on_bus_at <= at
+        return not self.shows and self.sent.handed_at <= at
 
 
 class CommandMeter:
     """Follows the commands of one axis."""
 
-    def __init__(self, horizon: int, settles: Duration = Duration(0)) -> None:  # noqa: B008 - an int
-        """``horizon``: cycles after which a command is settled with what is known by then. ``settles``: a
-        command that came less than this before a SYNC need not show at it: a period where set-points act at
-        SYNCs, since the drive tells before it takes them."""
+    def __init__(
+        self,
+        horizon: int,
+        syncs: SyncLog,
+        settles: Duration = Duration(0),  # noqa: B008 - an int
+    ) -> None:
+        """``horizon``: cycles after which a command is settled with what is known by then. ``syncs``: of the
+        axis's segment; it tells what was heard of the bus. ``settles``: a command that came less than this
+        before a SYNC need not show at it: a period where set-points act at SYNCs, as the drive tells before
+        it takes them."""
         self.unexplained = 0
         """Read-backs that equal no command on its way: the drive limits or shapes its set-point."""
         self._horizon = horizon
+        self._syncs = syncs
+        self._shows = syncs.echoes is EchoBasis.BUS
         self._settles = settles
         self._followed: list[_Followed] = []
         """In the order of sending, from the oldest whose fate was not asked for."""
@@ -62,7 +83,7 @@ class CommandMeter:
     def sent(self, command: SentCommand) -> None:
         """A command has been handed over."""
         followed = self._followed
-        followed.append(_Followed(command))
+        followed.append(_Followed(command, self._shows, self._syncs.heard_ns))
         if len(followed) > FOLLOWED_MAX:
             del followed[0]
 
@@ -149,12 +170,24 @@ class CommandMeter:
         first = followed[0]
         fate = first.fate
         if fate is None:
-            if now - sequence < (self._horizon if self._telling else ECHO_CYCLES):
+            fate = self._outcome_unseen(first, now - sequence)
+            if fate is None:
                 return None
-            fate = CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
         del followed[0]
         sent = first.sent
         return Sending(sent.raw, sent.handed_at, sent.on_bus_at, fate, first.acts_after, first.acts_by)
+
+    def _outcome_unseen(self, command: _Followed, age: int) -> CommandFate | None:
+        """Of a command that the drive was seen neither to follow nor to pass over, after ``age`` cycles."""
+        missing = command.shows and command.sent.on_bus_at is None
+        if age < (self._horizon if self._telling or missing else ECHO_CYCLES):
+            return None
+        if missing:
+            if self._syncs.heard_for(self._horizon, command.heard_ns):
+                return CommandFate.LOST
+            if age < UNHEARD_MAX:
+                return None
+        return CommandFate.NOT_IDENTIFIABLE if self._telling else CommandFate.NOT_MEASURED
 
     def _candidates(self, sync_at: Instant) -> list[_Followed]:
         """The commands that may act at ``sync_at`` in place of the one that acted before, oldest first."""

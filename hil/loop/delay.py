@@ -16,6 +16,8 @@ from hil.loop.samples import Dropout, DropoutCause, Observation, Sample
 UNHEARD_MAX: Final = 100
 """Cycles beyond the horizon for which a fate waits while nothing is heard of the bus: five times the longest
 standstill of a process that was seen on a shared machine."""
+DOUBTED_FOR: Final = 256
+"""Cycles for which a doubt is remembered: more than those for which a row waits."""
 MEDIAN_STEP: Final = 20.0
 """The running median moves by this part of itself: it follows a change within some twenty readings, and one
 outlier hardly moves it."""
@@ -36,14 +38,25 @@ class Fate:
 class _Outstanding:
     """A SYNC whose reading is still awaited, or has come but waits for earlier ones."""
 
-    __slots__ = ("doubtful", "due_at", "fate", "sequence")
+    __slots__ = ("doubtful", "due_at", "fate", "heard_ns", "sequence")
 
-    def __init__(self, sequence: int, due_at: Instant) -> None:
+    def __init__(self, sequence: int, due_at: Instant, heard_ns: int) -> None:
         self.sequence = sequence
         self.due_at = due_at
+        self.heard_ns = heard_ns
         self.fate: Fate | None = None
         self.doubtful = False
         """Whether the fate rests on a reading of uncertain place."""
+
+
+class _Doubt:
+    """Cycles whose readings were of uncertain place."""
+
+    __slots__ = ("first", "last")
+
+    def __init__(self, first: int, last: int) -> None:
+        self.first = first
+        self.last = last
 
 
 class DelayMeter:
@@ -58,8 +71,10 @@ class DelayMeter:
         self._newest_certain = 0
         """As ``newest``, of readings whose place was certain: only to them another is certainly stale."""
         self._typical_ns = 0.0
-        self._doubt_first = self._doubt_last = -2 * horizon
-        """First and last cycle of the latest readings in a row whose place is uncertain."""
+        self._doubts: list[_Doubt] = []
+        """The oldest first."""
+        self._kept = 0
+        """So many of them are from before the question that is open."""
         self.unmatched = 0
         """Readings whose cycle had its fate already: later than the horizon, or the second of their SYNC."""
 
@@ -73,13 +88,13 @@ class DelayMeter:
         """Largest sequence of which a reading has come; 0 before the first."""
         return self._newest
 
-    def sync_sent(self, sequence: int, due_at: Instant) -> None:
-        """A SYNC has gone out; sequences must rise."""
-        self._outstanding.append(_Outstanding(sequence, due_at))
+    def sync_sent(self, sequence: int, due_at: Instant, heard_ns: int) -> None:
+        """A SYNC has gone out; sequences must rise. ``heard_ns``: for how long the bus had been heard of."""
+        self._outstanding.append(_Outstanding(sequence, due_at, heard_ns))
 
     def missed(self, sequence: int, due_at: Instant) -> None:
         """A cycle goes without SYNC."""
-        place = _Outstanding(sequence, due_at)
+        place = _Outstanding(sequence, due_at, 1 << 62)
         place.fate = Fate(sequence, Dropout(sequence, due_at, DropoutCause.MISSED, True), None)
         self._outstanding.append(place)
 
@@ -92,7 +107,7 @@ class DelayMeter:
             return False
         place.doubtful = not certain
         if not certain:
-            self._note_doubt(sequence)
+            self.doubt(sequence, sequence)
         delay = Duration(sample.reading.received_at - sample.sampled_at)
         if certain:
             self.learn(delay)
@@ -112,12 +127,12 @@ class DelayMeter:
         place.fate = Fate(sequence, observation, delay)
         return cause is None
 
-    def settle(self, heard_until: Instant) -> list[Fate]:
+    def settle(self, heard_ns: int) -> list[Fate]:
         """The fates that have become final since the last call, in order of sequence.
 
-        ``heard_until``: what the bus brought up to then is known. A reading may lie on its way in a hub or an
-        adapter that stands still, with its stamp: it is lost for certain when the bus has been heard beyond
-        the horizon.
+        ``heard_ns``: for how long the bus has been heard of. A reading may lie on its way in a hub or an
+        adapter that stands still, with its stamp: it is lost for certain when the bus has been heard of for
+        as long as the horizon.
         """
         outstanding = self._outstanding
         fates: list[Fate] = []
@@ -127,7 +142,8 @@ class DelayMeter:
                 behind = len(outstanding) - 1 - self._horizon
                 if behind < 0:
                     break
-                heard = heard_until >= outstanding[self._horizon].due_at
+                first, last = outstanding[0], outstanding[self._horizon]
+                heard = heard_ns - first.heard_ns >= last.due_at - first.due_at
                 if not heard and behind < UNHEARD_MAX:
                     break
                 fate = self._lost(outstanding[0], heard)
@@ -135,10 +151,16 @@ class DelayMeter:
             outstanding.pop(0)
         return fates
 
-    def settle_all(self) -> list[Fate]:
-        """End of the run: what has not come by now is lost."""
-        fates = [place.fate or self._lost(place, True) for place in self._outstanding]
+    def settle_all(self, heard_ns: int) -> list[Fate]:
+        """End of the run: what has not come by now is lost. For certain, if the bus was heard of since the
+        SYNC after its own: the last reading may lie on its way yet."""
+        fates: list[Fate] = []
+        after = 1 << 62
+        for place in reversed(self._outstanding):
+            fates.append(place.fate or self._lost(place, heard_ns > after))
+            after = min(after, place.heard_ns)
         self._outstanding.clear()
+        fates.reverse()
         return fates
 
     def _find(self, sequence: int) -> _Outstanding | None:
@@ -152,19 +174,28 @@ class DelayMeter:
     def _lost(self, place: _Outstanding, certain: bool) -> Fate:
         return Fate(place.sequence, Dropout(place.sequence, place.due_at, DropoutCause.LOST, certain), None)
 
+    def doubt(self, first: int, last: int) -> None:
+        """It is open which of these cycles the last readings answer."""
+        doubts = self._doubts
+        if len(doubts) > self._kept and first <= doubts[-1].last + self._horizon:
+            doubts[-1].first = min(doubts[-1].first, first)
+            doubts[-1].last = max(doubts[-1].last, last)
+        else:
+            doubts.append(_Doubt(first, last))
+
+    def keep_doubts(self) -> None:
+        """A question begins; what was in doubt before it stays so, whatever its answer."""
+        self._doubts = [doubt for doubt in self._doubts if doubt.last >= self._newest - DOUBTED_FOR]
+        self._kept = len(self._doubts)
+
+    def forget_doubts(self) -> None:
+        """The question is answered: its readings were where they had been placed."""
+        del self._doubts[self._kept :]
+
     def doubts(self, sequence: int) -> bool:
         """Whether a reading of uncertain place may have been that of cycle ``sequence``."""
         near = self._horizon
-        return self._doubt_first - near <= sequence <= self._doubt_last + near
-
-    def forget_doubt(self) -> None:
-        """The last readings of uncertain place were where they had been placed."""
-        self._doubt_first = self._doubt_last = -2 * self._horizon
-
-    def _note_doubt(self, sequence: int) -> None:
-        if sequence > self._doubt_last + self._horizon:
-            self._doubt_first = sequence
-        self._doubt_last = max(self._doubt_last, sequence)
+        return any(doubt.first - near <= sequence <= doubt.last + near for doubt in self._doubts)
 
     def learn(self, delay: Duration) -> None:
         """Take a delay into :attr:`typical_delay`.

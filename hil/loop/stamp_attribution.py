@@ -233,6 +233,7 @@ class StampAttribution:
         self._case.revoked.clear()
         self._early = False
         self.question.open = False
+        self.question.since = None
 
     def _suspect(
         self,
@@ -270,6 +271,8 @@ class StampAttribution:
             if stamp is not None:
                 self._case.revoked.append((mark, stamp))
                 self.question.amend(mark.sequence, False, self.doubtful_error_ns)
+        if self._recent:
+            self.question.since = self._recent[0].sequence
         self._recent.clear()
 
     def _guess(self, reading: Reading, free: SyncMark | None) -> Sample | None:

@@ -74,6 +74,7 @@ class SyncLog:
         self._echo_error = ECHO_ERROR[echoes]
         self._counted = 0
         self._last_on_bus = Instant(-(1 << 62))
+        self._heard_ns = 0
 
     def handed(self, sequence: int, at: Instant) -> SyncMark:
         """A SYNC has been handed over."""
@@ -165,10 +166,15 @@ class SyncLog:
         return self._counted
 
     @property
-    def heard_until(self) -> Instant:
-        """What the bus brought up to then has come in, as frames come in their order: until the last SYNC of
-        which it gave word. A bus without echoes gives none, and is taken to bring all at once."""
-        return self._last_on_bus if self._echoed else Instant(1 << 62)
+    def heard_ns(self) -> int:
+        """For how long the bus has been heard of so far: the time from SYNC to SYNC on it, but no more of one
+        that came late than a SYNC may take. While a bus stands still, what it is to bring lies there, and it
+        comes behind the first SYNC after that."""
+        return self._heard_ns
+
+    def heard_for(self, cycles: int, before_ns: int) -> bool:
+        """Whether the bus was heard of for so many cycles since :attr:`heard_ns` was ``before_ns``."""
+        return self._heard_ns - before_ns >= cycles * self._period
 
     @property
     def last_on_bus(self) -> Instant:
@@ -215,6 +221,8 @@ class SyncLog:
         self._note_spacing(at)
 
     def _note_spacing(self, at: Instant) -> None:
-        if at - self._last_on_bus < self._period // 2:
+        spacing = at - self._last_on_bus
+        if spacing < self._period // 2:
             self.crowded += 1
+        self._heard_ns += max(0, min(spacing, GIVEN_UP_AFTER_PERIODS * self._period))
         self._last_on_bus = at

@@ -162,7 +162,7 @@ class Subject:
             by_stamp=StampAttribution(syncs, clock, period, transit, tell),
             by_order=OrderAttribution(syncs, period, transit, tell),
             meter=DelayMeter(Duration(HORIZON * period), HORIZON),
-            commands=CommandMeter(HORIZON),
+            commands=CommandMeter(HORIZON, syncs),
         )
         later = Duration(number * command_duration(request.bitrate_bit_s))
         return Axis(number, parts, period, self._record, later)

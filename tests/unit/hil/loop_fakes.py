@@ -191,7 +191,7 @@ def make_axis(
         by_stamp=StampAttribution(log, ClockMap(), PERIOD, TRANSIT, tell),
         by_order=OrderAttribution(log, PERIOD, TRANSIT, tell),
         meter=DelayMeter(Duration(2 * NS_PER_MS), 10),
-        commands=CommandMeter(10),
+        commands=CommandMeter(10, log),
     )
     return Axis(0, parts, PERIOD, records.append)
 

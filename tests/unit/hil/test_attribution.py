@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis
-from hil.loop.syncs import ECHO_ERROR, REMEMBERED, SyncLog
+from hil.loop.syncs import ECHO_ERROR, GIVEN_UP_AFTER_PERIODS, REMEMBERED, SyncLog
 from tests.unit.hil.attribution_world import Network, Outcome, play
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, reading_at
 
@@ -227,3 +227,16 @@ def test_without_echoes_the_hand_over_stands_for_the_bus() -> None:
     mark = log.handed(1, Instant(0))
     assert mark.on_bus_at == Instant(SYNC_LATENCY)
     assert log.may_hand_over(Instant(1))
+
+
+def test_the_time_for_which_a_bus_stood_still_is_none_for_which_it_was_heard_of() -> None:
+    """It brings what lay there behind the first SYNC after that."""
+    log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
+    for number, at in enumerate((1, 2, 3, 40, 41, 42), 1):
+        log.handed(number, Instant(min(at, 5) * NS_PER_MS + number))
+        log.came(Instant(at * NS_PER_MS), Instant(min(at, 5) * NS_PER_MS + number))
+        if number == 1:
+            begun = log.heard_ns
+    assert log.heard_ns - begun == (2 + GIVEN_UP_AFTER_PERIODS + 2) * PERIOD
+    assert log.heard_for(6, begun)
+    assert not log.heard_for(7, begun)

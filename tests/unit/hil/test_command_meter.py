@@ -5,9 +5,12 @@ import random
 import pytest
 
 from drivers.exchange import SentCommand
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.wire.frame_port import EchoBasis
 from hil.loop.command_meter import CommandMeter
+from hil.loop.delay import UNHEARD_MAX
 from hil.loop.samples import CommandFate, Sending
+from hil.loop.syncs import SyncLog
 
 HORIZON = 20
 PERIOD = NS_PER_MS
@@ -27,9 +30,16 @@ def command(number: int, raw: int, on_bus: bool = True) -> SentCommand:
     return sent
 
 
+def meter_on(echoes: EchoBasis, heard: int = 0) -> tuple[CommandMeter, SyncLog]:
+    """A meter on a bus that was heard of until SYNC ``heard``."""
+    syncs = SyncLog(Duration(0), Duration(PERIOD), echoes)
+    syncs.heard(heard, sync_at(heard))
+    return CommandMeter(HORIZON, syncs), syncs
+
+
 def play(raws: list[int], acting: list[int | None], *, every: int = 1) -> list[Sending]:
     """``acting[n]``: from which SYNC on command n is in force; None: lost. Told every ``every`` SYNCs."""
-    meter = CommandMeter(HORIZON)
+    meter, _ = meter_on(EchoBasis.BUS)
     settled: list[Sending] = []
     waiting = list(range(len(raws)))
     for number in range(len(raws) + HORIZON + 1):
@@ -84,7 +94,7 @@ def test_a_first_command_that_equals_what_was_in_force_cannot_be_told_either() -
 
 
 def test_a_drive_that_tells_nothing_leaves_it_unmeasured() -> None:
-    meter = CommandMeter(HORIZON)
+    meter, _ = meter_on(EchoBasis.BUS)
     meter.sent(command(0, 5))
     assert meter.outcome(0, 1) is None, "its echo may still come"
     outcome = meter.outcome(0, 2)
@@ -102,10 +112,64 @@ def test_told_seldom_only_the_newest_command_before_is_judged() -> None:
 
 
 def test_a_demand_that_no_command_asked_for_is_counted() -> None:
-    meter = CommandMeter(HORIZON)
+    meter, _ = meter_on(EchoBasis.BUS)
     meter.sent(command(0, 5))
     meter.told(3, sync_at(1))
     assert meter.unexplained == 1
+
+
+def test_a_command_whose_echo_has_not_come_was_not_there() -> None:
+    """A bus that stood still: command 1 had been handed over before SYNC 2, and lay there beyond SYNC 3."""
+    meter, _ = meter_on(EchoBasis.BUS)
+    meter.sent(command(0, 10))
+    meter.told(10, sync_at(1))
+    held_up = command(1, 11, on_bus=False)
+    meter.sent(held_up)
+    meter.told(10, sync_at(2))
+    meter.told(10, sync_at(3))
+    meter.sent(command(3, 12))
+    held_up.on_bus_at = Instant(sync_at(3) + 100_000)
+    meter.told(12, sync_at(4))
+    assert meter.outcome(0, 4) is not None
+    outcome = meter.outcome(1, 4 + HORIZON)
+    assert outcome is not None
+    assert outcome.fate is CommandFate.NOT_IDENTIFIABLE, "it was replaced before the drive told, and not lost"
+
+
+@pytest.mark.parametrize("telling", [False, True])
+def test_a_command_that_never_came_to_the_bus_is_lost_once_the_bus_was_heard_beyond(telling: bool) -> None:
+    meter, syncs = meter_on(EchoBasis.BUS)
+    meter.sent(command(0, 10, on_bus=False))
+    if telling:
+        meter.told(AT_REST, sync_at(1))
+    assert meter.outcome(0, HORIZON + 1) is None, "the bus may stand still"
+    for number in range(1, HORIZON + 1):
+        syncs.heard(number, sync_at(number))
+    outcome = meter.outcome(0, HORIZON + 1)
+    assert outcome is not None
+    assert outcome.fate is CommandFate.LOST
+
+
+def test_a_bus_that_is_not_heard_of_again_leaves_it_open_what_became_of_a_command() -> None:
+    meter, _ = meter_on(EchoBasis.BUS)
+    meter.sent(command(0, 10, on_bus=False))
+    assert meter.outcome(0, UNHEARD_MAX - 1) is None
+    outcome = meter.outcome(0, UNHEARD_MAX)
+    assert outcome is not None
+    assert outcome.fate is CommandFate.NOT_MEASURED
+
+
+@pytest.mark.parametrize("echoes", [EchoBasis.NONE, EchoBasis.KERNEL])
+def test_where_an_echo_does_not_tell_its_frame_a_hand_over_counts(echoes: EchoBasis) -> None:
+    """Of two equal frames the echo of one may have been taken for the other's."""
+    meter, syncs = meter_on(echoes)
+    meter.sent(command(0, 10, on_bus=False))
+    meter.told(AT_REST, sync_at(0))
+    meter.told(10, sync_at(1))
+    syncs.heard(HORIZON + 1, sync_at(HORIZON + 1))
+    outcome = meter.outcome(0, HORIZON + 1)
+    assert outcome is not None
+    assert outcome.fate is CommandFate.ACTING
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4])

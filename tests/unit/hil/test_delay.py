@@ -10,7 +10,7 @@ from hil.loop.samples import Dropout, DropoutCause, Sample
 from tests.unit.hil.loop_fakes import reading_at
 
 DEADLINE = Duration(2 * NS_PER_MS)
-HEARD = Instant(1 << 62)
+HEARD = 1 << 62
 """Nothing is on its way any more."""
 
 
@@ -21,8 +21,9 @@ def sample(sequence: int, delay_us: int, certain: bool = True) -> Sample:
 
 
 def sent(meter: DelayMeter, *sequences: int) -> None:
+    """Nothing has been heard of the bus so far."""
     for sequence in sequences:
-        meter.sync_sent(sequence, Instant(sequence * NS_PER_MS))
+        meter.sync_sent(sequence, Instant(sequence * NS_PER_MS), 0)
 
 
 def causes(meter: DelayMeter) -> list[DropoutCause | None]:
@@ -40,13 +41,14 @@ def test_a_reading_in_time_is_used() -> None:
     assert meter.settle(HEARD) == []
 
 
-def test_a_reading_is_given_up_when_the_bus_has_been_heard_beyond_the_horizon() -> None:
+def test_a_reading_is_given_up_when_the_bus_has_been_heard_of_for_as_long_as_the_horizon() -> None:
     """A hub that stands still keeps readings that have their stamps already."""
     meter = DelayMeter(DEADLINE, 3)
-    sent(meter, *range(1, 12))
-    assert meter.settle(Instant(4 * NS_PER_MS - 1)) == []
+    for number in range(1, 12):
+        meter.sync_sent(number, Instant(number * NS_PER_MS), number * NS_PER_MS)
+    assert meter.settle(4 * NS_PER_MS - 1) == []
     meter.arrived(sample(1, 300))
-    used, lost = meter.settle(Instant(5 * NS_PER_MS))
+    used, lost = meter.settle(5 * NS_PER_MS)
     assert used.observation.certain
     assert isinstance(lost.observation, Dropout)
     assert (lost.sequence, lost.observation.cause, lost.observation.certain) == (2, DropoutCause.LOST, True)
@@ -55,9 +57,9 @@ def test_a_reading_is_given_up_when_the_bus_has_been_heard_beyond_the_horizon() 
 def test_what_is_given_up_while_nothing_is_heard_is_uncertain() -> None:
     meter = DelayMeter(DEADLINE, 3)
     sent(meter, *range(1, UNHEARD_MAX + 4))
-    assert meter.settle(Instant(0)) == []
+    assert meter.settle(0) == []
     sent(meter, UNHEARD_MAX + 4)
-    (lost,) = meter.settle(Instant(0))
+    (lost,) = meter.settle(0)
     assert (lost.sequence, lost.observation.certain) == (1, False)
 
 
@@ -108,12 +110,15 @@ def test_a_duplicate_and_one_beyond_the_horizon_are_unmatched() -> None:
     assert meter.unmatched == 2
 
 
-def test_what_is_open_at_the_end_is_lost() -> None:
+def test_what_is_open_at_the_end_is_lost_for_certain_if_the_bus_was_heard_of_since_the_next_sync() -> None:
     meter = DelayMeter(DEADLINE, 20)
-    sent(meter, 1, 2)
+    for number in (1, 2, 3, 4):
+        meter.sync_sent(number, Instant(number * NS_PER_MS), number * NS_PER_MS)
     meter.arrived(sample(2, 100))
-    fates = meter.settle_all()
-    assert [fate.delay for fate in fates] == [None, 100_000]
+    meter.missed(5, Instant(5 * NS_PER_MS))
+    fates = meter.settle_all(4 * NS_PER_MS)
+    assert [fate.delay for fate in fates] == [None, 100_000, None, None, None]
+    assert [fate.observation.certain for fate in fates] == [True, True, False, False, True]
 
 
 def test_the_typical_delay_is_the_median_not_the_mean() -> None:
@@ -140,7 +145,7 @@ def test_every_sequence_has_exactly_one_fate_in_order(delays_us: list[int | None
         else:
             meter.arrived(sample(number, delays_us[number - 1] or 0))
         fates += meter.settle(HEARD)
-    fates += meter.settle_all()
+    fates += meter.settle_all(HEARD)
     assert [fate.sequence for fate in fates] == list(range(1, len(delays_us) + 1))
     for fate, delay in zip(fates, delays_us, strict=True):
         if delay is None:
@@ -175,8 +180,25 @@ def test_a_loss_near_a_reading_of_uncertain_place_is_uncertain_too() -> None:
         True,
         False,
     ]
-    meter.forget_doubt()
+    meter.forget_doubts()
     assert not meter.doubts(14)
+
+
+def test_cycles_whose_readings_are_open_after_all_are_in_doubt() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    sent(meter, *range(1, 30))
+    meter.doubt(10, 20)
+    assert [number for number in range(1, 30) if meter.doubts(number)] == list(range(7, 24))
+
+
+def test_what_was_in_doubt_before_a_question_stays_so_whatever_its_answer() -> None:
+    meter = DelayMeter(DEADLINE, 3)
+    meter.doubt(10, 12)
+    meter.keep_doubts()
+    meter.doubt(14, 18)
+    assert meter.doubts(20)
+    meter.forget_doubts()
+    assert [number for number in range(1, 30) if meter.doubts(number)] == list(range(7, 16))
 
 
 def test_a_certain_reading_takes_the_place_of_an_uncertain_one() -> None:

@@ -21,6 +21,7 @@ from tests.unit.hil.loop_fakes import (
     FakeDrive,
     make_axis,
     make_loop,
+    reading_at,
 )
 
 
@@ -119,6 +120,23 @@ def test_beyond_the_deadline_a_reading_is_late_and_not_used() -> None:
 def test_an_overtaken_reading_is_stale() -> None:
     _, records, _ = run(lambda cycle: 1_700_000 if cycle == 7 else 300_000, 30)
     assert records[6].observation.cause is DropoutCause.STALE  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("certain", [True, False])
+def test_a_reading_is_stale_for_certain_only_while_the_places_of_others_are(certain: bool) -> None:
+    """One with a stamp far from all SYNCs puts the question whether the clock was set, or which is whose."""
+    drives: list[FakeDrive] = []
+
+    def delay(cycle: int) -> int:
+        if cycle == 24 and not certain:
+            drives[0].readings.append(reading_at(Instant(0), 0))
+        return 1_700_000 if cycle == 20 else 300_000
+
+    _, records, _ = run(delay, 60, prepare=drives.append)
+    stale = records[19].observation
+    assert isinstance(stale, Dropout)
+    assert (stale.cause, stale.certain) == (DropoutCause.STALE, certain)
+    assert records[50].observation.certain
 
 
 def test_stamp_makes_a_varying_delay_constant() -> None:
