@@ -18,9 +18,7 @@ from dataclasses import dataclass, field
 
 from drivers.cia402.objects402 import Object, Unit, unit_parts
 from drivers.errors import PeerFault
-
-RAD_PER_REVOLUTION = 2.0 * math.pi
-RAD_S_PER_RPM = RAD_PER_REVOLUTION / 60.0
+from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 ObjectValues = Mapping[tuple[int, int], int | None]
 """(index, sub) -> value; None or absent if the drive does not have it."""

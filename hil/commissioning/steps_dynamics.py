@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.scaling import RAD_S_PER_RPM
 from drivers.exchange import Command
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from hil.commissioning.excitation import Profile, SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of

@@ -13,9 +13,9 @@ from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import RAD_S_PER_RPM
 from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
