@@ -73,8 +73,6 @@ class DriveSettings:
     """As in :func:`drivers.cia402.pdo_plans.mode_plan`. Without effect beside ``plan``."""
     coherent: bool = False
     """As in :func:`drivers.cia402.pdo_layouts.layout`. Without effect beside ``plan``."""
-    velocity_sign: float = 1.0
-    """-1: the drive's velocity counts against its position, which is carried on by it."""
     command_timeout_ms: int | None = None
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""

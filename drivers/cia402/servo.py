@@ -110,9 +110,7 @@ class ServoDrive(Drive):
         notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
-        self._assembler = ReadingAssembler(
-            network, plan, scaling, settings.sync_period_ns, self._told, settings.velocity_sign
-        )
+        self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
         self.control.set_point = SetPoint(

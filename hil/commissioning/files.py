@@ -88,7 +88,7 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
 
 def drive_tables(session: Session) -> dict[str, Any]:
     """``drive.toml``."""
-    found, port = session.found, session.port
+    found = session.found
     identity, told, override = found.identity, found.told, found.override
     assert identity is not None
     assert told is not None
@@ -111,8 +111,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
             if value is not None
         },
     }
-    if port is not None and (port.torque_sign < 0.0 or port.velocity_sign < 0.0):
-        tables["signs"] = {"torque": int(port.torque_sign), "velocity": int(port.velocity_sign)}
+    if override.torque_sign < 0.0 or override.velocity_sign < 0.0:
+        tables["signs"] = {"torque": int(override.torque_sign), "velocity": int(override.velocity_sign)}
     if found.current_bandwidth_hz is not None:
         tables["current_loop"] = {"order": 1, "bandwidth_hz": found.current_bandwidth_hz}
     objects = [

@@ -183,9 +183,8 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
 
 def _turned_round(session: Session, found: Mechanics, outcome: Outcome) -> Mechanics:
     """Torque against motion shows only here in a drive that is never given a torque."""
-    port = session.port
-    assert port is not None
-    port.torque_sign = -port.torque_sign
+    session.overridden(torque_sign=-session.found.override.torque_sign)
+    session.configure()
     outcome.faults.append("polarity: torque 6077h counts against the position; the bench turns its sign")
     return replace(
         found,
@@ -337,7 +336,10 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
     readings: list[tuple[Instant, float]] = []
     port = session.port
     assert port is not None
-    port.listener = lambda taken: readings.extend((each.torque_told_at, each.torque_nm) for each in taken)
+    sign = session.found.override.torque_sign  # as the drive counts: 6078h beside it is taken raw
+    port.listener = lambda taken: readings.extend(
+        (each.torque_told_at, sign * each.torque_nm) for each in taken
+    )
     with session.enabled():
         exerciser = session.exerciser()
         # By the cosine the speed has no mean.

@@ -66,14 +66,13 @@ class Polarity(Step):
         )
         if self._by_object(session, wrong, outcome):
             return outcome
-        port = session.port
-        assert port is not None
-        port.torque_sign, port.velocity_sign = float(position), float(against)
+        session.overridden(torque_sign=float(position), velocity_sign=float(against))
+        session.configure()
         outcome.say("607Eh does not help; the bench turns the signs itself")
         return outcome
 
     def _by_object(self, session: Session, wrong: int, outcome: Outcome) -> bool:
-        """Turn bits of 607Eh over, and look whether that helped; else put them back."""
+        """Turn bits of 607Eh over, and look whether that helped; else put the object back."""
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
             return False
@@ -86,7 +85,6 @@ class Polarity(Step):
             outcome.figures["polarity"] = wanted
             return True
         session.objects.write(Object.POLARITY, 0, "B", held)
-        session.configure()
         return False
 
 
