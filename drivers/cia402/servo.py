@@ -233,7 +233,8 @@ class ServoDrive(Drive):
     def write(self, command: Command) -> SentCommand | None:
         """Send a torque set-point; None and nothing sent if it has expired.
 
-        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number.
+        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number, as for
+        the torque of a :class:`.SpeedCommand`.
         """
         if self._expired(command.expires_at):
             return None

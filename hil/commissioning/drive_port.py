@@ -1,7 +1,6 @@
-"""A drive as the exercises of commissioning see it: the signs put right, and one way to write a set-point.
+"""A drive as the exercises of commissioning see it: one way to write a set-point, in whatever mode.
 
-A drive without a torque mode is given speeds: the "torque" of a command is then a speed in rad/s, and the
-limits and the controllers of an exercise are told so by :attr:`DrivePort.quantity`.
+A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no other command is taken then.
 """
 
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from typing import Final
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_S, Instant
 
 
@@ -70,11 +69,15 @@ class DrivePort(Drive):
         return self.drive.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
-        """Send a set-point."""
+        """Send a set-point. Raises ValueError for a speed in a torque mode, TypeError for a torque in a mode
+        of speeds or positions.
+        """
         if self.quantity is Quantity.TORQUE:
             return self.drive.write(command)
+        if not isinstance(command, SpeedCommand):
+            raise TypeError(f"{self.drive.name} is given speeds in {self.mode.name}, not {command!r}")
         if self.quantity is Quantity.SPEED:
-            return self.drive.write_speed(command.torque_nm, command.expires_at, command.sequence)
+            return self.drive.write_speed(command.speed_rad_s, command.expires_at, command.sequence)
         return self._write_position(command)
 
     @property
@@ -90,10 +93,10 @@ class DrivePort(Drive):
         """In a position mode, positions are counted on from where the shaft stands now."""
         self._position_rad = self._last = None
 
-    def _write_position(self, command: Command) -> SentCommand | None:
+    def _write_position(self, command: SpeedCommand) -> SentCommand | None:
         if self._position_rad is None:
             raise PeerFault("no position to count from")
         passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
         self._last = command.effective_at
-        self._position_rad += command.torque_nm * passed_s
+        self._position_rad += command.speed_rad_s * passed_s
         return self.drive.write_position(self._position_rad, command.expires_at, command.sequence)

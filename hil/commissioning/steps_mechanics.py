@@ -18,7 +18,7 @@ from drivers.errors import TransferAborted
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import Quantity
-from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
+from hil.commissioning.excitation import Profile, SpeedGuide
 from hil.commissioning.exercise import Recording
 from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
 from hil.commissioning.outcome import Outcome, StepFailed
@@ -148,7 +148,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
                 guide = SpeedGuide(_guide_mechanics(session), exerciser.period_s)
                 recordings.append(exerciser.run(guide, time, reference))
             else:
-                recordings.append(exerciser.run(SpeedCommand(), time, reference))
+                recordings.append(exerciser.run_speeds(time, reference))
     return recordings
 
 

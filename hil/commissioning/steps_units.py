@@ -10,7 +10,7 @@ from drivers.cia402.scaling import Scaling
 from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.drive_port import Quantity
-from hil.commissioning.excitation import Pulse, SpeedCommand
+from hil.commissioning.excitation import Pulse
 from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
 from hil.commissioning.outcome import Outcome, StepFailed
@@ -149,7 +149,7 @@ def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
     over = 0.1
     hold = max(0.3, abs(far / speed))
     reference: list[Segment] = [Ramp(0.0, speed, over), Ramp(over + hold, 0.0, over)]
-    return exerciser.run(SpeedCommand(), hold + 2.0 * over + 0.3, reference, guard_speed=False)
+    return exerciser.run_speeds(hold + 2.0 * over + 0.3, reference, guard_speed=False)
 
 
 def _velocity_ratio(recordings: list[Recording]) -> float:
