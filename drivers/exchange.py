@@ -1,5 +1,6 @@
 """What passes between a drive and a loop in one cycle, in SI units, and who they are to each other."""
 
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -119,6 +120,17 @@ class Command(Record):
         """When it is meant to act on the drive."""
         self.expires_at: Final = expires_at
         """After this it must not be sent."""
+
+
+class SpeedCommand(Command):
+    """A speed set-point, and no torque: its ``torque_nm`` is NaN, which nothing sends."""
+
+    __match_args__ = ("sequence", "speed_rad_s", "effective_at", "expires_at")
+    __slots__ = ("speed_rad_s",)
+
+    def __init__(self, sequence: int, speed_rad_s: float, effective_at: Instant, expires_at: Instant) -> None:
+        super().__init__(sequence, math.nan, effective_at, expires_at)
+        self.speed_rad_s: Final = speed_rad_s
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

@@ -1,11 +1,11 @@
 """What an unknown key was meant to be: the nearest known key, or the same quantity in its right unit."""
 
 import difflib
-import math
 from collections.abc import Collection, Iterable
 from typing import Any
 
 from drivers.errors import BadInput
+from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("time", 1.0),
@@ -14,9 +14,9 @@ UNITS: dict[str, tuple[str, float]] = {
     "ns": ("time", 1e-9),
     "hz": ("frequency", 1.0),
     "khz": ("frequency", 1e3),
-    "rpm": ("angular speed", math.tau / 60.0),
+    "rpm": ("angular speed", RAD_S_PER_RPM),
     "rad/s": ("angular speed", 1.0),
-    "deg/s": ("angular speed", math.tau / 360.0),
+    "deg/s": ("angular speed", RAD_PER_REVOLUTION / 360.0),
     "nm": ("torque", 1.0),
     "mnm": ("torque", 1e-3),
     "a": ("current", 1.0),

@@ -24,8 +24,9 @@ from drivers.cia402.profile import (
     ShutdownOption,
 )
 from drivers.cia402.quirky_units import apply_quirks
-from drivers.cia402.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault, TransferAborted
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from drivers.vendors.quirks import quirks_for
 
@@ -72,8 +73,6 @@ class DriveSettings:
     """As in :func:`drivers.cia402.pdo_plans.mode_plan`. Without effect beside ``plan``."""
     coherent: bool = False
     """As in :func:`drivers.cia402.pdo_layouts.layout`. Without effect beside ``plan``."""
-    velocity_sign: float = 1.0
-    """-1: the drive's velocity counts against its position, which is carried on by it."""
     command_timeout_ms: int | None = None
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""

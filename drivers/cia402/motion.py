@@ -105,15 +105,14 @@ class Motion:
         """Have the drive go to a speed by its ramps."""
         self._modes.ensure(Mode.PROFILE_VELOCITY, deadline)
         self._write_profile(profile, None)
-        raw = round(speed_rad_s / self._scaling.velocity_rad_s)
-        self._control.write_value(Object.TARGET_VELOCITY, "i", raw)
+        self._control.write_value(Object.TARGET_VELOCITY, "i", self._scaling.velocity_raw(speed_rad_s))
         self._check_enabled()
 
     def start_torque(self, torque_nm: float, deadline: Instant, profile: Profile) -> None:
         """Have the drive go to a torque by its slope."""
         self._modes.ensure(Mode.PROFILE_TORQUE, deadline)
         if profile.torque_slope_nm_s is not None:
-            slope = max(1, self._scaling.torque_raw(profile.torque_slope_nm_s))
+            slope = max(1, abs(self._scaling.torque_raw(profile.torque_slope_nm_s)))
             self._write_needed(Object.TORQUE_SLOPE, "I", slope, "torque slope")
         self._control.write_value(Object.TARGET_TORQUE, "h", self._scaling.torque_raw(torque_nm))
         self._check_enabled()

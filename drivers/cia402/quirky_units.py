@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from drivers.cia402.objects402 import Object
-from drivers.cia402.scaling import RAD_PER_REVOLUTION, RAD_S_PER_RPM, ScaleOverride
+from drivers.cia402.scaling import ScaleOverride
+from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 from drivers.vendors.quirks import Quirk
 
 Values = dict[tuple[int, int], int | None]

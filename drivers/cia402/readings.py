@@ -67,11 +67,13 @@ class ReadingAssembler:
         "_last_at",
         "_last_us",
         "_leads",
+        "_nm_per_raw",
         "_period_ns",
         "_period_us",
         "_position",
         "_position_raw",
         "_pump",
+        "_rad_s_per_raw",
         "_reach_us",
         "_readbacks",
         "_readings",
@@ -80,7 +82,6 @@ class ReadingAssembler:
         "_told",
         "_torque_raw",
         "_velocity_rad_s",
-        "_velocity_sign",
         "malformed",
         "position_told_at",
         "readings_made",
@@ -96,12 +97,8 @@ class ReadingAssembler:
         scaling: Scaling,
         period_ns: Duration,
         told: Seen,
-        velocity_sign: float = 1.0,
     ) -> None:
-        """``velocity_sign``: -1 for a drive whose velocity counts against its position.
-
-        Raises ValueError if the plan lacks speed, position or statusword.
-        """
+        """Raises ValueError if the plan lacks speed, position or statusword."""
         wanted = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
         missing = [f"{index:04X}h" for index in wanted if plan.tpdo_with(index) is None]
         if missing:
@@ -116,7 +113,8 @@ class ReadingAssembler:
         self.position_told_at = NEVER_TOLD
         self._pump = network.frame_pump
         self._told = told
-        self._velocity_sign = velocity_sign
+        self._rad_s_per_raw = scaling.velocity_sign * scaling.velocity_rad_s
+        self._nm_per_raw = scaling.torque_sign * scaling.torque_nm
         self._period_ns = period_ns
         self._period_us = max(1, period_ns // NS_PER_US)
         self._reach_us = _REACH_PERIODS * self._period_us
@@ -163,7 +161,7 @@ class ReadingAssembler:
     def torque_nm(self) -> float:
         """As told last; NaN before the first."""
         raw = self._torque_raw
-        return _NAN if raw is None else raw * self.scaling.torque_nm
+        return _NAN if raw is None else raw * self._nm_per_raw
 
     # ---- what the frames tell -------------------------------------------------------------------------
 
@@ -204,7 +202,7 @@ class ReadingAssembler:
             us = self._pump.sync_count * self._period_us
         self._last_us, self._last_at = us, at
         self.readings_made += 1
-        velocity_rad_s = raw * self.scaling.velocity_rad_s
+        velocity_rad_s = raw * self._rad_s_per_raw
         told = self._told
         self._readings.append(
             Reading(
@@ -231,7 +229,7 @@ class ReadingAssembler:
         passed_us = us - self._carried_to_us
         if not -self._reach_us <= passed_us <= self._reach_us:
             self._carried_to_us, passed_us = us, 0
-        mean_rad_s = 0.5 * (self._velocity_rad_s + velocity_rad_s) * self._velocity_sign
+        mean_rad_s = 0.5 * (self._velocity_rad_s + velocity_rad_s)
         carried_rad = self._carried_rad + mean_rad_s * passed_us * 1e-6
         if passed_us >= 0:
             self._carried_rad, self._carried_to_us = carried_rad, us

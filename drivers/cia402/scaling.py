@@ -1,4 +1,4 @@
-"""Raw drive units <-> SI, the only place. Factors come from the drive's own objects, or from overrides.
+"""Raw drive units and signs <-> SI, the only place. Factors come from the drive's objects, or overrides.
 
     position      60A8h in turns, else 6092h (feed), else 6093h, else 608Fh
     velocity      60A9h, else 6094h, else 6096h, else position units per second
@@ -18,9 +18,7 @@ from dataclasses import dataclass, field
 
 from drivers.cia402.objects402 import Object, Unit, unit_parts
 from drivers.errors import PeerFault
-
-RAD_PER_REVOLUTION = 2.0 * math.pi
-RAD_S_PER_RPM = RAD_PER_REVOLUTION / 60.0
+from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
 ObjectValues = Mapping[tuple[int, int], int | None]
 """(index, sub) -> value; None or absent if the drive does not have it."""
@@ -63,7 +61,7 @@ _POWERED_SECONDS = {Unit.SQUARE_SECOND: 2, Unit.CUBIC_SECOND: 3}
 
 @dataclass(frozen=True, slots=True)
 class ScaleOverride:
-    """Factors that the user knows better than the drive's objects tell; None: believe the drive."""
+    """Factors and signs that the user knows better than the drive's objects tell; None: believe the drive."""
 
     position_rad: float | None = None
     """rad of one raw position unit."""
@@ -72,11 +70,18 @@ class ScaleOverride:
     acceleration_rad_s2: float | None = None
     """rad/s^2 of one raw acceleration unit."""
     rated_torque_nm: float | None = None
+    velocity_sign: float = 1.0
+    """-1: the drive's velocity counts against its position."""
+    torque_sign: float = 1.0
+    """-1: positive torque of the drive turns its position down."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """SI value = raw value times factor."""
+    """SI value = raw value times factor, of a velocity and a torque times their sign too.
+
+    Factors are positive: limits and ramps of a drive have no sign.
+    """
 
     position_rad: float
     velocity_rad_s: float
@@ -94,10 +99,17 @@ class Scaling:
     """What per-thousand currents refer to, 0x6075; None if the drive does not tell it."""
     gear_ratio: float = 1.0
     """Motor revolutions per revolution of the driving shaft, 0x6091."""
+    velocity_sign: float = 1.0
+    """As in :class:`ScaleOverride`: no object of a drive tells it."""
+    torque_sign: float = 1.0
 
     def torque_raw(self, torque_nm: float) -> int:
         """The nearest raw torque."""
-        return round(torque_nm / self.torque_nm)
+        return round(self.torque_sign * torque_nm / self.torque_nm)
+
+    def velocity_raw(self, velocity_rad_s: float) -> int:
+        """The nearest raw velocity."""
+        return round(self.velocity_sign * velocity_rad_s / self.velocity_rad_s)
 
 
 def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) -> Scaling:
@@ -137,6 +149,8 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
         jerk_rad_s3=jerk,
         rated_current_a=raw_ma / 1000.0 if raw_ma else None,
         gear_ratio=_gear(values)[0],
+        velocity_sign=given.velocity_sign,
+        torque_sign=given.torque_sign,
     )
 
 

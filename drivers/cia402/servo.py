@@ -110,9 +110,7 @@ class ServoDrive(Drive):
         notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
-        self._assembler = ReadingAssembler(
-            network, plan, scaling, settings.sync_period_ns, self._told, settings.velocity_sign
-        )
+        self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
         self.control.set_point = SetPoint(
@@ -235,7 +233,8 @@ class ServoDrive(Drive):
     def write(self, command: Command) -> SentCommand | None:
         """Send a torque set-point; None and nothing sent if it has expired.
 
-        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number.
+        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number, as for
+        the torque of a :class:`.SpeedCommand`.
         """
         if self._expired(command.expires_at):
             return None

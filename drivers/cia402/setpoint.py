@@ -114,11 +114,12 @@ class SetPoint:
         self.clipped = 0
         """Set-points beyond their limit."""
         self._link: BusLink = network.link
-        self._per_nm = 1.0 / scaling.torque_nm
-        self._per_rad_s = 1.0 / scaling.velocity_rad_s
+        per_nm, per_rad_s = 1.0 / scaling.torque_nm, 1.0 / scaling.velocity_rad_s
+        self._per_nm = scaling.torque_sign * per_nm
+        self._per_rad_s = scaling.velocity_sign * per_rad_s
         self._per_rad = 1.0 / scaling.position_rad
-        self._torque_raw_max = _raw_limit(torque_max_nm, self._per_nm, _TORQUE_RAW_MAX)
-        self._velocity_raw_max = _raw_limit(speed_max_rad_s, self._per_rad_s, _VELOCITY_RAW_MAX)
+        self._torque_raw_max = _raw_limit(torque_max_nm, per_nm, _TORQUE_RAW_MAX)
+        self._velocity_raw_max = _raw_limit(speed_max_rad_s, per_rad_s, _VELOCITY_RAW_MAX)
         self._places: dict[int, list[_Place]] = {}
         for pdo in plan.rpdos:
             carrier = _Carrier(pdo)

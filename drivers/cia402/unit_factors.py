@@ -4,6 +4,8 @@ import math
 from itertools import product
 from typing import Final, NamedTuple
 
+from drivers.rotation import RAD_S_PER_RPM
+
 _TOLERANCE: Final = 0.005
 """Relative. Wider, and half of all factors would be some product of slips and powers of ten."""
 _TURN: Final = 360.0
@@ -20,7 +22,7 @@ MOTION_SLIPS: Final = (
     Slip(60.0, "a minute taken for a second, or the other way round"),
     Slip(3600.0, "an hour taken for a second, or the other way round"),
     Slip(math.tau, "turns taken for radians, or the other way round"),
-    Slip(math.tau / 60.0, "rev/min taken for rad/s, or the other way round"),
+    Slip(RAD_S_PER_RPM, "rev/min taken for rad/s, or the other way round"),
     Slip(_TURN, "turns taken for degrees, or the other way round"),
     Slip(6.0, "rev/min taken for degrees per second, or the other way round"),
     Slip(math.pi / 180.0, "degrees taken for radians, or the other way round"),

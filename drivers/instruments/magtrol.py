@@ -7,11 +7,11 @@ like are answered; a command that is not understood shows on the instrument's ow
 There is no checksum: a digit that became another digit passes for a reading.
 """
 
-import math
 import re
 from typing import NamedTuple
 
-RAD_S_PER_RPM = math.pi / 30.0
+from drivers.rotation import RAD_S_PER_RPM
+
 TORQUE_UNITS_NM = {
     "N.m": 1.0,
     "N.cm": 1e-2,

@@ -1,7 +1,6 @@
-"""A drive as the exercises of commissioning see it: the signs put right, and one way to write a set-point.
+"""A drive as the exercises of commissioning see it: one way to write a set-point, in whatever mode.
 
-A drive without a torque mode is given speeds: the "torque" of a command is then a speed in rad/s, and the
-limits and the controllers of an exercise are told so by :attr:`DrivePort.quantity`.
+A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no other command is taken then.
 """
 
 from collections.abc import Callable
@@ -11,8 +10,7 @@ from typing import Final
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
-from drivers.record import replaced
+from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_S, Instant
 
 
@@ -42,33 +40,20 @@ class DrivePort(Drive):
         self.drive = drive
         self.mode = mode
         self.quantity = QUANTITY_OF_MODE[mode]
-        self.torque_sign = 1.0
-        """-1: the drive's torque turns its position down."""
-        self.velocity_sign = 1.0
-        """-1: the drive's velocity counts against its position."""
         self.listener: Callable[[list[Reading]], None] | None = None
-        """Sees the readings as the drive tells them."""
+        """Sees the readings as they are taken."""
         self._period_s = period_s
         self._position_rad: float | None = None
         self._last: Instant | None = None
 
     def take_readings(self) -> list[Reading]:
-        """The readings of the drive, signs put right."""
+        """The readings of the drive."""
         readings = self.drive.take_readings()
         if self.listener is not None:
             self.listener(readings)
         if self._position_rad is None and readings:
             self._position_rad = readings[-1].position_rad
-        if self.torque_sign > 0.0 and self.velocity_sign > 0.0:
-            return readings
-        return [
-            replaced(
-                reading,
-                velocity_rad_s=reading.velocity_rad_s * self.velocity_sign,
-                torque_nm=reading.torque_nm * self.torque_sign,
-            )
-            for reading in readings
-        ]
+        return readings
 
     def take_readbacks(self) -> list[Readback]:
         """As the drive's own."""
@@ -76,21 +61,23 @@ class DrivePort(Drive):
 
     @property
     def torque_shown(self) -> tuple[float, Instant]:
-        """The torque that the drive told last, N m, and when; its sign put right."""
-        torque_nm, at = self.drive.torque_shown
-        return torque_nm * self.torque_sign, at
+        """As the drive's own."""
+        return self.drive.torque_shown
 
     def take_demand_changes(self) -> list[DemandChange]:
-        """As the drive counts, like a read-back."""
+        """As the drive's own."""
         return self.drive.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
-        """Send a set-point."""
+        """Send a set-point. Raises ValueError for a speed in a torque mode, TypeError for a torque in a mode
+        of speeds or positions.
+        """
         if self.quantity is Quantity.TORQUE:
-            return self.drive.write(replaced(command, torque_nm=command.torque_nm * self.torque_sign))
+            return self.drive.write(command)
+        if not isinstance(command, SpeedCommand):
+            raise TypeError(f"{self.drive.name} is given speeds in {self.mode.name}, not {command!r}")
         if self.quantity is Quantity.SPEED:
-            speed_rad_s = command.torque_nm * self.velocity_sign
-            return self.drive.write_speed(speed_rad_s, command.expires_at, command.sequence)
+            return self.drive.write_speed(command.speed_rad_s, command.expires_at, command.sequence)
         return self._write_position(command)
 
     @property
@@ -106,10 +93,10 @@ class DrivePort(Drive):
         """In a position mode, positions are counted on from where the shaft stands now."""
         self._position_rad = self._last = None
 
-    def _write_position(self, command: Command) -> SentCommand | None:
+    def _write_position(self, command: SpeedCommand) -> SentCommand | None:
         if self._position_rad is None:
             raise PeerFault("no position to count from")
         passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
         self._last = command.effective_at
-        self._position_rad += command.torque_nm * passed_s
+        self._position_rad += command.speed_rad_s * passed_s
         return self.drive.write_position(self._position_rad, command.expires_at, command.sequence)

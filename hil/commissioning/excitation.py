@@ -143,8 +143,8 @@ class SpeedGuide:
             self._integral += self._integral_gain * self._error * self._period_s
 
 
-class SpeedCommand:
-    """Passes the reference on, for a drive that takes speeds."""
+class SpeedReference:
+    """Passes the reference on, for a drive that takes speeds; what it puts out is no torque."""
 
     def output(self, _estimate: StateEstimate, reference: float) -> float:
         """The speed of this cycle."""

@@ -13,6 +13,7 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.commissioning.drive_port import DrivePort, Quantity
+from hil.commissioning.excitation import Profile, SpeedReference
 from hil.commissioning.request import MotionLimits
 from hil.control.compensation import Arrival
 from hil.execution.bus_guard import BusGuard
@@ -25,7 +26,7 @@ from hil.loop.delay import DelayMeter
 from hil.loop.loop import Loop, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
-from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.loop.scenario import LoadProfile, Segment, SpeedProfile
 from hil.loop.stamp_attribution import StampAttribution
@@ -38,6 +39,8 @@ BLIND_MAX_S: Final = 0.1
 _HORIZON: Final = 20
 _OVERSPEED: Final = 1.3
 """The shaft may overshoot the speed that it is given before the host stops it."""
+_RUN_UP_S: Final = 0.1
+"""From rest to the limit of speed: a set-point of speed rises no faster."""
 
 
 class Tally(NamedTuple):
@@ -53,7 +56,7 @@ class Tally(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What was sampled and what was commanded; SI units, times in s from the first SYNC."""
+    """What was sampled; SI units, times in s from the first SYNC."""
 
     time: Array
     """Sampling instants, by the drive's stamp where it has one."""
@@ -61,9 +64,6 @@ class Recording:
     velocity: Array
     torque: Array
     """By the drive's 6077h."""
-    command_time: Array
-    """When a command was given to the bus."""
-    command: Array
     sync_to_reading_us: Array
     """End of the SYNC on an idle bus to the arrival of its reading."""
     stamp_to_reading_us: Array
@@ -155,6 +155,34 @@ def _exceeded(what: str, found: float, limit: float, unit: str) -> LimitExceeded
     return LimitExceeded(f"{what}: {found:.4g} {unit} is beyond the limit of {limit:.4g} {unit}")
 
 
+def torque_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> TorqueLimits:
+    """Of an exercise of torques; ``guard_speed``: stop it by the velocity too, whose unit may be wrong."""
+    return TorqueLimits(
+        torque_max_nm=limits.torque_nm,
+        speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
+        torque_slew_max_nm_s=limits.torque_slew_nm_s,
+        dropouts_consecutive_max=_dropouts_max(period_s),
+    )
+
+
+def speed_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> SpeedLimits:
+    """As :func:`torque_limits`, of an exercise of speeds."""
+    return SpeedLimits(
+        set_point_max_rad_s=limits.speed_rad_s,
+        speed_max_rad_s=_shaft_speed_max(limits, guard_speed),
+        acceleration_max_rad_s2=limits.speed_rad_s / _RUN_UP_S,
+        dropouts_consecutive_max=_dropouts_max(period_s),
+    )
+
+
+def _shaft_speed_max(limits: MotionLimits, guard_speed: bool) -> float:
+    return _OVERSPEED * limits.speed_rad_s if guard_speed else math.inf
+
+
+def _dropouts_max(period_s: float) -> int:
+    return max(10, round(BLIND_MAX_S / period_s))
+
+
 class Exerciser:
     """Runs controllers on the drive, one exercise after the other."""
 
@@ -188,13 +216,40 @@ class Exerciser:
         done: Callable[[], bool] = lambda: False,
         guard_speed: bool = True,
     ) -> Recording:
-        """Run ``controller`` for ``duration`` s, or until it is ``done``.
+        """Run a controller of torque for ``duration`` s, or until it is ``done``.
 
-        Raises LimitExceeded or a fault of the drive, which then still turns: the caller stops it.
+        Raises LimitExceeded or a fault of the drive, which then still turns: the caller stops it. TypeError
+        for a drive that is given speeds.
         """
+        limits = torque_limits(self.limits, self.period_s, guard_speed)
+        return self._run(controller, limits, duration, reference or [], done)
+
+    def run_speeds(
+        self, duration: float, reference: list[Segment] | None = None, guard_speed: bool = True
+    ) -> Recording:
+        """As :meth:`run`, of a drive that is given speeds: those of ``reference``. ValueError for a
+        drive that is given torques.
+        """
+        limits = speed_limits(self.limits, self.period_s, guard_speed)
+        return self._run(SpeedReference(), limits, duration, reference or [])
+
+    def rest(self, duration: float) -> Recording:
+        """As :meth:`run`, with set-points of zero, torques or speeds."""
+        if self.port.quantity is Quantity.TORQUE:
+            return self.run(Profile(lambda _time: 0.0, self.period_s), duration)
+        return self.run_speeds(duration)
+
+    def _run(
+        self,
+        controller: Controller,
+        safety: TorqueLimits | SpeedLimits,
+        duration: float,
+        reference: list[Segment],
+        done: Callable[[], bool] = lambda: False,
+    ) -> Recording:
         records: list[CycleRecord] = []
         syncs = sync_log(self._network, self.timing.sync_latency, self.timing.period)
-        axis = self._axis(controller, reference or [], syncs, records, guard_speed)
+        axis = self._axis(controller, safety, reference, syncs, records)
         pump, clock = self._network.frame_pump, self._network.clock
         pace = OwnSync(pump, clock, self.timing.period, [syncs])
         loop = Loop(pump, clock, [axis], pace, self.timing, self._guard.attend)
@@ -214,29 +269,19 @@ class Exerciser:
     def _axis(
         self,
         controller: Controller,
+        safety: TorqueLimits | SpeedLimits,
         reference: list[Segment],
         syncs: SyncLog,
         records: list[CycleRecord],
-        guard_speed: bool,
     ) -> Axis:
         limits, port, period = self.limits, self.port, self.timing.period
         transit = self.timing.sync_latency  # less than a reading takes, as no frame is shorter than a SYNC
-        torque = port.quantity is Quantity.TORQUE
-        guard = SafetyGuard(
-            SafetyLimits(
-                torque_max_nm=limits.torque_nm if torque else limits.speed_rad_s,
-                speed_max_rad_s=_OVERSPEED * limits.speed_rad_s if guard_speed else math.inf,
-                torque_slew_max_nm_s=limits.torque_slew_nm_s if torque else limits.speed_rad_s / 0.1,
-                dropouts_consecutive_max=max(10, round(BLIND_MAX_S / self.period_s)),
-            ),
-            self.period_s,
-        )
         parts = AxisParts(
             name=port.drive.name,
             drive=port,
             controller=Watched(controller, limits, port, self._energy),
             compensator=Arrival(),
-            guard=guard,
+            guard=SafetyGuard(safety, self.period_s),
             reference=SpeedProfile(reference),
             load=LoadProfile([]),
             load_machine=None,
@@ -280,14 +325,8 @@ def recording_of(records: list[CycleRecord]) -> Recording:
         if record.sync_on_bus_at is not None:
             since_sync = reading.received_at - record.sync_on_bus_at
             delays.append((since_sync / 1e3, (reading.received_at - observation.sampled_at) / 1e3))
-    sent = [
-        ((record.sending.handed_at - origin) / NS_PER_S, record.command.torque_nm)
-        for record in records
-        if record.sending is not None and record.command is not None
-    ]
     samples = np.array(rows, dtype=float).reshape(-1, 4)
     samples = samples[np.argsort(samples[:, 0], kind="stable")]
-    commands = np.array(sent, dtype=float).reshape(-1, 2)
     measured = np.array(delays, dtype=float).reshape(-1, 2)
     lost = causes["lost"] + causes["missed"]
     tally = Tally(len(records), lost, causes["late"], causes["stale"], runs_of(missing))
@@ -296,8 +335,6 @@ def recording_of(records: list[CycleRecord]) -> Recording:
         position=samples[:, 1].copy(),
         velocity=samples[:, 2].copy(),
         torque=samples[:, 3].copy(),
-        command_time=commands[:, 0].copy(),
-        command=commands[:, 1].copy(),
         sync_to_reading_us=measured[:, 0].copy(),
         stamp_to_reading_us=measured[:, 1].copy(),
         tally=tally,

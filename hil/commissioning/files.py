@@ -4,6 +4,7 @@ import math
 from typing import Any, Final
 
 from drivers.cia402.objects402 import Object
+from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import suggestion
@@ -87,7 +88,7 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
 
 def drive_tables(session: Session) -> dict[str, Any]:
     """``drive.toml``."""
-    found, port = session.found, session.port
+    found = session.found
     identity, told, override = found.identity, found.told, found.override
     assert identity is not None
     assert told is not None
@@ -110,8 +111,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
             if value is not None
         },
     }
-    if port is not None and (port.torque_sign < 0.0 or port.velocity_sign < 0.0):
-        tables["signs"] = {"torque": int(port.torque_sign), "velocity": int(port.velocity_sign)}
+    if override.torque_sign < 0.0 or override.velocity_sign < 0.0:
+        tables["signs"] = {"torque": int(override.torque_sign), "velocity": int(override.velocity_sign)}
     if found.current_bandwidth_hz is not None:
         tables["current_loop"] = {"order": 1, "bandwidth_hz": found.current_bandwidth_hz}
     objects = [
@@ -151,13 +152,13 @@ def _motor_text(session: Session) -> str:
         guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
     if winding.pole_pairs is None:
         guesses.append("the number of pole pairs is not known")
-    speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * 60.0 / math.tau
+    speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * RPM_PER_RAD_S
     current_a = rated_nm / constant
     # Rms to amplitude; the torque per amplitude of the amplitude-invariant transform is 3/2 n_p phi.
     flux = constant / math.sqrt(2.0) / (1.5 * pole_pairs)
     voltage = rating.dc_bus_voltage_v
     if voltage is None:
-        voltage = 2.0 * math.sqrt(3.0) * pole_pairs * flux * speed_rpm * math.tau / 60.0
+        voltage = 2.0 * math.sqrt(3.0) * pole_pairs * flux * speed_rpm * RAD_S_PER_RPM
         guesses.append("the DC bus voltage is twice what the rated speed needs")
     tables = {
         "motor": {
@@ -189,7 +190,7 @@ def _motor_text(session: Session) -> str:
 def _bench_tables(session: Session) -> dict[str, Any]:
     found = session.found
     limits = suggestion(session)
-    speed = 0.4 * session.limits.speed_rad_s * 60.0 / math.tau
+    speed = 0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S
     drive: dict[str, Any] = {
         "node": session.request.node,
         "motor": MOTOR_FILE,

@@ -10,13 +10,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from drivers.rotation import RPM_PER_RAD_S
 from hil.commissioning.exercise import Recording
 from hil.commissioning.frequency import FrequencyResponse, StepLag
 from hil.commissioning.identify import Mechanics
 
 Array = NDArray[np.float64]
 
-_RPM = 60.0 / (2.0 * np.pi)
 _BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
 
 
@@ -38,7 +38,7 @@ def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics
     with _figure(path, 2, 7.0) as (above, below):
         begin = 0.0
         for recording in recordings:
-            above.plot(begin + recording.time, recording.speed * _RPM, color=_BLUE, linewidth=1.0)
+            above.plot(begin + recording.time, recording.speed * RPM_PER_RAD_S, color=_BLUE, linewidth=1.0)
             begin += float(recording.time[-1]) + 0.2
         above.set(xlabel="time, s (one exercise after the other)", ylabel="speed, r/min")
         top = 0.0
@@ -47,11 +47,11 @@ def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics
             acceleration = np.gradient(speed, recording.time)
             kernel = np.ones(25) / 25.0
             friction = np.convolve(recording.torque - found.inertia_kg_m2 * acceleration, kernel, "same")
-            below.plot(speed * _RPM, friction, ".", color=_GREY, markersize=1.5, alpha=0.5)
+            below.plot(speed * RPM_PER_RAD_S, friction, ".", color=_GREY, markersize=1.5, alpha=0.5)
             top = max(top, float(np.abs(speed).max()))
         speeds = np.linspace(-top, top, 401)
         line = [found.friction_nm(float(speed)) + found.offset_nm for speed in speeds]
-        below.plot(speeds * _RPM, line, color=_RED, linewidth=1.5, label="identified friction")
+        below.plot(speeds * RPM_PER_RAD_S, line, color=_RED, linewidth=1.5, label="identified friction")
         peak = 3.0 * max(abs(value) for value in line) + 1e-12
         below.set(xlabel="speed, r/min", ylabel="torque less inertia, N m", ylim=(-peak, peak))
         below.legend(frameon=False)
@@ -98,8 +98,10 @@ def draw_delays(path: Path, readings_us: Array, age_us: Array, part: Array, lag:
 def draw_verification(path: Path, recording: Recording, time: Array, reference: Array) -> None:
     """Speed beside its reference, and the torque."""
     with _figure(path, 2, 7.0, sharex=True) as (above, below):
-        above.plot(time, reference * _RPM, color=_RED, linewidth=1.2, label="reference")
-        above.plot(recording.time, recording.velocity * _RPM, color=_BLUE, linewidth=1.0, label="measured")
+        above.plot(time, reference * RPM_PER_RAD_S, color=_RED, linewidth=1.2, label="reference")
+        above.plot(
+            recording.time, recording.velocity * RPM_PER_RAD_S, color=_BLUE, linewidth=1.0, label="measured"
+        )
         above.set(ylabel="speed, r/min")
         above.legend(frameon=False)
         below.plot(recording.time, recording.torque, color=_BLUE, linewidth=0.8)

@@ -7,9 +7,9 @@ from pathlib import Path
 from pydantic import Field, ValidationError
 
 from drivers.bounded_file import NamedBy, read_toml
+from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
-from hil.configuration.motor_file import RAD_S_PER_RPM
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
 

@@ -185,7 +185,6 @@ class Session:
             capability=self.capability,
             mode=mode,
             coherent=True,
-            velocity_sign=1.0 if self.port is None else self.port.velocity_sign,
             drive_heartbeat_ms=request.heartbeat_ms,
             drive_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
             host_heartbeat_ms=request.heartbeat_ms,
@@ -197,10 +196,7 @@ class Session:
         notes = self.drive.configure(settings)
         found.plan = self.drive.plan
         self.configured = True
-        port = DrivePort(self.drive, mode, found.period / NS_PER_S)
-        if self.port is not None:
-            port.torque_sign, port.velocity_sign = self.port.torque_sign, self.port.velocity_sign
-        self.port = port
+        self.port = DrivePort(self.drive, mode, found.period / NS_PER_S)
         self.guard.arm({}, own_sync=True)
         return notes
 
@@ -283,7 +279,7 @@ class Session:
             self.dialog.tell(f"  while stopping: {error}")
 
     def overridden(self, **changes: Any) -> None:
-        """Take better factors; they act from the next :meth:`configure` on."""
+        """Take better factors or signs; they act from the next :meth:`configure` on."""
         self.found.override = replace(self.found.override, **changes)
 
     def picture(self, name: str, draw: Callable[[Path], None]) -> str:

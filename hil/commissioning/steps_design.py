@@ -10,7 +10,7 @@ from design.errors import DesignError
 from design.motor import PmsmParameters, Transform
 from design.speed.speed_design import least_gain
 from drivers.canopen.pdo import bus_load_percent_max
-from drivers.cia402.scaling import RAD_S_PER_RPM
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration
 from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_verification

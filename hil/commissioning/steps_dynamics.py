@@ -7,10 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cia402.scaling import RAD_S_PER_RPM
 from drivers.exchange import Command
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
-from hil.commissioning.excitation import Profile, SpeedGuide, multisine
+from hil.commissioning.excitation import SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
 from hil.commissioning.outcome import Outcome, StepFailed
@@ -224,8 +224,7 @@ def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
 def _time_readings(session: Session, outcome: Outcome) -> Outcome:
     """Only the way of the readings, with the drive at rest."""
     with session.enabled():
-        exerciser = session.exerciser()
-        recording = exerciser.run(Profile(lambda _time: 0.0, exerciser.period_s), _READINGS_S)
+        recording = session.exerciser().rest(_READINGS_S)
     readings = recording.sync_to_reading_us
     if len(readings) < 100:
         raise StepFailed("too few readings came", f"{len(readings)} of {recording.tally.cycles}")

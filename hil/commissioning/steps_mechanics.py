@@ -13,12 +13,12 @@ from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import RAD_S_PER_RPM
 from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import Quantity
-from hil.commissioning.excitation import Profile, SpeedCommand, SpeedGuide
+from hil.commissioning.excitation import Profile, SpeedGuide
 from hil.commissioning.exercise import Recording
 from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
 from hil.commissioning.outcome import Outcome, StepFailed
@@ -148,7 +148,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
                 guide = SpeedGuide(_guide_mechanics(session), exerciser.period_s)
                 recordings.append(exerciser.run(guide, time, reference))
             else:
-                recordings.append(exerciser.run(SpeedCommand(), time, reference))
+                recordings.append(exerciser.run_speeds(time, reference))
     return recordings
 
 
@@ -183,9 +183,8 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
 
 def _turned_round(session: Session, found: Mechanics, outcome: Outcome) -> Mechanics:
     """Torque against motion shows only here in a drive that is never given a torque."""
-    port = session.port
-    assert port is not None
-    port.torque_sign = -port.torque_sign
+    session.overridden(torque_sign=-session.found.override.torque_sign)
+    session.configure()
     outcome.faults.append("polarity: torque 6077h counts against the position; the bench turns its sign")
     return replace(
         found,
@@ -337,7 +336,10 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
     readings: list[tuple[Instant, float]] = []
     port = session.port
     assert port is not None
-    port.listener = lambda taken: readings.extend((each.torque_told_at, each.torque_nm) for each in taken)
+    sign = session.found.override.torque_sign  # as the drive counts: 6078h beside it is taken raw
+    port.listener = lambda taken: readings.extend(
+        (each.torque_told_at, sign * each.torque_nm) for each in taken
+    )
     with session.enabled():
         exerciser = session.exerciser()
         # By the cosine the speed has no mean.

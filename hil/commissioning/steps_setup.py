@@ -9,7 +9,6 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import HaltOption, Mode, State, state_of
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.commissioning.excitation import Profile
 from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.session import Session
 from hil.commissioning.step import Step
@@ -207,8 +206,7 @@ class EnableAtZero(Step):
     def run(self, session: Session) -> Outcome:
         outcome = Outcome()
         with session.enabled():
-            exerciser = session.exerciser()
-            recording = exerciser.run(Profile(lambda _time: 0.0, exerciser.period_s), _REST_S)
+            recording = session.exerciser().rest(_REST_S)
         if not len(recording.position):
             raise StepFailed("no reading came while the drive was enabled")
         crept = float(recording.position.max() - recording.position.min()) / math.tau

@@ -6,8 +6,9 @@ import numpy as np
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, supported_mode_bit
-from drivers.cia402.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, scaling_from
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, scaling_from
 from drivers.errors import PeerFault
+from drivers.rotation import RAD_S_PER_RPM
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import Outcome, StepFailed

@@ -10,7 +10,7 @@ from drivers.cia402.scaling import Scaling
 from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.drive_port import Quantity
-from hil.commissioning.excitation import Pulse, SpeedCommand
+from hil.commissioning.excitation import Pulse
 from hil.commissioning.exercise import Exerciser, Recording
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
 from hil.commissioning.outcome import Outcome, StepFailed
@@ -66,14 +66,13 @@ class Polarity(Step):
         )
         if self._by_object(session, wrong, outcome):
             return outcome
-        port = session.port
-        assert port is not None
-        port.torque_sign, port.velocity_sign = float(position), float(against)
+        session.overridden(torque_sign=float(position), velocity_sign=float(against))
+        session.configure()
         outcome.say("607Eh does not help; the bench turns the signs itself")
         return outcome
 
     def _by_object(self, session: Session, wrong: int, outcome: Outcome) -> bool:
-        """Turn bits of 607Eh over, and look whether that helped; else put them back."""
+        """Turn bits of 607Eh over, and look whether that helped; else put the object back."""
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
             return False
@@ -86,7 +85,6 @@ class Polarity(Step):
             outcome.figures["polarity"] = wanted
             return True
         session.objects.write(Object.POLARITY, 0, "B", held)
-        session.configure()
         return False
 
 
@@ -151,7 +149,7 @@ def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
     over = 0.1
     hold = max(0.3, abs(far / speed))
     reference: list[Segment] = [Ramp(0.0, speed, over), Ramp(over + hold, 0.0, over)]
-    return exerciser.run(SpeedCommand(), hold + 2.0 * over + 0.3, reference, guard_speed=False)
+    return exerciser.run_speeds(hold + 2.0 * over + 0.3, reference, guard_speed=False)
 
 
 def _velocity_ratio(recordings: list[Recording]) -> float:

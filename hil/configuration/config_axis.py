@@ -5,10 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.drive_file import DriveFile, LoopOfDrive
-from hil.configuration.motor_file import RAD_S_PER_RPM, MotorFile
+from hil.configuration.motor_file import MotorFile
 from hil.configuration.quantities import (
     DropoutsInARow,
     Frequency,

@@ -76,18 +76,15 @@ class DriveFile(Section):
 
     @property
     def override(self) -> ScaleOverride:
-        """``scale`` as the drive client takes it."""
-        scale = self.scale
+        """``scale`` and ``signs`` as the drive client takes them."""
+        scale, signs = self.scale, self.signs
         return ScaleOverride(
             position_rad=scale.position_rad,
             velocity_rad_s=scale.velocity_rad_s,
             rated_torque_nm=scale.rated_torque_nm,
+            velocity_sign=float(signs.velocity),
+            torque_sign=float(signs.torque),
         )
-
-    @property
-    def turned(self) -> bool:
-        """The bench has to turn signs itself."""
-        return self.signs.torque < 0 or self.signs.velocity < 0
 
 
 def load_drive_file(path: Path, named_by: NamedBy | None = None) -> DriveFile:

@@ -1,6 +1,5 @@
 """Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
 
-import math
 from pathlib import Path
 from typing import Any, Literal
 
@@ -8,6 +7,7 @@ from pydantic import Field, ValidationError
 
 from design.motor import PmsmParameters, Transform
 from drivers.bounded_file import NamedBy, read_toml
+from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_errors import raise_all, translate
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import (
@@ -22,8 +22,6 @@ from hil.configuration.quantities import (
     ViscousFriction,
     Voltage,
 )
-
-RAD_S_PER_RPM = math.tau / 60.0
 
 
 class Windings(Section):

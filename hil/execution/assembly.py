@@ -26,7 +26,7 @@ from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
-from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
 from hil.loop.stamp_attribution import StampAttribution
@@ -184,7 +184,7 @@ def axis(
         later = own.command_latency - timing.command_latency
         later += len(earlier) * command_duration(config.bitrate_of(name))
     transit = shortest_transit(reading_bytes, config.bitrate_of(name))
-    limits = SafetyLimits(
+    limits = TorqueLimits(
         torque_max_nm=wanted.limits.torque_max_nm,
         speed_max_rad_s=wanted.limits.speed_max_rad_s,
         torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,

@@ -16,7 +16,7 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
 from hil.execution.bus_guard import BusGuard
-from hil.execution.commissioned_drive import as_the_loop_counts, write_commissioned
+from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
 from hil.execution.connecting import connect
 from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
@@ -211,7 +211,7 @@ class _Run:
             assembly.axis(
                 config,
                 number,
-                as_the_loop_counts(drive, config.drive[drive.name].commissioned),
+                drive,
                 drive.reading_bytes,
                 self._load.find(drive, self._say),
                 timing,

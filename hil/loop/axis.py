@@ -72,6 +72,7 @@ class AxisParts:
     controller: Controller
     compensator: Compensator
     guard: SafetyGuard
+    """It makes the demands of the controller commands: of a torque, or of a speed."""
     reference: SpeedProfile
     load: LoadProfile
     load_machine: LoadMachine | None
@@ -231,10 +232,9 @@ class Axis:
         self._apply_load(parts.load.value(tick.time_s))
         decision.load_torque_nm = self._load_nm
         estimate = self._estimate(apply_at)
-        demand_nm = self._output(estimate, decision.reference_rad_s)
-        torque_nm = parts.guard.limit(demand_nm)
-        command = Command(tick.sequence, torque_nm, apply_at, Instant(apply_at + self._period))
-        self._check(parts.guard.check_cycle(self._fresh, demand_nm, estimate))
+        demand = self._output(estimate, decision.reference_rad_s)
+        command = parts.guard.command(tick.sequence, demand, apply_at, Instant(apply_at + self._period))
+        self._check(parts.guard.check_cycle(self._fresh, demand, estimate))
         self._fresh = False
         self._drive.check()
         sent = self._drive.write(command)

@@ -20,15 +20,16 @@ class Compensator(Protocol):
 
 
 class Controller(Protocol):
-    """A speed controller of one axis.
+    """A speed controller of one axis; of one that is given speeds, what says them.
 
-    ``output`` is called first and its torque is sent at once; ``update`` does the
+    ``output`` is called first and its set-point is sent at once; ``update`` does the
     bookkeeping afterwards, with the command that the safety limits let through.
     Neither reads a clock: time comes from the estimate and from the loop's period.
     """
 
     def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
-        """The torque to apply, N m, before any limit. Changes nothing."""
+        """The set-point before any limit: torque, N m; of an axis under limits of speed, rad/s. Changes
+        nothing."""
         ...
 
     def update(self, estimate: StateEstimate, command: Command) -> None:

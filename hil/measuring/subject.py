@@ -27,7 +27,7 @@ from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
-from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
 from hil.loop.scenario import LoadProfile, SpeedProfile
 from hil.loop.stamp_attribution import StampAttribution
@@ -173,10 +173,10 @@ class Subject:
         self._memory[self._filled : end] = row_of(record)
         self._filled = end
 
-    def _limits(self, unit_nm: float) -> SafetyLimits:
+    def _limits(self, unit_nm: float) -> TorqueLimits:
         """A disabled drive is not stopped, whoever turns its shaft and however little comes of it."""
         request, period = self._request, self._timing.period
-        return SafetyLimits(
+        return TorqueLimits(
             torque_max_nm=self._steps * unit_nm,
             speed_max_rad_s=request.speed_max_rad_s if request.enable else math.inf,
             dropouts_consecutive_max=_blind(period) // period if request.enable else request.cycles,

@@ -1,9 +1,8 @@
 """How the Rerun viewer lays a run out: states, plots of each axis, verdict, delay histogram, events."""
 
-import math
-
 import rerun.blueprint as rrb
 
+from drivers.rotation import RPM_PER_RAD_S
 from hil.rows.recording_plan import RecordingPlan
 from hil.verdict.summary import Summary
 
@@ -11,7 +10,6 @@ TIMELINE = "run_time"
 STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"
 SUMMARY = "/summary"
 """The object of summary.json, as text; in no view."""
-_RPM = 30.0 / math.pi
 _STATES_SHARE, _LANE_SHARE, _STATES_SHARE_MAX = 0.055, 0.04, 0.5
 """Of the height of a window of 1080 lines, so that each lane is seen whole."""
 
@@ -95,7 +93,7 @@ def _error_range(summary: Summary | None) -> tuple[float, float] | None:
     peak = summary.speed_error.peak_rad_s if summary is not None else None
     if not peak:
         return None
-    return -2.5 * peak * _RPM, 2.5 * peak * _RPM
+    return -2.5 * peak * RPM_PER_RAD_S, 2.5 * peak * RPM_PER_RAD_S
 
 
 def _delay_range(plan: RecordingPlan, summary: Summary | None, least_us: float) -> tuple[float, float] | None:

@@ -14,6 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from drivers.cia402.profile import State
+from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_US, Instant
 from hil.loop.samples import CommandFate
 from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout
@@ -37,7 +38,6 @@ from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, S
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import LimitResult
 
-_RPM = 30.0 / math.pi
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
 _GREEN, _VIOLET, _YELLOW, _CORAL = (112, 224, 128), (200, 160, 255), (255, 214, 92), (255, 122, 66)
 _STATE_COLORS = {
@@ -223,10 +223,12 @@ class Telemetry:
         dropped = rows[rows["fate"] != FATE_SAMPLE]
         came = rows[rows["delay_ns"] != NOTHING]
         error = read["reference_rad_s"] - read["velocity_rad_s"]
-        self._plot(f"/{name}/speed/reference", due_at, rows["reference_rad_s"] * _RPM)
-        self._plot(f"/{name}/speed/measured", read["due_at"], read["velocity_rad_s"] * _RPM)
-        self._plot(f"/{name}/speed/dropped", dropped["due_at"], dropped["estimate_velocity_rad_s"] * _RPM)
-        self._plot(f"/{name}/error/error", read["due_at"], error * _RPM)
+        self._plot(f"/{name}/speed/reference", due_at, rows["reference_rad_s"] * RPM_PER_RAD_S)
+        self._plot(f"/{name}/speed/measured", read["due_at"], read["velocity_rad_s"] * RPM_PER_RAD_S)
+        self._plot(
+            f"/{name}/speed/dropped", dropped["due_at"], dropped["estimate_velocity_rad_s"] * RPM_PER_RAD_S
+        )
+        self._plot(f"/{name}/error/error", read["due_at"], error * RPM_PER_RAD_S)
         torques = np.stack((rows["command_torque_nm"], rows["load_torque_nm"]), axis=1)
         self._plot(f"/{name}/torque/command", due_at, torques)
         self._plot(f"/{name}/torque/measured", read["due_at"], read["torque_nm"])

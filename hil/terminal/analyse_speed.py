@@ -114,7 +114,7 @@ def speed(
         delay_s = _delay_s(delay_ms, network)
 
         from design.errors import DesignError
-        from hil.configuration.motor_file import RAD_S_PER_RPM
+        from drivers.rotation import RAD_S_PER_RPM
         from hil.studies.speed.analysis import (
             LoopRequest,
             chance_figures,

@@ -112,7 +112,8 @@ def current(
         from design.hinf.reduction import Method
         from drivers.bounded_file import NamedBy
         from drivers.errors import BadInput
-        from hil.configuration.motor_file import RAD_S_PER_RPM, load_motor
+        from drivers.rotation import RAD_S_PER_RPM
+        from hil.configuration.motor_file import load_motor
         from hil.configuration.weights_file import load_weights
         from hil.studies.current.design import design_current
         from hil.studies.current.request import CurrentRequest

@@ -157,7 +157,7 @@ def speed(
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
 
         from design.delay.speed_loop import Feedback, gain_for_error
-        from hil.configuration.motor_file import RAD_S_PER_RPM
+        from drivers.rotation import RAD_S_PER_RPM
         from hil.studies.speed.synthesis import DesignRequest
 
         load = load_nm or parameters.rated_torque_nm

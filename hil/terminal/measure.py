@@ -86,7 +86,7 @@ def measure(
     """
     with reported_errors():
         from drivers.bounded_file import NamedBy
-        from drivers.cia402.scaling import RAD_S_PER_RPM
+        from drivers.rotation import RAD_S_PER_RPM
         from hil.configuration.bench_file import load_faults
         from hil.configuration.motor_file import load_motor
         from hil.measuring.request import MeasureRequest

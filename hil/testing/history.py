@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.cia402.profile import State, state_of
+from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_S
 from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
@@ -93,6 +94,6 @@ class AxisHistory:
 
     def _change(self, place: int, reference: Floats) -> str:
         if reference[place]:
-            rpm = self.reference_rad_s[place] * 60.0 / (2.0 * np.pi)
+            rpm = self.reference_rad_s[place] * RPM_PER_RAD_S
             return f"the reference of {self.reference_rad_s[place]:.4g} rad/s ({rpm:.4g} r/min)"
         return f"the load of {self.load_nm[place]:.4g} N m"

@@ -3,11 +3,11 @@
 Defaults are in the units that the drive starts with: encoder counts, 0.001 rev/min, rev/min per second.
 """
 
-import math
 from typing import Final
 
 from design.motor import PmsmParameters
 from drivers.cia402.objects402 import Object
+from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
 from virtual_bus.drive.homing_methods import HOMING_METHODS
@@ -28,8 +28,7 @@ NO_WINDOW: Final = 0xFFFF_FFFF
 """Value of 6065h and 6067h that switches the watch off (CiA 402-2)."""
 LOWEST, HIGHEST = -0x8000_0000, 0x7FFF_FFFF
 
-_RPM: Final = math.tau / 60.0
-_MRPM: Final = _RPM / 1000.0
+_MRPM: Final = RAD_S_PER_RPM / 1000.0
 _FOLLOWING_MS: Final = 100
 _SETTLED_MS: Final = 10
 _POSITION_WINDOW_TURNS: Final = 0.002
@@ -71,8 +70,8 @@ class MotionObjects:
         self.period_index = period.add(2, "Interpolation time index", _I8, default=-3, low=-6, high=0)
 
     def _add_profile(self, motor: PmsmParameters, drive: DriveParameters) -> None:
-        slow_down = max(1, round(drive.slow_down_rad_s2(motor) / _RPM))
-        quick = max(1, round(drive.quick_stop_rad_s2(motor) / _RPM))
+        slow_down = max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM))
+        quick = max(1, round(drive.quick_stop_rad_s2(motor) / RAD_S_PER_RPM))
         fastest = round(drive.speed_limit_rad_s(motor) / _MRPM)
         usual = min(round(motor.rated_speed_rad_s / _MRPM), fastest)
         limits = self._dictionary.add_array(Object.SOFTWARE_POSITION_LIMIT, "Software position limit")
@@ -107,7 +106,7 @@ class MotionObjects:
             Object.HOMING_ACCELERATION,
             "Homing acceleration",
             _U32,
-            max(1, round(drive.slow_down_rad_s2(motor) / _RPM)),
+            max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM)),
             1,
         )
         methods = self._dictionary.add_array(Object.SUPPORTED_HOMING_METHODS, "Supported homing methods")

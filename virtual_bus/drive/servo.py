@@ -20,6 +20,7 @@ from drivers.cia402.profile import (
     State,
     Status,
 )
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import (
     Application,
@@ -44,7 +45,7 @@ from virtual_bus.drive.open_defaults import OpenDefaults
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import Motion, PowerStateMachine
-from virtual_bus.drive.servo_objects import RPM, ServoObjects
+from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.slow_values import LOAD_NM, provide_slow_values
 from virtual_bus.drive.user_units import UserUnits
@@ -280,7 +281,7 @@ class ServoApplication(Application):
         self.firmware.limit(
             min(objects.max_torque.value * objects.torque_unit_nm, motor.torque_max_nm),
             min(objects.max_current.value * objects.current_unit_a, motor.current_max_a),
-            objects.max_motor_speed.value * RPM,
+            objects.max_motor_speed.value * RAD_S_PER_RPM,
         )
 
     def _take_rating(self) -> None:

@@ -9,6 +9,7 @@ import math
 from design.motor import PmsmParameters, Transform
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
+from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.drive.option_objects import add_option_codes, one_of
@@ -23,9 +24,7 @@ PERMANENT_MAGNET_SINUSOIDAL = 10
 LOAD_MACHINE = 0x2100
 """Manufacturer-specific: the load machine on the simulated shaft."""
 PER_THOUSAND_MAX = 0xFFFF
-RPM = math.tau / 60.0
-"""1 rev/min in rad/s."""
-VELOCITY_UNIT_RAD_S = RPM / 1000.0
+VELOCITY_UNIT_RAD_S = RAD_S_PER_RPM / 1000.0
 
 
 class ServoObjects:
@@ -116,7 +115,7 @@ class ServoObjects:
         current = min(
             PER_THOUSAND_MAX, math.floor(1000.0 * motor.current_max_a / motor.rated_current_a + 1e-6)
         )
-        speed = math.floor(drive.speed_limit_rad_s(motor) / RPM + 1e-6)
+        speed = math.floor(drive.speed_limit_rad_s(motor) / RAD_S_PER_RPM + 1e-6)
         self.max_torque = self._add(
             Object.MAX_TORQUE, "Max torque", U16, RW, default=torque, high=torque, mappable=True
         )

@@ -16,11 +16,11 @@ import numpy as np
 
 from design.motor import PmsmParameters, Transform
 from drivers.cia402.objects402 import Object, Unit, unit_word
+from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 
-RPM: Final = math.tau / 60.0
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
 _RATIOS: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
 _GEARS: Final = ((1, 1), (3, 1), (5, 1), (10, 1), (25, 2), (100, 7))
@@ -59,7 +59,7 @@ class Truth:
             },
             "rating": {
                 "torque_nm": round(motor.rated_torque_nm, 3),
-                "speed_rpm": round(motor.rated_speed_rad_s / RPM),
+                "speed_rpm": round(motor.rated_speed_rad_s / RAD_S_PER_RPM),
                 "current_a": round(motor.rated_current_a / math.sqrt(2.0), 3),
                 "dc_bus_voltage_v": motor.dc_bus_voltage_v,
             },
@@ -105,7 +105,7 @@ def unknown_drive(seed: int, node_id: int = 1, clock_drift_ppm: float = 0.0) -> 
 def _motor(random: np.random.Generator, seed: int) -> PmsmParameters:
     """A servo motor with its load, in proportions that occur."""
     torque = _geometric(random, 0.3, 10.0)
-    speed = float(random.integers(15, 46)) * 100.0 * RPM
+    speed = float(random.integers(15, 46)) * 100.0 * RAD_S_PER_RPM
     start_up_s = _geometric(random, 0.03, 0.3)
     pole_pairs = int(random.integers(2, 9))
     bus_v = float(random.choice((48.0, 160.0, 320.0, 560.0)))

@@ -7,7 +7,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from design.delay.speed_loop import RAD_S_PER_RPM
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_ON_S,
@@ -15,6 +14,7 @@ from design.papers.ling2012 import (
     load_pulse,
     start_up,
 )
+from drivers.rotation import RAD_S_PER_RPM
 from hil.studies.papers.runs import LOAD_AT_S, PaperRun
 
 mpl.use("Agg")

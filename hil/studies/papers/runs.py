@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.delay.speed_loop import RAD_S_PER_RPM
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_NM,
@@ -31,6 +30,7 @@ from design.papers.ling2012 import (
     K,
     pi_gains,
 )
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
 from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012

@@ -7,7 +7,8 @@ import pytest
 
 from drivers.errors import NoAnswer, PeerFault
 from drivers.instruments.dynamometer import ATTEMPTS_MAX, Dynamometer, DynamometerSettings
-from drivers.instruments.magtrol import RAD_S_PER_RPM, TORQUE_UNITS_NM, dialect
+from drivers.instruments.magtrol import TORQUE_UNITS_NM, dialect
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.serial_line import LineFull, LineGone
 

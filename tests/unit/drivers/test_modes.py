@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from struct import unpack_from
 
 import pytest
@@ -13,8 +14,10 @@ from drivers.cia402.motion import Homing, Profile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.profile import Mode, State
+from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, PeerFault, TransferAborted
+from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.link import Direction
 from tests.unit.drivers.fake_bus import FakeBus, make_network
@@ -265,6 +268,38 @@ def test_cyclic_set_points_go_out_in_one_frame_each(rig: Rig) -> None:
     assert rig.drive.write_position(0.0, late) is None
     assert rig.drive.write_speed(0.0, late) is None
     assert set(rig.words()) <= {ENABLED}
+
+
+@pytest.mark.parametrize(("velocity", "torque"), [(-1, 1), (1, -1), (-1, -1)])
+def test_a_drive_that_counts_the_other_way_is_turned_in_every_mode(velocity: int, torque: int) -> None:
+    bus, network = make_network()
+    servo, drive = ProfileServo(bus), ServoDrive(network, 1)
+    turned = ScaleOverride(velocity_sign=velocity, torque_sign=torque)
+    settings = DriveSettings(PERIOD, torque_max_nm=1.0, speed_max_rad_s=200.0, scale=turned)
+    limit = int(200.0 / TURN * 60_000)
+
+    def soon() -> Instant:
+        return network.deadline_after(Duration(NS_PER_S))
+
+    drive.connect(soon())
+    drive.configure(replace(settings, plan=all_modes_plan(1, device_stamp=True)))
+    drive.enable(soon())
+    drive.run_at(TURN, soon())
+    assert servo.values[0x60FF, 0] == velocity * 60_000
+    drive.apply_torque(0.5, soon(), Profile(torque_slope_nm_s=0.5))
+    assert servo.values[0x6071, 0] == torque * 250
+    assert servo.values[0x6087, 0] == 250, "a slope has no sign"
+    drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, soon())
+    drive.write_speed(TURN, soon())
+    assert servo.values[0x60FF, 0] == velocity * 60_000
+    drive.write_speed(1000.0, soon())
+    assert servo.values[0x60FF, 0] == velocity * limit
+    drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_TORQUE, soon())
+    for torque_nm, raw in ((0.25, 125), (-7.0, -500)):
+        drive.write(Command(1, torque_nm, soon(), soon()))
+        assert servo.values[0x6071, 0] == torque * raw
+    assert servo.values[0x6072, 0] == 500, "nor has a limit"
+    bus.shutdown()
 
 
 def test_a_drive_can_begin_in_another_mode() -> None:

@@ -28,13 +28,13 @@ SPEED, ACTUAL, STATUS, CHANGE = 0x181, 0x281, 0x381, 0x481
 class Rig:
     """Frames of a drive's TPDOs into an assembler; a SYNC is really sent in each cycle."""
 
-    def __init__(self, plan: PdoPlan, velocity_sign: float = 1.0) -> None:
+    def __init__(self, plan: PdoPlan, scaling: Scaling = SCALING) -> None:
         self.bus: FakeBus
         self.network: CanopenNetwork
         self.bus, self.network = make_network()
         self.plan = plan
         self.told = Seen()
-        self.assembler = ReadingAssembler(self.network, plan, SCALING, PERIOD, self.told, velocity_sign)
+        self.assembler = ReadingAssembler(self.network, plan, scaling, PERIOD, self.told)
 
     def deliver(self, can_id: int, *fields: int, after_us: int) -> None:
         pdo = next(pdo for pdo in self.plan.tpdos if pdo.cob_id == can_id)
@@ -197,12 +197,16 @@ def test_a_drives_clock_that_is_set_moves_no_position(step_ms: int) -> None:
     rig.bus.shutdown()
 
 
-def test_a_velocity_that_counts_against_the_position() -> None:
-    rig = Rig(torque_plan(1, device_stamp=True), velocity_sign=-1.0)
-    rig.cycle((-100, 1000), (0, 5000, 0))
-    (reading,) = rig.cycle((-100, 2000))
-    assert reading.velocity_rad_s == -100.0
+@pytest.mark.parametrize(("velocity", "torque"), [(-1, 1), (1, -1)])
+def test_signs_are_turned_and_the_position_is_carried_on_by_the_turned_velocity(
+    velocity: int, torque: int
+) -> None:
+    rig = Rig(torque_plan(1, device_stamp=True), replace(SCALING, velocity_sign=velocity, torque_sign=torque))
+    rig.cycle((velocity * 100, 1000), (200, 5000, 0))
+    (reading,) = rig.cycle((velocity * 100, 2000))
+    assert reading.velocity_rad_s == 100.0
     assert reading.position_rad == pytest.approx(5.1)
+    assert reading.torque_nm == torque * 200.0
     rig.bus.shutdown()
 
 

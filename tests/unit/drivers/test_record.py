@@ -4,14 +4,14 @@ import inspect
 
 import pytest
 
-from drivers.exchange import Command, DemandChange, Readback, Reading
+from drivers.exchange import Command, DemandChange, Readback, Reading, SpeedCommand
 from drivers.record import Record, replaced, values_of
 from drivers.timebase import Instant
 from drivers.wire.frame_port import WireFrame
 from hil.loop.samples import CycleRecord, Dropout, Sample, Sending, StateEstimate
 
 KINDS = (
-    *(WireFrame, Reading, Readback, DemandChange, Command),
+    *(WireFrame, Reading, Readback, DemandChange, Command, SpeedCommand),
     *(Sample, Dropout, StateEstimate, Sending, CycleRecord),
 )
 COMMAND = Command(3, 1.5, Instant(10), Instant(20))
@@ -27,6 +27,9 @@ def test_equal_by_every_field() -> None:
 def test_another_class_with_the_same_values_is_another_value() -> None:
     assert WireFrame(1) != Readback(1, Instant(0), 0)
     assert values_of(WireFrame(1)) != WireFrame(1)
+    speed = SpeedCommand(3, 1.5, Instant(10), Instant(20))
+    assert speed != COMMAND
+    assert speed == SpeedCommand(3, 1.5, Instant(10), Instant(20))
 
 
 def test_a_changed_copy_leaves_the_rest_and_the_original() -> None:
@@ -42,6 +45,8 @@ def test_no_field_that_is_not_there_is_changed() -> None:
 
 def test_it_shows_its_fields() -> None:
     assert repr(COMMAND) == "Command(sequence=3, torque_nm=1.5, effective_at=10, expires_at=20)"
+    speed = SpeedCommand(3, 1.5, Instant(10), Instant(20))
+    assert repr(speed) == "SpeedCommand(sequence=3, speed_rad_s=1.5, effective_at=10, expires_at=20)"
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -13,7 +13,7 @@ from drivers.cia402.profile import State
 from drivers.cia402.rest import REST_FOR
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, NoAnswer, PeerFault, TransferAborted
-from drivers.exchange import Command
+from drivers.exchange import Command, SpeedCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import UNTOLD
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
@@ -252,13 +252,15 @@ def test_write_scales_clips_and_keeps_the_controlword(bench: Bench) -> None:
     assert servo.state is State.OPERATION_ENABLED
 
 
-def test_a_torque_that_is_no_number_is_never_sent(bench: Bench) -> None:
+def test_a_torque_that_is_no_number_is_never_sent_nor_a_speed_for_a_torque(bench: Bench) -> None:
     bus, _, network, drive = bench
     enabled(bench)
     sent = len(bus.sent)
     for torque in (math.nan, math.inf):
         with pytest.raises((ValueError, OverflowError)):
             drive.write(command(torque, network))
+    with pytest.raises(ValueError, match="NaN"):
+        drive.write(SpeedCommand(1, 1.0, network.clock.now(), soon(network)))
     assert len(bus.sent) == sent
 
 

@@ -18,7 +18,7 @@ from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, Loop, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
-from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, StateEstimate
 from hil.loop.scenario import LoadProfile, SpeedProfile, Step
 from hil.loop.stamp_attribution import StampAttribution
@@ -172,7 +172,7 @@ def make_axis(
     drive: FakeDrive,
     records: list[CycleRecord],
     compensator: Compensator | None = None,
-    limits: SafetyLimits | None = None,
+    limits: TorqueLimits | SpeedLimits | None = None,
     syncs: SyncLog | None = None,
     told: list[str] | None = None,
 ) -> Axis:
@@ -183,7 +183,7 @@ def make_axis(
         drive=drive,
         controller=Proportional(),
         compensator=compensator or Arrival(),
-        guard=SafetyGuard(limits or SafetyLimits(5.0, 200.0), 0.001),
+        guard=SafetyGuard(limits or TorqueLimits(5.0, 200.0), 0.001),
         reference=SpeedProfile([Step(0.01, 2.0)]),
         load=LoadProfile([]),
         load_machine=None,

@@ -7,13 +7,14 @@ import pytest
 
 from drivers.canopen.objects import SettingRefused
 from drivers.cia402.drive_setup import Identity
+from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, BenchError, PeerFault
-from drivers.exchange import Command, Readback, Reading, SentCommand
-from drivers.timebase import Instant
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import DriveFile, load_drive_file
-from hil.execution.commissioned_drive import TurnedDrive, as_the_loop_counts, write_commissioned
+from hil.execution.assembly import loop_timing
+from hil.execution.commissioned_drive import write_commissioned
+from hil.execution.drive_settings import drive_settings
 
 FILE = """
 [drive]
@@ -43,8 +44,6 @@ class Drive:
         self.identity = Identity("it", 7, 8, 1, 9, 0)
         self.network = self
         self.held: dict[tuple[int, int], bytes] = {}
-        self.sent: list[Command] = []
-        self.checked = 0
         self._stubborn = stubborn
 
     def download(self, _node: int, index: int, sub: int, data: bytes) -> None:
@@ -52,20 +51,6 @@ class Drive:
 
     def upload(self, _node: int, index: int, sub: int) -> bytes:
         return self.held[index, sub]
-
-    def take_readings(self) -> list[Reading]:
-        now = Instant(0)
-        return [Reading(2.0, None, now, 5.0, now, -0.5, now, 0x237, now)]
-
-    def take_readbacks(self) -> list[Readback]:
-        return [Readback(-125, Instant(3), 1)]
-
-    def write(self, command: Command) -> SentCommand:
-        self.sent.append(command)
-        return SentCommand(command.sequence, -125, Instant(11))
-
-    def check(self) -> None:
-        self.checked += 1
 
 
 def drive_file(folder: Path, text: str = FILE) -> DriveFile:
@@ -95,28 +80,11 @@ def test_another_drive_is_refused_before_anything_is_written(tmp_path: Path, key
     assert drive.held == {}
 
 
-def test_signs_are_turned_for_the_loop_and_back_for_the_drive(tmp_path: Path) -> None:
-    drive = Drive()
-    turned = as_the_loop_counts(as_servo(drive), drive_file(tmp_path))
-    assert isinstance(turned, TurnedDrive)
-    (reading,) = turned.take_readings()
-    assert (reading.position_rad, reading.velocity_rad_s, reading.torque_nm) == (5.0, -2.0, 0.5)
-    sent = turned.write(Command(1, 0.25, Instant(0), Instant(1)))
-    assert drive.sent[0].torque_nm == -0.25
-    (readback,) = turned.take_readbacks()
-    assert sent is not None
-    assert readback.demand_raw == sent.raw == -125, "both as the drive counts"
-    turned.check()
-    assert drive.checked == 1
-
-
-def test_a_drive_that_counts_as_the_loop_is_left_as_it_is(tmp_path: Path) -> None:
-    drive = as_servo(Drive())
-    assert as_the_loop_counts(drive, None) is drive
-    plain = drive_file(tmp_path, FILE.replace("= -1", "= 1"))
-    assert as_the_loop_counts(drive, plain) is drive
-    assert plain.override.velocity_rad_s == 0.1
-    assert plain.override.position_rad is None
+def test_factors_and_signs_go_to_the_drive_client_together(tmp_path: Path) -> None:
+    turned = drive_file(tmp_path).override
+    assert turned == ScaleOverride(velocity_rad_s=0.1, velocity_sign=-1.0, torque_sign=-1.0)
+    plain = drive_file(tmp_path, FILE.replace("= -1", "= 1")).override
+    assert plain == ScaleOverride(velocity_rad_s=0.1)
 
 
 def test_a_bench_file_names_it(tmp_path: Path) -> None:
@@ -125,9 +93,11 @@ def test_a_bench_file_names_it(tmp_path: Path) -> None:
     text = (example / "any_bus.toml").read_text().replace('"motors/', f'"{example}/motors/')
     bench = tmp_path / "bench.toml"
     bench.write_text(text.replace("node = 1\n", 'node = 1\ncommissioned = "drive.toml"\n', 1))
-    commissioned = load_bench(bench).drive["axis1"].commissioned
+    config = load_bench(bench)
+    commissioned = config.drive["axis1"].commissioned
     assert commissioned is not None
     assert commissioned.signs.torque == -1
+    assert drive_settings(config, "axis1", loop_timing(config), None).scale == commissioned.override
     bench.write_text(text.replace("node = 1\n", 'node = 1\ncommissioned = "absent.toml"\n', 1))
     with pytest.raises(BenchError, match="drive file"):
         load_bench(bench)

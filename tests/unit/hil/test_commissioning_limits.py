@@ -13,7 +13,7 @@ from drivers.exchange import Command
 from drivers.timebase import Instant
 from hil.commissioning.drive_port import DrivePort
 from hil.commissioning.excitation import Profile, Pulse, SpeedGuide
-from hil.commissioning.exercise import EnergyMeter, Watched
+from hil.commissioning.exercise import BLIND_MAX_S, EnergyMeter, Watched, speed_limits, torque_limits
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.request import MotionLimits, Nameplate, load_nameplate, motion_limits
 from hil.loop.samples import StateEstimate
@@ -126,6 +126,18 @@ def test_a_nameplate_with_a_wrong_key_is_refused_with_its_name(tmp_path: Path) -
     assert caught.value.exit_status == 2
     with pytest.raises(BadInput, match="--motor"):
         load_nameplate(tmp_path / "absent.toml")
+
+
+@pytest.mark.parametrize("guard_speed", [True, False])
+def test_each_quantity_has_its_own_limits(guard_speed: bool) -> None:
+    shaft = pytest.approx(130.0) if guard_speed else math.inf
+    blind = round(BLIND_MAX_S / 1e-3)
+    torques = torque_limits(LIMITS, 1e-3, guard_speed)
+    assert (torques.torque_max_nm, torques.torque_slew_max_nm_s) == (1.0, 50.0)
+    assert (torques.speed_max_rad_s, torques.dropouts_consecutive_max) == (shaft, blind)
+    speeds = speed_limits(LIMITS, 1e-3, guard_speed)
+    assert (speeds.set_point_max_rad_s, speeds.acceleration_max_rad_s2) == (100.0, 1000.0)
+    assert (speeds.speed_max_rad_s, speeds.dropouts_consecutive_max) == (shaft, blind)
 
 
 # ---- what excites the shaft -------------------------------------------------------------------------------

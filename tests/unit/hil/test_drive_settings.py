@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from drivers.cia402.drive_setup import Identity
+from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.bench_file import load_bench
 from hil.execution.assembly import loop_timing
 from hil.execution.drive_settings import drive_settings, identity_notes
@@ -42,4 +43,4 @@ def test_as_many_commands_may_be_lost_as_readings(
     config = config.model_copy(update={"drive": {"axis1": drive}, "host": host})
     settings = drive_settings(config, "axis1", loop_timing(config), None)
     assert settings.command_timeout_ms == timeout_ms
-    assert settings.velocity_sign == 1.0
+    assert settings.scale == ScaleOverride()

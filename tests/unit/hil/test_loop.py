@@ -1,17 +1,18 @@
 """The loop and its axes against a made-up bus."""
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
 
 from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
-from drivers.exchange import Command
+from drivers.exchange import Command, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.control.compensation import Stamp
 from hil.loop.loop import Actuation, LoopOutcome
 from hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety import SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample, StateEstimate
 from tests.unit.hil.loop_fakes import (
     DEVICE_CLOCK_OFFSET_NS,
@@ -48,7 +49,7 @@ def run(
     oversleep: Callable[[int], int] | None = None,
     stall: Callable[[Instant], Duration] | None = None,
     stamp_delay: int = 0,
-    limits: SafetyLimits | None = None,
+    limits: TorqueLimits | None = None,
     stop_after: int | None = None,
     prepare: Callable[[FakeDrive], None] = lambda drive: None,
 ) -> tuple[LoopOutcome, list[CycleRecord], FakeDrive]:
@@ -248,7 +249,7 @@ def test_no_sync_comes_within_half_a_period_of_another(late_us: int) -> None:
 
 
 def test_a_long_stall_counts_among_the_dropouts_in_a_row() -> None:
-    limits = SafetyLimits(5.0, 200.0, dropouts_consecutive_max=8)
+    limits = TorqueLimits(5.0, 200.0, dropouts_consecutive_max=8)
     with pytest.raises(LimitExceeded, match="no usable reading for 9 cycles"):
         run(
             lambda cycle: 300_000,
@@ -293,7 +294,7 @@ def test_a_stop_request_ends_the_run_between_cycles() -> None:
 
 
 def test_too_many_dropouts_in_a_row_stop_the_run() -> None:
-    limits = SafetyLimits(5.0, 200.0, dropouts_consecutive_max=8)
+    limits = TorqueLimits(5.0, 200.0, dropouts_consecutive_max=8)
     with pytest.raises(LimitExceeded, match="no usable reading for 9 cycles"):
         run(lambda cycle: None if cycle > 20 else 300_000, 100, limits=limits)
 
@@ -337,3 +338,36 @@ def test_two_axes_share_the_syncs() -> None:
     assert outcome.cycles == 10
     assert len(records) == 20
     assert [len(drive.commands) for drive in drives] == [10, 10]
+
+
+class SpeedDrive(FakeDrive):
+    """A drive that is given speeds."""
+
+    def write(self, command: Command) -> SentCommand | None:
+        assert isinstance(command, SpeedCommand)
+        self.commands.append(command)
+        return SentCommand(command.sequence, round(1000 * command.speed_rad_s), command.effective_at)
+
+
+def test_under_limits_of_speed_an_axis_gives_speeds_within_them() -> None:
+    records: list[CycleRecord] = []
+    drive = SpeedDrive(lambda sequence: 250_000)
+    bus = FakeBus([drive])
+    loop = make_loop(bus, [make_axis(drive, records, limits=SpeedLimits(0.5, 200.0, 20.0))])
+    loop.calibrate()
+    loop.run(Duration(60 * PERIOD), lambda: False, lambda at: None, lambda done: None)
+    speeds = [command.speed_rad_s for command in drive.commands if isinstance(command, SpeedCommand)]
+    assert len(speeds) == 60
+    assert max(speeds) == 0.5, "the demand is 2"
+    assert max(after - before for before, after in pairwise(speeds)) == pytest.approx(0.02)
+    assert all(math.isnan(command_of(record).torque_nm) for record in records)
+
+
+def test_an_axis_under_limits_of_speed_moves_no_drive_that_is_given_torques() -> None:
+    drive = FakeDrive(lambda sequence: 250_000)
+    bus = FakeBus([drive])
+    loop = make_loop(bus, [make_axis(drive, [], limits=SpeedLimits(0.5, 200.0))])
+    loop.calibrate()
+    with pytest.raises(ValueError, match="NaN"):
+        loop.run(Duration(60 * PERIOD), lambda: False, lambda at: None, lambda done: None)
+    assert drive.sent == []

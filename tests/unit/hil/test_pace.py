@@ -11,7 +11,7 @@ from drivers.timebase import NS_PER_US, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.loop import Loop, LoopOutcome
 from hil.loop.pace import CALIBRATION_SPACINGS, PERIOD_ERROR_MAX, HeardSync, Stall
-from hil.loop.safety import SafetyLimits
+from hil.loop.safety import TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sample
 from hil.loop.syncs import SyncLog
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive, make_axis
@@ -30,7 +30,7 @@ class Rig:
         self.drive = FakeDrive(lambda sequence: DELAY)
         self.bus = FakeBus([self.drive])
         self.log = SyncLog(SYNC_LATENCY, PERIOD, EchoBasis.BUS)
-        limits = SafetyLimits(5.0, 200.0, dropouts_consecutive_max=dropouts_max)
+        limits = TorqueLimits(5.0, 200.0, dropouts_consecutive_max=dropouts_max)
         self.axis = make_axis(self.drive, self.records, limits=limits, syncs=self.log)
         pace = HeardSync(self.bus, self.bus, PERIOD, self.log, stall)
         self.bus.produce(instants, pace.hear)

@@ -6,12 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.exchange import Command, SpeedCommand
+from drivers.timebase import Instant
 from hil.control.compensation import AT_REST
-from hil.loop.safety import SafetyGuard, SafetyLimits
+from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 
 
 def guard(slew: float | None = None) -> SafetyGuard:
-    return SafetyGuard(SafetyLimits(5.0, 100.0, slew, 3), 0.001)
+    return SafetyGuard(TorqueLimits(5.0, 100.0, slew, 3), 0.001)
 
 
 @settings(derandomize=True, deadline=None)
@@ -48,3 +50,39 @@ def test_consecutive_dropouts_are_counted_from_the_last_fresh_sample() -> None:
     reasons = [checked.check_cycle(False, 0.0, AT_REST) for _ in range(3)]
     assert reasons[:2] == [None, None]
     assert reasons[2] is not None
+
+
+# ---- an axis that is given speeds -------------------------------------------------------------------------
+
+AT, UNTIL = Instant(10), Instant(20)
+
+
+def speeds() -> SafetyGuard:
+    """Set-points to 30 rad/s, by 2 rad/s a cycle; the shaft to 40 rad/s."""
+    return SafetyGuard(SpeedLimits(30.0, 40.0, 2000.0, 3), 0.001)
+
+
+def test_what_is_let_through_is_a_command_of_the_quantity_that_is_limited() -> None:
+    assert guard().command(7, 6.0, AT, UNTIL) == Command(7, 5.0, AT, UNTIL)
+    speed = speeds().command(7, 1.5, AT, UNTIL)
+    assert speed == SpeedCommand(7, 1.5, AT, UNTIL)
+    assert math.isnan(speed.torque_nm), "a speed is no torque"
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_speed_is_cut_at_its_own_limits(sign: float) -> None:
+    checked = speeds()
+    sent = [checked.limit(sign * 1e6) for _ in range(16)]
+    assert sent == [sign * 2.0 * cycle for cycle in range(1, 16)] + [sign * 30.0]
+    assert checked.check_speed(sign * 40.0) is None
+    assert "limit of 40.0 rad/s" in str(checked.check_speed(sign * 40.1))
+
+
+def test_a_speed_without_a_limit_of_acceleration_is_cut_at_its_limit_alone() -> None:
+    assert SafetyGuard(SpeedLimits(30.0, 40.0), 0.001).limit(1e6) == 30.0
+
+
+def test_a_speed_that_is_not_a_number_stops_the_run_and_sends_none() -> None:
+    checked = speeds()
+    assert checked.command(7, math.nan, AT, UNTIL) == SpeedCommand(7, 0.0, AT, UNTIL)
+    assert "speed is not a number" in str(checked.check_cycle(True, math.nan, AT_REST))

@@ -18,6 +18,7 @@ from drivers.cia402.profile import (
     State,
     Status,
 )
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, SYNC, ServoBench
@@ -25,7 +26,7 @@ from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.drive.servo_objects import LOAD_MACHINE, RPM, VELOCITY_UNIT_RAD_S
+from virtual_bus.drive.servo_objects import LOAD_MACHINE, VELOCITY_UNIT_RAD_S
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
 
@@ -104,7 +105,7 @@ def test_no_torque_before_operation_enabled() -> None:
 
 def test_quick_stop_comes_down_its_ramp_to_rest_and_switches_off() -> None:
     bench = ServoBench()
-    assert bench.write(Object.QUICK_STOP_DECELERATION, "I", round(1000.0 / RPM)) is None
+    assert bench.write(Object.QUICK_STOP_DECELERATION, "I", round(1000.0 / RAD_S_PER_RPM)) is None
     bench.turn()
     start = bench.speed_rad_s
     bench.rpdo(CONTROLWORDS[DriveCommand.QUICK_STOP], 800)
@@ -281,7 +282,7 @@ def test_speed_is_held_below_6080() -> None:
     bench = ServoBench()
     assert bench.write(Object.MAX_MOTOR_SPEED, "I", 500) is None
     bench.turn(milliseconds=500, torque_raw=1000)
-    assert 0.9 * 500 * RPM < bench.speed_rad_s <= 500 * RPM
+    assert 0.9 * 500 * RAD_S_PER_RPM < bench.speed_rad_s <= 500 * RAD_S_PER_RPM
     assert bench.statusword & Status.INTERNAL_LIMIT_ACTIVE
     bench.rpdo(CONTROLWORDS[DriveCommand.ENABLE_OPERATION], -300)
     assert not bench.statusword & Status.INTERNAL_LIMIT_ACTIVE

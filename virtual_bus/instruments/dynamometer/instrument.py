@@ -8,7 +8,7 @@ DSP6001: five), five characters of torque with its point, the direction.
 
 import math
 
-from drivers.instruments.magtrol import RAD_S_PER_RPM
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import Instant
 from virtual_bus.instruments.dynamometer.brake import Brake
 

@@ -1,0 +1,66 @@
+"""Set-points of commissioning's exercises: a drive is sent the quantity that its mode takes, and no other."""
+
+from typing import cast
+
+import pytest
+
+from drivers.cia402.profile import Mode
+from drivers.cia402.servo import ServoDrive
+from drivers.exchange import Command, Drive, Reading, SpeedCommand
+from drivers.timebase import NS_PER_MS, Instant
+from hil.commissioning.drive_port import DrivePort, Quantity
+
+NOW = Instant(0)
+
+
+class Noting(Drive):
+    """A drive client in whatever mode; it notes what it would send."""
+
+    name = "drive"
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, float]] = []
+
+    def write(self, command: Command) -> None:
+        self.sent.append(("N m", command.torque_nm))
+
+    def write_speed(self, speed_rad_s: float, _expires_at: Instant, _sequence: int) -> None:
+        self.sent.append(("rad/s", speed_rad_s))
+
+    def write_position(self, position_rad: float, _expires_at: Instant, _sequence: int) -> None:
+        self.sent.append(("rad", position_rad))
+
+    def take_readings(self) -> list[Reading]:
+        return [Reading(0.0, None, NOW, 5.0, NOW, 0.0, NOW, 0x237, NOW)]
+
+
+def port_in(mode: Mode) -> tuple[DrivePort, Noting]:
+    drive = Noting()
+    return DrivePort(cast(ServoDrive, drive), mode, 1e-3), drive
+
+
+def test_a_port_sends_what_its_mode_takes() -> None:
+    port, drive = port_in(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    port.write(Command(1, 0.5, NOW, NOW))
+    assert drive.sent == [("N m", 0.5)]
+    port, drive = port_in(Mode.CYCLIC_SYNCHRONOUS_VELOCITY)
+    port.write(SpeedCommand(1, 30.0, NOW, NOW))
+    assert drive.sent == [("rad/s", 30.0)]
+    port, drive = port_in(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    port.take_readings()
+    port.write(SpeedCommand(1, 30.0, NOW, NOW))
+    port.write(SpeedCommand(2, -10.0, Instant(2 * NS_PER_MS), NOW))
+    assert [unit for unit, _ in drive.sent] == ["rad", "rad"]
+    assert [position for _, position in drive.sent] == pytest.approx([5.03, 5.01])
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [Mode.CYCLIC_SYNCHRONOUS_VELOCITY, Mode.PROFILE_VELOCITY, Mode.CYCLIC_SYNCHRONOUS_POSITION],
+)
+def test_a_torque_is_not_taken_for_a_speed(mode: Mode) -> None:
+    port, drive = port_in(mode)
+    assert port.quantity is not Quantity.TORQUE
+    with pytest.raises(TypeError, match="is given speeds"):
+        port.write(Command(1, 0.5, NOW, NOW))
+    assert drive.sent == []
