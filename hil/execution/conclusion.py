@@ -11,7 +11,7 @@ from drivers.cia402.servo import ServoDrive
 from drivers.cia402.supervision import Release
 from drivers.errors import BenchError, DriveInFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Loop as LoopSettings
+from hil.configuration.config import LoopConfig
 from hil.loop.loop import LoopOutcome
 from hil.recording.logger_process import RecordingFailed
 from hil.verdict.verdict import DriveEnd, Outcome, RunOutcome, outcome_of_status
@@ -45,7 +45,7 @@ class Conclusion:
             found = _cut_short(found, "it ended by a defect of this program", Outcome.DEFECT)
         return replace(found, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
-    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopSettings, **found: Any) -> None:
+    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **found: Any) -> None:
         """The loop ended as a loop does; ``found``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.

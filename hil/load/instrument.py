@@ -7,7 +7,7 @@ from drivers.errors import BadInput
 from drivers.instruments.dynamometer import Dynamometer, LoadReading, Tally
 from drivers.timebase import NS_PER_S, Clock, Instant
 from drivers.wire.serial_line import ByteLine, open_line
-from hil.configuration.config_load_machine import SIMULATED, LoadMachine
+from hil.configuration.config_load_machine import SIMULATED, LoadMachineConfig
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
@@ -125,7 +125,7 @@ class InstrumentLoadMachine:
 
 
 def instrument_line(
-    config: LoadMachine, source: str, clock: Clock, servo: SimulatedServo | None, seed: int
+    config: LoadMachineConfig, source: str, clock: Clock, servo: SimulatedServo | None, seed: int
 ) -> ByteLine:
     """The line to the instrument: its serial port, or that of one simulated on the shaft of ``servo``.
 

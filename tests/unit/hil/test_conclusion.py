@@ -5,7 +5,7 @@ import pytest
 from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Loop
+from hil.configuration.config import LoopConfig
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
 from hil.verdict.verdict import Outcome
@@ -87,7 +87,7 @@ def test_a_recorded_fault_names_its_own_emcy() -> None:
     assert not explained(RecordedFaults(()), 1201)
 
 
-SETTINGS = Loop(period_us=1000, decide_after_us=700, deadline_us=2000, horizon_periods=20)
+SETTINGS = LoopConfig(period_us=1000, decide_after_us=700, deadline_us=2000, horizon_periods=20)
 
 
 @pytest.mark.parametrize(("late_ms", "completed"), [(0.2, True), (20.9, True), (21.1, False), (4000, False)])
