@@ -19,7 +19,7 @@ from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import ExitStatus, Finding, Outcome
+from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -87,7 +87,7 @@ def test_a_failed_run_leaves_with_one(bench: Bench) -> None:
 
 
 def test_an_interrupted_run_prints_what_it_has_and_leaves_with_130(bench: Bench) -> None:
-    bench.summary = summary().also(Finding(Outcome.INTERRUPTED, "ended by SIGINT"))
+    bench.summary = summary().also(Finding(VerdictKind.INTERRUPTED, "ended by SIGINT"))
     result = hil("run", BENCH)
     assert result.exit_code == ExitStatus.INTERRUPTED
     assert "INTERRUPTED" in result.stdout
@@ -188,7 +188,7 @@ def test_json_is_one_object_at_every_exit(
 
 @pytest.mark.parametrize("as_json", [False, True])
 def test_of_an_error_and_what_the_run_came_to_the_gravest_is_the_status(bench: Bench, as_json: bool) -> None:
-    found = (Finding(Outcome.PEER_FAULT, "lost"), Finding(Outcome.NOT_RECORDED, "the disk is full"))
+    found = (Finding(VerdictKind.PEER_FAULT, "lost"), Finding(VerdictKind.NOT_RECORDED, "the disk is full"))
     bench.summary = bench.summary.also(found[0]).also(found[1])
     bench.error, bench.begins = RecordingFailed("the disk is full"), True
     result = hil("run", BENCH, *(["--json"] if as_json else []))

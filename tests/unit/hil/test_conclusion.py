@@ -8,7 +8,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.config import LoopConfig
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 from virtual_bus.faults.fault_log import KINDS, Entry
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
@@ -114,4 +114,4 @@ def test_a_run_of_which_no_end_was_told_was_ended_by_a_defect() -> None:
     assert not conclusion.outcome.completed
     conclusion.failed(BadInput("bench.toml", "", 1, "2"))
     causes.append(conclusion.outcome.cause)
-    assert causes == [Outcome.DEFECT, Outcome.DEFECT, Outcome.BAD_INPUT]
+    assert causes == [VerdictKind.DEFECT, VerdictKind.DEFECT, VerdictKind.BAD_INPUT]
