@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.device.nmt_state import NmtState
@@ -123,7 +123,7 @@ class TapLog:
     """PDOs that the loop was given, in the order in which it fetched them, with the stamps of its port."""
     drives: dict[int, DriveLog] = field(default_factory=dict)
 
-    def watch(self, segment: Segment) -> None:
+    def watch(self, segment: CanSegment) -> None:
         """Note every frame on ``segment``."""
         note = self.on_bus.append
 
