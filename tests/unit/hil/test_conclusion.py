@@ -9,7 +9,7 @@ from hil.configuration.config import LoopConfig
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
 from hil.verdict.verdict import VerdictKind
-from virtual_bus.faults.fault_log import KINDS, Entry
+from virtual_bus.faults.fault_log import KINDS, FaultEntry
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
 from virtual_bus.faults.replay import RecordedFaults
@@ -75,7 +75,7 @@ def test_an_encoder_s_loss_is_told_when_it_is_noticed() -> None:
 def test_a_recorded_fault_names_its_own_emcy() -> None:
     place = list(DriveFailure).index(DriveFailure.ENCODER_LOSS)
     after = 200 * NS_PER_MS
-    entry = Entry(NS_PER_S, place, after, 0, 0, 0, KINDS.index("drive_fault"), 1)
+    entry = FaultEntry(NS_PER_S, place, after, 0, 0, 0, KINDS.index("drive_fault"), 1)
     recorded = RecordedFaults((entry,))
     assert [explained(recorded, at_ms, 0x7305) for at_ms in (1150, 1200, 1299, 1300)] == [
         False,
