@@ -20,7 +20,7 @@ NEVER_TOLD: Final = Instant(-1)
 _NAN: Final = float("nan")
 
 
-class Seen:
+class LastStatusword:
     """The last statusword that a drive told, by whatever way it came."""
 
     __slots__ = ("at", "by_pdo", "statusword")
@@ -95,7 +95,7 @@ class ReadingAssembler:
         plan: PdoPlan,
         scaling: Scaling,
         period_ns: Duration,
-        told: Seen,
+        told: LastStatusword,
         velocity_sign: float = 1.0,
     ) -> None:
         """``velocity_sign``: -1 for a drive whose velocity counts against its position.
@@ -292,7 +292,7 @@ class _Inlet:
         "frames",
     )
 
-    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: Seen, watched: int) -> None:
+    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: LastStatusword, watched: int) -> None:
         codec = pdo.codec()
         self.frames = 0
         self._assembler = assembler

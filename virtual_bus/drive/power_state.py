@@ -26,7 +26,7 @@ from drivers.cia402.profile import (
     TRANSITION_OF,
     Control,
     DriveCommand,
-    Event,
+    DriveEvent,
     QuickStopOption,
     State,
     Transition,
@@ -99,7 +99,7 @@ class PowerStateMachine:
         self._waiting: Transition | None = None
         self._controlword = 0
         self._open = self._arrows[self.state]
-        self.signal(Event.INITIALISED)
+        self.signal(DriveEvent.INITIALISED)
 
     @property
     def stopping(self) -> bool:
@@ -126,7 +126,7 @@ class PowerStateMachine:
         if arrow is not None:
             self._take(arrow)
 
-    def signal(self, event: Event) -> None:
+    def signal(self, event: DriveEvent) -> None:
         """Something happened in the drive. Nothing happens where no arrow leaves."""
         arrow = TRANSITION_OF.get((self.state, event))
         if arrow is not None:
@@ -135,7 +135,7 @@ class PowerStateMachine:
     def cut_torque(self) -> None:
         """Safe torque off: no ramp any more. Arrows 7, 9, 10 and 12, or a fault reaction that is over."""
         if self.state is State.FAULT_REACTION:
-            self.signal(Event.FAULT_REACTION_DONE)
+            self.signal(DriveEvent.FAULT_REACTION_DONE)
         else:
             self.command(DriveCommand.DISABLE_VOLTAGE)
 
@@ -145,12 +145,12 @@ class PowerStateMachine:
         if self._waiting is not None:
             self._enter(self._waiting)
         elif self.state is State.FAULT_REACTION:
-            self.signal(Event.FAULT_REACTION_DONE)
+            self.signal(DriveEvent.FAULT_REACTION_DONE)
         elif self._stays_in_quick_stop():
             self.at_rest = True
             self.revision += 1
         else:
-            self.signal(Event.QUICK_STOP_DONE)
+            self.signal(DriveEvent.QUICK_STOP_DONE)
 
     def _take(self, arrow: Transition) -> None:
         if arrow is self._waiting:
@@ -167,7 +167,7 @@ class PowerStateMachine:
             return
         self._enter(arrow, stop)
         if arrow.number in (11, 13) and stop is Motion.OFF:
-            self.signal(Event.QUICK_STOP_DONE if arrow.number == 11 else Event.FAULT_REACTION_DONE)
+            self.signal(DriveEvent.QUICK_STOP_DONE if arrow.number == 11 else DriveEvent.FAULT_REACTION_DONE)
 
     def _enter(self, arrow: Transition, motion: Motion = Motion.OFF) -> None:
         self._waiting = None

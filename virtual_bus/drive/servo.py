@@ -15,7 +15,7 @@ from drivers.cia402.profile import (
     STATUS_PATTERNS,
     AbortConnectionOption,
     DriveCommand,
-    Event,
+    DriveEvent,
     Mode,
     State,
     Status,
@@ -339,7 +339,7 @@ class ServoApplication(Application):
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return
         self._failures.show(code)
-        self.power.signal(Event.FAULT_DETECTED)
+        self.power.signal(DriveEvent.FAULT_DETECTED)
         self._act()
         self._refresh()
 

@@ -10,7 +10,7 @@ from drivers.cia402.profile import (
     TRANSITION_OF,
     Control,
     DriveCommand,
-    Event,
+    DriveEvent,
     State,
     command_path,
 )
@@ -30,7 +30,7 @@ def machine_in(state: State, options: dict[Object, int] | None = None) -> PowerS
     machine = PowerStateMachine(lambda index: options[index])
     if state in (State.FAULT, State.FAULT_REACTION):
         walk(machine, State.OPERATION_ENABLED)
-        machine.signal(Event.FAULT_DETECTED)
+        machine.signal(DriveEvent.FAULT_DETECTED)
         if state is State.FAULT:
             machine.rested()
     else:
@@ -166,14 +166,14 @@ def test_fault_reaction_runs_to_rest_and_ends_in_fault() -> None:
 def test_a_fault_without_motion_is_a_fault_at_once() -> None:
     for state in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON):
         machine = machine_in(state)
-        machine.signal(Event.FAULT_DETECTED)
+        machine.signal(DriveEvent.FAULT_DETECTED)
         assert machine.state is State.FAULT
 
 
 def test_fault_reset_acts_on_the_rising_edge_only() -> None:
     machine = machine_in(State.OPERATION_ENABLED)
     machine.receive(Control.FAULT_RESET | CONTROLWORDS[DriveCommand.ENABLE_OPERATION])
-    machine.signal(Event.FAULT_DETECTED)
+    machine.signal(DriveEvent.FAULT_DETECTED)
     machine.rested()
     states = []
     for word in (Control.FAULT_RESET, 0, Control.FAULT_RESET):
@@ -206,7 +206,7 @@ def test_any_sequence_keeps_to_the_table(
     for word in words:
         before = machine.revision, machine.state, machine.motion, machine.at_rest
         if word == -2:
-            machine.signal(Event.FAULT_DETECTED)
+            machine.signal(DriveEvent.FAULT_DETECTED)
         elif word >= 0:
             machine.receive(word)
         elif machine.stopping:
