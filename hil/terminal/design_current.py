@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hil.studies.current.request import OtherAxis
 
 
-class Axis(StrEnum):
+class CurrentAxis(StrEnum):
     """Which current."""
 
     Q = "q"
@@ -88,7 +88,7 @@ JsonOption = Annotated[
 
 def current(
     motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
-    axis: Annotated[Axis, typer.Option("--axis", help="The current to control.")],
+    axis: Annotated[CurrentAxis, typer.Option("--axis", help="The current to control.")],
     weights: WeightsOption = None,
     gamma: Annotated[float | None, typer.Option("--gamma", min=1e-9, help="The norm to stay below.")] = None,
     gamma_factor: GammaFactorOption = None,

@@ -14,7 +14,7 @@ from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
 from hil.cli import app
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.machine.capability import Capability, Status
+from hil.machine.capability import Capability, CapabilityStatus
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
@@ -299,9 +299,13 @@ def test_simulate_has_a_default_motor_and_no_faults(bench: Bench) -> None:
 def checks(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [
         Capability(
-            "vcan0", Status.LACK, "no such link", "--bus socketcan:vcan0", "ip link add dev vcan0 type vcan"
+            "vcan0",
+            CapabilityStatus.LACK,
+            "no such link",
+            "--bus socketcan:vcan0",
+            "ip link add dev vcan0 type vcan",
         ),
-        Capability("disk space", Status.OK, "50 GB free", "recordings"),
+        Capability("disk space", CapabilityStatus.OK, "50 GB free", "recordings"),
     ]
     monkeypatch.setattr("hil.machine.doctor.run_checks", lambda: found)
 
