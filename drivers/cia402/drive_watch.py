@@ -2,7 +2,8 @@
 
 from typing import Final
 
-from drivers.canopen.nmt import NmtState, NodeStatus
+from drivers.canopen.nmt import NodeStatus
+from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import state_of

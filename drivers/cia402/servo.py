@@ -4,8 +4,8 @@ from typing import Final
 
 from drivers.canopen.heartbeats import HostWatch, forget_host, write_heartbeats
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtCommand, NmtState
 from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import (

@@ -44,11 +44,12 @@ def scan(
 ) -> None:
     """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
     with reported_errors():
+        from drivers.canopen.nmt_states import UNCONFIGURED
         from drivers.errors import BadInput
         from drivers.timebase import duration_s
         from drivers.wire.adapters import parse_bus_spec
         from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
-        from hil.terminal.node_list import UNCONFIGURED, node_ids
+        from hil.terminal.node_list import node_ids
 
         plan = None
         if bus is not None:

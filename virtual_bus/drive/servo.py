@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.nmt_states import NmtState
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
     STATUS_PATTERNS,
@@ -21,13 +22,7 @@ from drivers.cia402.profile import (
     Status,
 )
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import (
-    Application,
-    CommunicationLoss,
-    DeviceServices,
-    ErrorRegister,
-    NmtState,
-)
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_store import ParameterStore

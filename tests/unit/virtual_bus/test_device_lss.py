@@ -2,10 +2,10 @@
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
 from virtual_bus.bus.segment import CanSegment
-from virtual_bus.device.application import NmtState
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
 from virtual_bus.device.parameter_store import MemoryStore, ParameterStore

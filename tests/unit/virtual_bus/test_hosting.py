@@ -9,6 +9,7 @@ from typing import ClassVar
 import can
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.errors import BusDown
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
@@ -16,7 +17,7 @@ from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.application import CommunicationLoss, NmtState
+from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.drive.servo import SimulatedServo
