@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.data_types import byte_length
+from virtual_bus.device.encoding import byte_length
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.sdo_block import ABORT_COMMAND, BlockDownload, BlockUpload

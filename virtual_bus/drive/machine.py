@@ -16,8 +16,8 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 

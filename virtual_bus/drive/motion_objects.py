@@ -7,8 +7,8 @@ import math
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
 from virtual_bus.drive.homing_methods import HOMING_METHODS
 from virtual_bus.drive.option_objects import one_of

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass, field
 
+from drivers.canopen.data_types import BITS, DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import integer
 from drivers.sheets.eds.repairs import RepairLog
@@ -42,7 +43,7 @@ class Entry:
     index: int
     sub: int
     name: str
-    data_type: int = types.DOMAIN
+    data_type: int = DataType.DOMAIN
     access: str = "rw"
     mappable: bool = False
     default: Value = NOTHING
@@ -160,13 +161,13 @@ class EntryReader:
     def _supposed_type(self, section: EdsSection, index: int, sub: int | None, fault: str, line: int) -> int:
         known = standard_type(index, sub)
         if known is None and integer(section.text("ObjectType") or "7") == (types.DOMAIN_OBJECT, ""):
-            return types.DOMAIN
+            return DataType.DOMAIN
         if known is not None:
             action = f"taken for {types.type_name(known)}, as in the standard"
         elif sub == 0:
-            known, action = types.UNSIGNED8, "taken for UNSIGNED8, as every sub-index 0"
+            known, action = DataType.UNSIGNED8, "taken for UNSIGNED8, as every sub-index 0"
         else:
-            known, action = types.DOMAIN, "taken for a DOMAIN"
+            known, action = DataType.DOMAIN, "taken for a DOMAIN"
         self._log.add(section.name, fault, action, line)
         return known
 
@@ -197,7 +198,7 @@ class EntryReader:
         return self.number(section, "ObjFlags") or 0 if section.option("ObjFlags") else 0
 
     def _limits(self, made: Entry, section: EdsSection, place: Place) -> None:
-        if place.data_type not in types.BITS:
+        if place.data_type not in BITS:
             return
         low = read_value(section.option("LowLimit"), place, self._log).at(self._node_id)
         high = read_value(section.option("HighLimit"), place, self._log).at(self._node_id)

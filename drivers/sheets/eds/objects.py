@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
+from drivers.canopen.data_types import DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry, EntryReader
 from drivers.sheets.eds.numbers import integer
@@ -185,7 +186,7 @@ class _Builder:
     def _expand(self, made: EdsObject, head: EdsSection, count: int) -> None:
         """Entries 1 to ``count`` like the head; names and values that differ stand in tables of their own."""
         template = self._read.entry(head, made.index, 1)
-        made.entries[0] = Entry(made.index, 0, "Number of entries", types.UNSIGNED8, "ro", line=head.line)
+        made.entries[0] = Entry(made.index, 0, "Number of entries", DataType.UNSIGNED8, "ro", line=head.line)
         made.entries[0].default = Value(count, text=str(count))
         for sub in range(1, count + 1):
             made.entries[sub] = replace(
@@ -268,7 +269,7 @@ class _Builder:
         if 0 in made.entries:
             return
         highest = max(made.entries)
-        entry = Entry(made.index, 0, "Highest sub-index", types.UNSIGNED8, "ro", line=head.line)
+        entry = Entry(made.index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", line=head.line)
         entry.default = Value(highest, text=str(highest))
         made.entries[0] = entry
         self._log.add(head.name, "sub-object 0 is missing", f"made, UNSIGNED8 = {highest}", head.line)
