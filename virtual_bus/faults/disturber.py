@@ -133,7 +133,7 @@ class Disturber:
         self._zero = None
 
     def disturb(self, sender: str, frame: Frame, at: Instant) -> Disturbance | None:
-        """What ``Segment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
+        """What ``CanSegment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
         bit = self.bit(sender, frame, at)
         return None if bit is None else Disturbance(bit)
 
