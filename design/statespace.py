@@ -98,6 +98,14 @@ class StateSpace:
         return StateSpace(self.A, self.B @ R, L @ self.C, L @ self.D @ R, self.period_s)
 
 
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The largest gain over frequency, and where it is reached: rad/s, 0 and infinity included."""
+
+    gain: float
+    frequency_rad_s: float
+
+
 def _matrix(factor: ArrayLike, size: int) -> Array:
     value: Array = np.asarray(factor, dtype=float)
     return value * np.eye(size) if value.ndim == 0 else np.atleast_2d(value)

@@ -4,6 +4,7 @@ What a command needs is imported inside it, so that ``hil --help`` answers at on
 """
 
 from hil.terminal.hidden_rooms import refuse_hidden_rooms
+from hil.terminal.options import JsonOption, SeedOption, bus_option
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
@@ -63,18 +64,7 @@ class TimeBase(StrEnum):
 
 
 BusOption = Annotated[
-    str | None,
-    typer.Option(
-        "--bus",
-        metavar="SPEC",
-        help="simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.",
-    ),
-]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-]
-SeedOption = Annotated[
-    int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
+    str | None, bus_option("simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.")
 ]
 
 NoRecordOption = Annotated[

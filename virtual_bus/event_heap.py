@@ -22,7 +22,7 @@ class Action:
         return True
 
 
-class Entry:
+class HeapEntry:
     """An action and its instant."""
 
     __slots__ = ("action", "order", "when")
@@ -34,7 +34,7 @@ class Entry:
         self.action = action
 
 
-def push(heap: list[Entry], entry: Entry) -> None:
+def push(heap: list[HeapEntry], entry: HeapEntry) -> None:
     """Add ``entry``, whose order is above that of all others."""
     when = entry.when
     place = len(heap)
@@ -49,7 +49,7 @@ def push(heap: list[Entry], entry: Entry) -> None:
     heap[place] = entry
 
 
-def pop(heap: list[Entry]) -> Entry:
+def pop(heap: list[HeapEntry]) -> HeapEntry:
     """Take the first entry out of a heap that holds one."""
     last = heap.pop()
     size = len(heap)

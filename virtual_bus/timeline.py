@@ -8,7 +8,7 @@ on nothing but its input.
 from collections.abc import Callable, Sized
 
 from drivers.timebase import Instant
-from virtual_bus.event_heap import Action, Entry, pop, push
+from virtual_bus.event_heap import Action, HeapEntry, pop, push
 
 Callback = Callable[[Instant], object]
 
@@ -59,7 +59,7 @@ class Timeline:
 
     def __init__(self) -> None:
         self.now = Instant(0)
-        self._heap: list[Entry] = []
+        self._heap: list[HeapEntry] = []
         self._entered = 0
 
     def call_at(self, when: Instant, callback: Callback) -> Event:
@@ -75,7 +75,7 @@ class Timeline:
     def enter(self, when: Instant, action: Action) -> None:
         """Let ``action`` happen at ``when``; it may be entered several times. The cheapest way."""
         self._entered = entered = self._entered + 1
-        push(self._heap, Entry(when if when > self.now else self.now, entered, action))
+        push(self._heap, HeapEntry(when if when > self.now else self.now, entered, action))
 
     def next_at(self) -> Instant | None:
         """The instant of the next event; None if there is none left."""

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.delay.delay_loop import Array, DelayLoop, LoopFunction, QuasiPolynomial, loop_function
+from design.statespace import Peak
 
 NORM_TOLERANCE = 1e-8
 """Relative: no frequency has a gain beyond the norm that is returned times one plus this."""
@@ -40,14 +41,6 @@ class Crossing:
     frequency_rad_s: float
     first_delay_s: float
     destabilising: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Peak:
-    """The supremum of |G(jw)| over w >= 0 and where it is reached."""
-
-    gain: float
-    frequency_rad_s: float
 
 
 def crossings(loop: DelayLoop) -> list[Crossing]:

@@ -25,7 +25,7 @@ _SETTLED = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Response:
+class DelayResponse:
     """Instants, (m,) s, and states there, (m, n)."""
 
     time_s: Array
@@ -83,7 +83,7 @@ class DelayedSteps:
         return self._length_s / _FINE
 
 
-def respond(loop: DelayLoop, duration_s: float, load: float = 0.0, x0: Array | None = None) -> Response:
+def respond(loop: DelayLoop, duration_s: float, load: float = 0.0, x0: Array | None = None) -> DelayResponse:
     """From ``x0`` (rest if absent) at t = 0, with no history before it, under a constant disturbance."""
     steps = DelayedSteps(loop)
     x = np.zeros(len(loop.A)) if x0 is None else np.asarray(x0, dtype=float)
@@ -95,7 +95,7 @@ def respond(loop: DelayLoop, duration_s: float, load: float = 0.0, x0: Array | N
         parts.append(steps.fine(begin, interval))
     states = np.vstack(parts)
     kept = math.floor(duration_s / steps.step_s * (1.0 + 1e-12)) + 1
-    return Response(np.asarray(np.arange(len(states))[:kept] * steps.step_s), np.asarray(states[:kept]))
+    return DelayResponse(np.asarray(np.arange(len(states))[:kept] * steps.step_s), np.asarray(states[:kept]))
 
 
 def step_peak(loop: DelayLoop) -> float:

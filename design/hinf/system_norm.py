@@ -8,25 +8,16 @@ grid holds 0, infinity and the poles' frequencies, because a peak may sit at res
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from design.statespace import Array, StateSpace, balanced, rebalanced
+from design.statespace import Array, Peak, StateSpace, balanced, rebalanced
 
 _NEAR_AXIS = 1e-5
 """|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
 _STEPS_MAX = 60
-
-
-@dataclass(frozen=True, slots=True)
-class Peak:
-    """The largest singular value over frequency, and where it is: rad/s, 0 and infinity included."""
-
-    gain: float
-    frequency_rad_s: float
 
 
 def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
@@ -35,7 +26,7 @@ def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
 
 
 def hinf_norm(system: StateSpace, relative: float = 1e-11) -> Peak:
-    """The norm, to ``relative``; infinite for an unstable system."""
+    """The largest singular value over frequency, to ``relative``; infinite for an unstable system."""
     if not system.is_stable():
         return Peak(math.inf, math.nan)
     even = balanced(system)

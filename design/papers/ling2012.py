@@ -13,7 +13,7 @@ import numpy as np
 from design.delay.certificate import certified_delay_s, certified_gain
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
-from design.delay.delay_response import Response, respond, step_peak
+from design.delay.delay_response import DelayResponse, respond, step_peak
 from design.delay.speed_loop import (
     RAD_S_PER_RPM,
     Feedback,
@@ -123,21 +123,21 @@ def published_design() -> dict[str, Any]:
     }
 
 
-def start_up() -> Response:
+def start_up() -> DelayResponse:
     """Case 1: from rest to 1500 r/min. Before t = 0 there was no error, so nothing acts for 64 ms."""
     current_a = MOTOR.viscous_friction_nm_s * SPEED_RAD_S / MOTOR.torque_constant_nm_a
     return respond(_loop(), DURATION_S, x0=np.array([current_a, SPEED_RAD_S]))
 
 
-def load_pulse() -> Response:
+def load_pulse() -> DelayResponse:
     """Case 3: 0.6 N m for 50 ms from t = 0 on."""
     step = _load_step()
     since_off_s = step.time_s - LOAD_ON_S
     gone = [np.interp(since_off_s, step.time_s, part, left=0.0) for part in step.x.T]
-    return Response(step.time_s, np.asarray(step.x - np.stack(gone, axis=1)))
+    return DelayResponse(step.time_s, np.asarray(step.x - np.stack(gone, axis=1)))
 
 
-def _load_step() -> Response:
+def _load_step() -> DelayResponse:
     return respond(_loop(), DURATION_S, load=LOAD_NM)
 
 

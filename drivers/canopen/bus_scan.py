@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtState
+from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST
 from drivers.errors import NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
@@ -239,7 +239,7 @@ class BusScan:
 
 
 _STATE_NAMES = {
-    NmtState.BOOT_UP: "boot-up",
+    NmtState.INITIALISING: "boot-up",
     NmtState.STOPPED: "stopped",
     NmtState.OPERATIONAL: "operational",
     NmtState.PRE_OPERATIONAL: "pre-operational",

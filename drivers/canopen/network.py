@@ -13,7 +13,8 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from drivers.canopen.frame_pump import NEVER, FramePump, Handler
-from drivers.canopen.nmt import Emergency, NmtCommand, NodeStatus, parse_emergency
+from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
+from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand
 from drivers.canopen.sdo import (
     SDO_ANSWER,
     SDO_ATTEMPTS,
@@ -32,7 +33,6 @@ from drivers.wire.link import BusLink
 EMERGENCY = 0x080
 ERROR_CONTROL = 0x700
 MASTER_NODE_ID = 127
-NODE_ID_MAX = 127
 SURPLUS_BORNE = 2
 """SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
 request, and a dozen are needed to connect."""

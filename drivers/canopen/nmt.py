@@ -1,32 +1,13 @@
 """What a master knows of a node: NMT state, heartbeat, emergencies (CiA 301 7.2.8, 7.2.7)."""
 
-from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
 
 from drivers.canopen.error_codes import error_text, fault_text, register_text
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
-
-
-class NmtCommand(IntEnum):
-    """Command specifiers of NMT node control, CiA 301 7.2.8.2.1."""
-
-    START = 0x01
-    STOP = 0x02
-    ENTER_PRE_OPERATIONAL = 0x80
-    RESET_NODE = 0x81
-    RESET_COMMUNICATION = 0x82
-
-
-class NmtState(IntEnum):
-    """States told by a heartbeat, CiA 301 7.2.8.3.2.2."""
-
-    BOOT_UP = 0x00
-    STOPPED = 0x04
-    OPERATIONAL = 0x05
-    PRE_OPERATIONAL = 0x7F
 
 
 class Emergency(NamedTuple):
@@ -92,7 +73,7 @@ class NodeStatus:
             self.state = NmtState(data[0] & 0x7F)
         except ValueError:
             self.state = None
-        if self.state is NmtState.BOOT_UP:
+        if self.state is NmtState.INITIALISING:
             self.boot_ups += 1
             # A booting node enters PRE-OPERATIONAL by itself right after this frame (CiA 301 7.3.2.2).
             self.state = NmtState.PRE_OPERATIONAL

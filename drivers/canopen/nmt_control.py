@@ -1,7 +1,7 @@
 """Bringing a node into an NMT state, and telling what is heard of one that does not answer."""
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.errors import NoAnswer
 from drivers.timebase import NS_PER_S, Duration, Instant
 

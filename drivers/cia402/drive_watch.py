@@ -2,11 +2,12 @@
 
 from typing import Final
 
-from drivers.canopen.nmt import NmtState, NodeStatus
+from drivers.canopen.nmt import NodeStatus
+from drivers.canopen.nmt_states import NmtState
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import state_of
-from drivers.cia402.readings import Seen
+from drivers.cia402.readings import LastStatusword
 from drivers.cia402.state_control import FAULTY, StateControl
 from drivers.errors import DriveInFault, NoAnswer
 from drivers.timebase import NS_PER_MS, Duration
@@ -19,7 +20,7 @@ _UNWATCHED: Final = Duration(1 << 62)
 class DriveWatch:
     """Of one drive. ``active``: it was enabled, and since then nothing was seen or done that ended it."""
 
-    def __init__(self, control: StateControl, status: NodeStatus, told: Seen) -> None:
+    def __init__(self, control: StateControl, status: NodeStatus, told: LastStatusword) -> None:
         self.active = False
         self._control = control
         self._status = status

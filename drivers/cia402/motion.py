@@ -32,7 +32,7 @@ HOMING_FAILED = Status.MODE_13
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class MoveProfile:
     """How fast a move goes; None leaves what the drive holds."""
 
     speed_rad_s: float | None = None
@@ -43,7 +43,7 @@ class Profile:
 
 
 @dataclass(frozen=True, slots=True)
-class Homing:
+class HomingSetup:
     """How the drive looks for its home; None leaves what the drive holds."""
 
     switch_speed_rad_s: float | None = None
@@ -55,8 +55,8 @@ class Homing:
     """Where position 0 lies, as seen from the home that is found (0x607C)."""
 
 
-AS_THE_DRIVE_HOLDS = Profile()
-HOMING_AS_THE_DRIVE_HOLDS = Homing()
+KEEP_PROFILE = MoveProfile()
+KEEP_HOMING = HomingSetup()
 
 
 class Motion:
@@ -76,7 +76,7 @@ class Motion:
         self,
         position_rad: float,
         deadline: Instant,
-        profile: Profile = AS_THE_DRIVE_HOLDS,
+        profile: MoveProfile = KEEP_PROFILE,
         *,
         relative: bool = False,
         at_once: bool = True,
@@ -101,14 +101,14 @@ class Motion:
         wanted = Status.TARGET_REACHED
         self._await(wanted, wanted, deadline, "reach its target", confirm_ns=CONFIRM_NS)
 
-    def start_speed(self, speed_rad_s: float, deadline: Instant, profile: Profile) -> None:
+    def start_speed(self, speed_rad_s: float, deadline: Instant, profile: MoveProfile) -> None:
         """Have the drive go to a speed by its ramps."""
         self._modes.ensure(Mode.PROFILE_VELOCITY, deadline)
         self._write_profile(profile, None)
         self._control.write_value(Object.TARGET_VELOCITY, "i", self._scaling.velocity_raw(speed_rad_s))
         self._check_enabled()
 
-    def start_torque(self, torque_nm: float, deadline: Instant, profile: Profile) -> None:
+    def start_torque(self, torque_nm: float, deadline: Instant, profile: MoveProfile) -> None:
         """Have the drive go to a torque by its slope."""
         self._modes.ensure(Mode.PROFILE_TORQUE, deadline)
         if profile.torque_slope_nm_s is not None:
@@ -117,7 +117,7 @@ class Motion:
         self._control.write_value(Object.TARGET_TORQUE, "h", self._scaling.torque_raw(torque_nm))
         self._check_enabled()
 
-    def home(self, method: int, deadline: Instant, how: Homing) -> None:
+    def home(self, method: int, deadline: Instant, how: HomingSetup) -> None:
         """Run a homing method of CiA 402-2 to its end."""
         self._modes.ensure(Mode.HOMING, deadline)
         self._control.clear_bits(START_HOMING)
@@ -181,7 +181,7 @@ class Motion:
             raise DriveInFault(f"{control.title} is in {named}", control.evidence(), "enable it first")
         return word
 
-    def _write_profile(self, profile: Profile, speed_object: Object | None) -> None:
+    def _write_profile(self, profile: MoveProfile, speed_object: Object | None) -> None:
         scaling = self._scaling
         if speed_object is not None and profile.speed_rad_s is not None:
             raw = max(1, round(abs(profile.speed_rad_s) / scaling.velocity_rad_s))
@@ -193,7 +193,7 @@ class Motion:
             if value is not None:
                 self._write_needed(index, "I", max(1, round(value / scaling.acceleration_rad_s2)), text)
 
-    def _write_homing(self, method: int, how: Homing) -> None:
+    def _write_homing(self, method: int, how: HomingSetup) -> None:
         scaling = self._scaling
         self._write_needed(Object.HOMING_METHOD, "b", method, "homing method")
         for sub, speed_rad_s in ((1, how.switch_speed_rad_s), (2, how.zero_speed_rad_s)):

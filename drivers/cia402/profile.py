@@ -33,7 +33,7 @@ class State(Enum):
     __hash__ = object.__hash__
 
 
-class Pattern(NamedTuple):
+class BitPattern(NamedTuple):
     """A word matches if ``word & mask == value``."""
 
     mask: int
@@ -81,15 +81,15 @@ class Control:
     HALT = 1 << 8
 
 
-STATUS_PATTERNS: dict[State, Pattern] = {
-    State.NOT_READY: Pattern(0x4F, 0x00),
-    State.SWITCH_ON_DISABLED: Pattern(0x4F, 0x40),
-    State.READY: Pattern(0x6F, 0x21),
-    State.SWITCHED_ON: Pattern(0x6F, 0x23),
-    State.OPERATION_ENABLED: Pattern(0x6F, 0x27),
-    State.QUICK_STOP: Pattern(0x6F, 0x07),
-    State.FAULT_REACTION: Pattern(0x4F, 0x0F),
-    State.FAULT: Pattern(0x4F, 0x08),
+STATUS_PATTERNS: dict[State, BitPattern] = {
+    State.NOT_READY: BitPattern(0x4F, 0x00),
+    State.SWITCH_ON_DISABLED: BitPattern(0x4F, 0x40),
+    State.READY: BitPattern(0x6F, 0x21),
+    State.SWITCHED_ON: BitPattern(0x6F, 0x23),
+    State.OPERATION_ENABLED: BitPattern(0x6F, 0x27),
+    State.QUICK_STOP: BitPattern(0x6F, 0x07),
+    State.FAULT_REACTION: BitPattern(0x4F, 0x0F),
+    State.FAULT: BitPattern(0x4F, 0x08),
 }
 """How the statusword tells the state, CiA 402-2 table "state coding"."""
 
@@ -119,13 +119,13 @@ class DriveCommand(Enum):
     __hash__ = object.__hash__
 
 
-COMMAND_PATTERNS: dict[DriveCommand, Pattern] = {
-    DriveCommand.SHUTDOWN: Pattern(0x87, 0x06),
-    DriveCommand.SWITCH_ON: Pattern(0x8F, 0x07),
-    DriveCommand.ENABLE_OPERATION: Pattern(0x8F, 0x0F),
-    DriveCommand.DISABLE_OPERATION: Pattern(0x8F, 0x07),
-    DriveCommand.DISABLE_VOLTAGE: Pattern(0x82, 0x00),
-    DriveCommand.QUICK_STOP: Pattern(0x86, 0x02),
+COMMAND_PATTERNS: dict[DriveCommand, BitPattern] = {
+    DriveCommand.SHUTDOWN: BitPattern(0x87, 0x06),
+    DriveCommand.SWITCH_ON: BitPattern(0x8F, 0x07),
+    DriveCommand.ENABLE_OPERATION: BitPattern(0x8F, 0x0F),
+    DriveCommand.DISABLE_OPERATION: BitPattern(0x8F, 0x07),
+    DriveCommand.DISABLE_VOLTAGE: BitPattern(0x82, 0x00),
+    DriveCommand.QUICK_STOP: BitPattern(0x86, 0x02),
 }
 """How the controlword tells a command. Switch on and disable operation share a coding; the state tells
 them apart. Fault reset is not a pattern but the rising edge of bit 7."""
@@ -142,7 +142,7 @@ CONTROLWORDS: dict[DriveCommand, int] = {
 """The word to send for a command, every optional bit 0."""
 
 
-class Event(Enum):
+class DriveEvent(Enum):
     """What moves the state machine without a command."""
 
     POWER_ON = "power on"
@@ -159,7 +159,7 @@ class Transition(NamedTuple):
 
     number: int
     source: State
-    cause: DriveCommand | Event
+    cause: DriveCommand | DriveEvent
     target: State
 
 
@@ -173,7 +173,7 @@ _POWERED: Final = (
 )
 
 TRANSITIONS: tuple[Transition, ...] = (
-    Transition(1, State.NOT_READY, Event.INITIALISED, State.SWITCH_ON_DISABLED),
+    Transition(1, State.NOT_READY, DriveEvent.INITIALISED, State.SWITCH_ON_DISABLED),
     Transition(2, State.SWITCH_ON_DISABLED, DriveCommand.SHUTDOWN, State.READY),
     Transition(3, State.READY, DriveCommand.SWITCH_ON, State.SWITCHED_ON),
     Transition(4, State.SWITCHED_ON, DriveCommand.ENABLE_OPERATION, State.OPERATION_ENABLED),
@@ -187,15 +187,15 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(10, State.SWITCHED_ON, DriveCommand.QUICK_STOP, State.SWITCH_ON_DISABLED),
     Transition(11, State.OPERATION_ENABLED, DriveCommand.QUICK_STOP, State.QUICK_STOP),
     Transition(12, State.QUICK_STOP, DriveCommand.DISABLE_VOLTAGE, State.SWITCH_ON_DISABLED),
-    Transition(12, State.QUICK_STOP, Event.QUICK_STOP_DONE, State.SWITCH_ON_DISABLED),
-    *(Transition(13, state, Event.FAULT_DETECTED, State.FAULT_REACTION) for state in _POWERED),
-    Transition(14, State.FAULT_REACTION, Event.FAULT_REACTION_DONE, State.FAULT),
+    Transition(12, State.QUICK_STOP, DriveEvent.QUICK_STOP_DONE, State.SWITCH_ON_DISABLED),
+    *(Transition(13, state, DriveEvent.FAULT_DETECTED, State.FAULT_REACTION) for state in _POWERED),
+    Transition(14, State.FAULT_REACTION, DriveEvent.FAULT_REACTION_DONE, State.FAULT),
     Transition(15, State.FAULT, DriveCommand.FAULT_RESET, State.SWITCH_ON_DISABLED),
     Transition(16, State.QUICK_STOP, DriveCommand.ENABLE_OPERATION, State.OPERATION_ENABLED),
 )
 """Every arrow between two states. Transition 0, power on, leads into NOT_READY from nowhere."""
 
-TRANSITION_OF: dict[tuple[State, DriveCommand | Event], Transition] = {
+TRANSITION_OF: dict[tuple[State, DriveCommand | DriveEvent], Transition] = {
     (arrow.source, arrow.cause): arrow for arrow in TRANSITIONS
 }
 

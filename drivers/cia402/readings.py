@@ -20,7 +20,7 @@ NEVER_TOLD: Final = Instant(-1)
 _NAN: Final = float("nan")
 
 
-class Seen:
+class LastStatusword:
     """The last statusword that a drive told, by whatever way it came."""
 
     __slots__ = ("at", "by_pdo", "statusword")
@@ -96,7 +96,7 @@ class ReadingAssembler:
         plan: PdoPlan,
         scaling: Scaling,
         period_ns: Duration,
-        told: Seen,
+        told: LastStatusword,
     ) -> None:
         """Raises ValueError if the plan lacks speed, position or statusword."""
         wanted = (Object.STATUSWORD, Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE)
@@ -290,7 +290,7 @@ class _Inlet:
         "frames",
     )
 
-    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: Seen, watched: int) -> None:
+    def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: LastStatusword, watched: int) -> None:
         codec = pdo.codec()
         self.frames = 0
         self._assembler = assembler

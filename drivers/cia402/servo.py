@@ -4,8 +4,8 @@ from typing import Final
 
 from drivers.canopen.heartbeats import HostWatch, forget_host, write_heartbeats
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtCommand, NmtState
 from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import (
@@ -19,10 +19,10 @@ from drivers.cia402.drive_setup import (
 )
 from drivers.cia402.drive_watch import DriveWatch
 from drivers.cia402.mode_control import MODE_BITS, ModeControl
-from drivers.cia402.motion import AS_THE_DRIVE_HOLDS, HOMING_AS_THE_DRIVE_HOLDS, Homing, Motion, Profile
+from drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import DriveCommand, Mode, State, state_of
-from drivers.cia402.readings import ReadingAssembler, Seen
+from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.rest import resting_since, slow
 from drivers.cia402.setpoint import SetPoint
 from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
@@ -63,7 +63,7 @@ class ServoDrive(Drive):
         """Commands that had expired when ``write`` was called."""
         self.plan: PdoPlan | None = None
         """What was mapped; None before ``configure``."""
-        self._told = Seen()
+        self._told = LastStatusword()
         self.control = StateControl(self.objects, self.name, self._told)
         self.modes = ModeControl(self.control)
         self.motion: Motion | None = None
@@ -295,7 +295,7 @@ class ServoDrive(Drive):
         self,
         position_rad: float,
         deadline: Instant,
-        profile: Profile = AS_THE_DRIVE_HOLDS,
+        profile: MoveProfile = KEEP_PROFILE,
         *,
         relative: bool = False,
     ) -> None:
@@ -307,21 +307,19 @@ class ServoDrive(Drive):
         motion.start_move(position_rad, deadline, profile, relative=relative)
         motion.await_target(deadline)
 
-    def run_at(self, speed_rad_s: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS) -> None:
+    def run_at(self, speed_rad_s: float, deadline: Instant, profile: MoveProfile = KEEP_PROFILE) -> None:
         """Profile velocity: go to a speed by the drive's ramps, and wait until it is reached."""
         motion = self._moving()
         motion.start_speed(speed_rad_s, deadline, profile)
         motion.await_target(deadline)
 
-    def apply_torque(
-        self, torque_nm: float, deadline: Instant, profile: Profile = AS_THE_DRIVE_HOLDS
-    ) -> None:
+    def apply_torque(self, torque_nm: float, deadline: Instant, profile: MoveProfile = KEEP_PROFILE) -> None:
         """Profile torque: go to a torque by the drive's slope, and wait until it is reached."""
         motion = self._moving()
         motion.start_torque(torque_nm, deadline, profile)
         motion.await_target(deadline)
 
-    def home(self, method: int, deadline: Instant, how: Homing = HOMING_AS_THE_DRIVE_HOLDS) -> None:
+    def home(self, method: int, deadline: Instant, how: HomingSetup = KEEP_HOMING) -> None:
         """Homing by a method of CiA 402-2, to its end."""
         self._moving().home(method, deadline, how)
 

@@ -16,7 +16,7 @@ from drivers.cia402.profile import (
     command_path,
     state_of,
 )
-from drivers.cia402.readings import NEVER_TOLD, Seen
+from drivers.cia402.readings import NEVER_TOLD, LastStatusword
 from drivers.cia402.setpoint import SetPoint
 from drivers.errors import DriveInFault, PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
@@ -41,7 +41,7 @@ _EMERGENCIES_SHOWN = 2
 class StateControl:
     """Commands and states of one drive. Every method but the properties pumps the network."""
 
-    def __init__(self, objects: RemoteObjects, name: str, told: Seen) -> None:
+    def __init__(self, objects: RemoteObjects, name: str, told: LastStatusword) -> None:
         self.objects = objects
         self.network = objects.network
         self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"

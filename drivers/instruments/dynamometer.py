@@ -66,7 +66,7 @@ class DynamometerSettings:
 
 
 @dataclass(slots=True)
-class Tally:
+class LineCounts:
     """What went over the line."""
 
     readings: int = 0
@@ -86,7 +86,7 @@ class Dynamometer:
         self, line: ByteLine, clock: Clock, dialect: Dialect, settings: DynamometerSettings | None = None
     ) -> None:
         self.identity = ""
-        self.tally = Tally()
+        self.tally = LineCounts()
         self._line = line
         self._clock = clock
         self._dialect = dialect

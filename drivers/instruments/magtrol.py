@@ -31,7 +31,7 @@ _READING = re.compile(rb"S *(\d{1,6})T *(-?\d{0,6}\.\d{0,5})([RLA])")
 END = b"\r\n"
 
 
-class Seen(NamedTuple):
+class DataString(NamedTuple):
     """A data string of the instrument, in SI units."""
 
     torque_nm: float
@@ -63,14 +63,14 @@ class Dialect(NamedTuple):
             return self.release
         return self.torque + f"{shown:.{TORQUE_DIGITS}f}".encode("ascii") + END
 
-    def read(self, line: bytes) -> Seen | None:
+    def read(self, line: bytes) -> DataString | None:
         """The data string in ``line``, which has lost its end; None for anything else."""
         found = _READING.fullmatch(line.strip())
         if found is None or not any(digit in found[2] for digit in b"0123456789"):
             return None
         sign = {b"R": 1.0, b"L": -1.0, b"A": 1.0}[found[3]] * (1.0 if self.clockwise_is_positive else -1.0)
         torque_nm = float(found[2]) * TORQUE_UNITS_NM[self.unit]
-        return Seen(torque_nm, sign * int(found[1]) * RAD_S_PER_RPM, found[3] == b"A")
+        return DataString(torque_nm, sign * int(found[1]) * RAD_S_PER_RPM, found[3] == b"A")
 
 
 KINDS = ("magtrol_dsp6001", "magtrol_dsp7000")

@@ -5,10 +5,10 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
 from drivers.canopen.pdo import PdoDirection
 from drivers.canopen.pdo_capability import CODES, ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
 from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.eds import types
 
 _PDOS_MAX = 64
 _WRITABLE = ("rw", "wo", "rwr", "rww")
@@ -39,12 +39,12 @@ def capability_of(loaded: LoadedDictionary) -> PdoCapability:
 
 
 def _mapped_object(index: int, sub: int, variable: Any) -> MappedObject | None:
-    bits = types.BITS.get(variable.data_type)
+    bits = BITS.get(variable.data_type)
     if bits is None:
         return None
-    signed = variable.data_type in types.SIGNED_BITS
-    code = CODES.get((bits, signed), "") if variable.data_type not in types.REAL_BITS else ""
-    if variable.data_type == types.BOOLEAN:
+    signed = variable.data_type in SIGNED_BITS
+    code = CODES.get((bits, signed), "") if variable.data_type not in REAL_BITS else ""
+    if variable.data_type == DataType.BOOLEAN:
         code = ""
     access = variable.access_type
     return MappedObject(

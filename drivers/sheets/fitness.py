@@ -70,7 +70,7 @@ class FileIdentity(NamedTuple):
     device_type: int | None
 
 
-class PdoDefault(NamedTuple):
+class SheetPdo(NamedTuple):
     """A PDO as the drive has it before anybody writes to it."""
 
     name: str
@@ -108,7 +108,7 @@ class Fitness:
     """"6502h", or what they were concluded from."""
     usable: tuple[ModeFitness, ...]
     """The modes that a bench could use, the best first."""
-    pdos: tuple[PdoDefault, ...]
+    pdos: tuple[SheetPdo, ...]
     lacks: tuple[Lack, ...]
     obstacles: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -258,13 +258,13 @@ def _mode_fitness(
         return ModeFitness(mode, None, error.evidence or error.summary)
 
 
-def _pdo_defaults(capability: PdoCapability) -> tuple[PdoDefault, ...]:
+def _pdo_defaults(capability: PdoCapability) -> tuple[SheetPdo, ...]:
     made = []
     for slot in capability.slots:
         mapping = tuple(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in slot.mapping)
         inhibit = None if slot.inhibit_time is None else slot.inhibit_time * 100
         made.append(
-            PdoDefault(
+            SheetPdo(
                 slot.name,
                 slot.identifier,
                 slot.valid,

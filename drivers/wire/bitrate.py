@@ -13,7 +13,7 @@ from drivers.errors import BadInput, BusDown
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from drivers.wire.adapters import SLCAN, BusSpec
 from drivers.wire.slcan import LINE_BAUD, SlcanBus
-from drivers.wire.slcan_protocol import Status
+from drivers.wire.slcan_protocol import SlcanStatus
 
 CANDIDATES_BIT_S = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
 """In the order in which CANopen devices are usually set."""
@@ -27,7 +27,7 @@ _LISTENING: dict[str, dict[str, Any]] = {
     "kvaser": {"driver_mode": False},
 }
 """What makes an interface of python-can listen only. Others cannot, or not by python-can."""
-_ERRORS = Status.BUS_ERROR | Status.ERROR_WARNING | Status.ERROR_PASSIVE
+_ERRORS = SlcanStatus.BUS_ERROR | SlcanStatus.ERROR_WARNING | SlcanStatus.ERROR_PASSIVE
 
 
 class Heard(NamedTuple):

@@ -21,9 +21,9 @@ from drivers.wire.message import frame_of, message_of
 from drivers.wire.serial_line import LineFull, LineGone, SerialLine
 from drivers.wire.slcan_protocol import (
     BITRATE_CODES,
-    Line,
     LineSplitter,
-    Status,
+    SlcanLine,
+    SlcanStatus,
     decode_frame,
     decode_status,
     encode_frame,
@@ -107,7 +107,7 @@ class SlcanBus(can.BusABC):
         self.malformed_lines = 0
         """Lines that are nothing of the protocol: cut, spoilt, or of an unknown kind."""
         self.error_reports = 0
-        self.adapter_status = Status(0)
+        self.adapter_status = SlcanStatus(0)
         """The flags told last; asked for whenever a frame is refused, and by :meth:`status`."""
         self.acknowledges = True
         """Whether the adapter answers each command; some firmwares never do."""
@@ -117,7 +117,7 @@ class SlcanBus(can.BusABC):
         self._inbox: deque[tuple[WireFrame, Instant, bool]] = deque()
         self._awaited: deque[WireFrame | bytes] = deque(maxlen=_AWAITED_MAX)
         """What the adapter has still to answer, in order: frames, and texts of commands."""
-        self._answer: Line | None = None
+        self._answer: SlcanLine | None = None
         self._refusals = 0
         self._asked_why_at = Instant(0)
         self._own = receive_own_messages
@@ -173,14 +173,16 @@ class SlcanBus(can.BusABC):
     @property
     def state(self) -> can.BusState:
         """PASSIVE if the adapter told so last; see :meth:`status`."""
-        return can.BusState.PASSIVE if self.adapter_status & Status.ERROR_PASSIVE else can.BusState.ACTIVE
+        return (
+            can.BusState.PASSIVE if self.adapter_status & SlcanStatus.ERROR_PASSIVE else can.BusState.ACTIVE
+        )
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
         """Raises NotImplementedError: the state is the adapter's own."""
         raise NotImplementedError("the error state follows the adapter's error counters")
 
-    def status(self) -> Status:
+    def status(self) -> SlcanStatus:
         """Ask the adapter for its flags, which clears them; frames that come meanwhile are kept."""
         self._ask(b"F")
         return self.adapter_status
@@ -245,7 +247,7 @@ class SlcanBus(can.BusABC):
             )
         return True
 
-    def _note(self, line: Line, now: Instant) -> None:
+    def _note(self, line: SlcanLine, now: Instant) -> None:
         text = line.text
         if not line.refused and text[:1] in (b"t", b"T", b"r", b"R"):
             frame = decode_frame(text)
@@ -260,7 +262,7 @@ class SlcanBus(can.BusABC):
         else:
             self._settle(line, now)
 
-    def _settle(self, line: Line, now: Instant) -> None:
+    def _settle(self, line: SlcanLine, now: Instant) -> None:
         """An answer: to the oldest command that is still to be answered, or to the one that it names."""
         letter = line.text[:1]
         if letter in _TELLING:
@@ -291,7 +293,7 @@ class SlcanBus(can.BusABC):
             self._awaited.append(b"F")
             self._asked_why_at = self._clock.now()
 
-    def _answered(self, line: Line) -> None:
+    def _answered(self, line: SlcanLine) -> None:
         self._answer = line
         flags = decode_status(line.text)
         if flags is not None:
@@ -335,7 +337,7 @@ class SlcanBus(can.BusABC):
             said = "no answer came" if answer is None else "it was answered with BEL"
             raise can.CanInitializationError(f"{refusal}: {said}")
 
-    def _ask(self, text: bytes, patience: Duration = ANSWER_NS) -> Line | None:
+    def _ask(self, text: bytes, patience: Duration = ANSWER_NS) -> SlcanLine | None:
         """Send a command and await its answer; None if none comes."""
         self._answer = None
         try:
@@ -380,7 +382,7 @@ class SlcanBus(can.BusABC):
         raise can.CanOperationError(f"{self.channel_info}: {error}") from error
 
 
-def _value(line: Line | None) -> str:
+def _value(line: SlcanLine | None) -> str:
     """What an answer says behind its letter."""
     return "" if line is None or line.refused else line.text[1:].decode("ascii", "replace")
 

@@ -30,7 +30,7 @@ LINE_LENGTH_MAX = 128
 """Of a line that is still taken for one; the longest frame has 30 characters."""
 
 
-class Status(IntFlag):
+class SlcanStatus(IntFlag):
     """The flags that the command F returns, and clears."""
 
     RECEIVE_FIFO_FULL = 0x01
@@ -43,22 +43,22 @@ class Status(IntFlag):
 
 
 _STATUS_TEXTS = {
-    Status.RECEIVE_FIFO_FULL: "its receive queue overflowed",
-    Status.TRANSMIT_FIFO_FULL: "its transmit queue is full",
-    Status.ERROR_WARNING: "error warning",
-    Status.DATA_OVERRUN: "data overrun",
-    Status.ERROR_PASSIVE: "error passive",
-    Status.ARBITRATION_LOST: "arbitration lost",
-    Status.BUS_ERROR: "bus error",
+    SlcanStatus.RECEIVE_FIFO_FULL: "its receive queue overflowed",
+    SlcanStatus.TRANSMIT_FIFO_FULL: "its transmit queue is full",
+    SlcanStatus.ERROR_WARNING: "error warning",
+    SlcanStatus.DATA_OVERRUN: "data overrun",
+    SlcanStatus.ERROR_PASSIVE: "error passive",
+    SlcanStatus.ARBITRATION_LOST: "arbitration lost",
+    SlcanStatus.BUS_ERROR: "bus error",
 }
 
 
-def status_text(status: Status) -> str:
+def status_text(status: SlcanStatus) -> str:
     """The flags in words; ``no error`` for none."""
     return ", ".join(text for flag, text in _STATUS_TEXTS.items() if status & flag) or "no error"
 
 
-class Line(NamedTuple):
+class SlcanLine(NamedTuple):
     """What stands before a terminator."""
 
     text: bytes
@@ -74,9 +74,9 @@ class LineSplitter:
         """Lines given up because no terminator came."""
         self._rest = b""
 
-    def feed(self, data: bytes) -> list[Line]:
+    def feed(self, data: bytes) -> list[SlcanLine]:
         """The lines that ``data`` completes."""
-        lines: list[Line] = []
+        lines: list[SlcanLine] = []
         rest = self._rest + data
         while True:
             end, bell = rest.find(CR), rest.find(BEL)
@@ -84,7 +84,7 @@ class LineSplitter:
                 end = bell
             if end < 0:
                 break
-            lines.append(Line(rest[:end], rest[end : end + 1] == BEL))
+            lines.append(SlcanLine(rest[:end], rest[end : end + 1] == BEL))
             rest = rest[end + 1 :]
         if len(rest) > LINE_LENGTH_MAX:
             self.overlong += 1
@@ -130,12 +130,12 @@ def decode_frame(text: bytes) -> WireFrame | None:
     return WireFrame(can_id, data, kind in (b"T", b"R"), remote, dlc if remote else 0)
 
 
-def decode_status(text: bytes) -> Status | None:
+def decode_status(text: bytes) -> SlcanStatus | None:
     """The flags in an answer ``Fxx``; None if it is none."""
     if len(text) != 3 or text[:1] != b"F":
         return None
     flags = _hex(text[1:])
-    return None if flags is None else Status(flags & 0xEF)
+    return None if flags is None else SlcanStatus(flags & 0xEF)
 
 
 def is_error_report(text: bytes) -> bool:

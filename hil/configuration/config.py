@@ -11,9 +11,9 @@ from pydantic import Field, PrivateAttr
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.configuration.background import BackgroundTables
-from hil.configuration.config_axis import Drive, LoadStep, Reference
+from hil.configuration.config_axis import DriveConfig, LoadStep, Reference
 from hil.configuration.config_files import Section
-from hil.configuration.config_load_machine import LoadMachine
+from hil.configuration.config_load_machine import LoadMachineConfig
 from hil.configuration.quantities import HeartbeatTimeout
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
@@ -75,7 +75,7 @@ class Host(Section):
         return Duration(self.heartbeat_ms * NS_PER_MS)
 
 
-class Loop(Section):
+class LoopConfig(Section):
     """``[loop]``: the cycle, and what still counts as a reading."""
 
     period_us: int = Field(default=1000, ge=100, le=1_000_000)
@@ -118,7 +118,7 @@ class Loop(Section):
         return Duration(self.horizon_periods * self.period)
 
 
-class Verdict(Section):
+class VerdictConfig(Section):
     """``[verdict]``: limits for a run that passes; a limit that is absent is not judged."""
 
     speed_error_peak_percent_max: float | None = Field(default=None, ge=0)
@@ -147,7 +147,7 @@ class Verdict(Section):
         return VerdictLimits(**self.model_dump(exclude={"settling_ms"}))
 
 
-class Recording(Section):
+class RecordingConfig(Section):
     """``[recording]``"""
 
     frames: bool = True
@@ -182,15 +182,15 @@ class BenchConfig(Section):
     bench: Bench = Field(description="the table [bench] with name and duration_s")
     bus: Bus = Bus()
     host: Host = Host()
-    loop: Loop = Loop()
-    drive: dict[AxisName, Drive] = Field(min_length=1, description="at least one table [drive.NAME]")
+    loop: LoopConfig = LoopConfig()
+    drive: dict[AxisName, DriveConfig] = Field(min_length=1, description="at least one table [drive.NAME]")
     reference: dict[str, Annotated[tuple[Reference, ...], Field(strict=False)]] = Field(default_factory=dict)
     load: dict[str, Annotated[tuple[LoadStep, ...], Field(strict=False)]] = Field(default_factory=dict)
-    load_machine: LoadMachine | None = None
+    load_machine: LoadMachineConfig | None = None
     """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
     faults: Faults | None = None
-    verdict: Verdict = Verdict()
-    recording: Recording = Recording()
+    verdict: VerdictConfig = VerdictConfig()
+    recording: RecordingConfig = RecordingConfig()
     guard: Guard = Guard()
     _source: str = PrivateAttr(default="")
 

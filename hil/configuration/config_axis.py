@@ -145,7 +145,7 @@ Compensator = Annotated[ArrivalCompensator | StampCompensator, Field(discriminat
 Controller = Annotated[PidController | StateFeedbackController, Field(discriminator="kind")]
 
 
-class Drive(Section):
+class DriveConfig(Section):
     """One axis: where its drive is, what turns on it, and who commands it."""
 
     node: int = Field(ge=1, le=127, description="the drive's CANopen node id, 1..127")

@@ -11,7 +11,7 @@ from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Drive, SineReference, StampCompensator, peak_speed_rpm
+from hil.configuration.config_axis import DriveConfig, SineReference, StampCompensator, peak_speed_rpm
 from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47
@@ -252,7 +252,7 @@ def _order(key: str, times_s: list[float], duration_s: float) -> Iterator[Fault]
             yield place, at_s, f"more than the entry before it, {times_s[index - 1]}", ""
 
 
-def _demands(axis: str, drive: Drive, config: BenchConfig) -> Iterator[Fault]:
+def _demands(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fault]:
     peak = peak_speed_rpm(config.reference.get(axis, ()))
     limit = drive.limits.speed_max_rpm
     if peak >= limit:

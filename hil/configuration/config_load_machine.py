@@ -13,7 +13,7 @@ from hil.configuration.quantities import Torque
 SIMULATED = "simulated"
 
 
-class LoadMachine(Section):
+class LoadMachineConfig(Section):
     """``[load_machine]``: a serial dynamometer controller."""
 
     kind: Literal["magtrol_dsp7000", "magtrol_dsp6001"] = Field(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Drive
+from hil.configuration.config_axis import DriveConfig
 from hil.configuration.current_controller_file import CurrentController
 from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 
@@ -40,7 +40,7 @@ def current_loop_of(config: BenchConfig, axis: str, *, simulated: bool) -> Known
     return KnownLoop(measured.order, measured.bandwidth_hz, f"{key}.commissioned.current_loop.bandwidth_hz")
 
 
-def _simulated(drive: Drive, key: str) -> KnownLoop:
+def _simulated(drive: DriveConfig, key: str) -> KnownLoop:
     controller = drive.current_control.controller
     if controller is not None:
         _, crossover_rad_s = closed_loop(drive.motor.parameters, controller)

@@ -38,7 +38,7 @@ class Windings(Section):
     )
 
 
-class Mechanics(Section):
+class MotorMechanics(Section):
     """``[mechanics]``: rotor and what turns with it."""
 
     inertia_kg_m2: Inertia = Field(description="moment of inertia, kg m^2")
@@ -60,7 +60,7 @@ class MotorFile(Section):
     """A whole motor file."""
 
     motor: Windings = Field(description="the table [motor]")
-    mechanics: Mechanics = Field(description="the table [mechanics]")
+    mechanics: MotorMechanics = Field(description="the table [mechanics]")
     rating: Rating = Field(description="the table [rating]")
 
     @property
@@ -94,7 +94,7 @@ LING2012 = MotorFile(
         pole_pairs=4,
         transform="power_invariant",
     ),
-    mechanics=Mechanics(inertia_kg_m2=0.0008, viscous_friction_nm_s=0.00185),
+    mechanics=MotorMechanics(inertia_kg_m2=0.0008, viscous_friction_nm_s=0.00185),
     rating=Rating(torque_nm=2.0, speed_rpm=1500.0, current_max_a=15.0, dc_bus_voltage_v=300.0),
 )
 """[Ling2012] Table 1: the motor of ``hil simulate`` if none is named. Current and DC bus were chosen here."""

@@ -17,7 +17,7 @@ _ROUNDING = 1e-4
 Rows = Annotated[tuple[Annotated[tuple[Coefficient, ...], Field(strict=False)], ...], Field(strict=False)]
 
 
-class Plant(Section):
+class DesignPlant(Section):
     """The motor as the design saw it."""
 
     resistance_ohm: Resistance
@@ -57,7 +57,7 @@ class MadeFor(Section):
     torque_rms_nm_max: float | None = Field(default=None, gt=0)
     """What the torque may swing about its mean at steady reference and load: judged like the bench's own
     ``verdict.torque_rms_nm_max``, of which the smaller counts."""
-    plant: Plant | None = None
+    plant: DesignPlant | None = None
     current_loop: CurrentLoop | None = None
     """Absent: a drive without one, whose current follows the voltage by R/L of ``plant``, [Ling2012]."""
 

@@ -8,8 +8,8 @@ from drivers.exchange import Drive
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
 from drivers.wire.adapters import BusSpec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Drive as DriveConfig
 from hil.configuration.config_axis import (
+    DriveConfig,
     PidController,
     RampReference,
     Reference,

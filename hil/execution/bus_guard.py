@@ -15,8 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from drivers.canopen.frame_pump import SYNC, Handler
-from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, NODE_ID_MAX, CanopenNetwork
+from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
+from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.canopen.owed import Owed
 from drivers.canopen.pdo import PdoMap
 from drivers.canopen.sdo import SDO_REQUEST, object_name

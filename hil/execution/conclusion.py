@@ -11,10 +11,10 @@ from drivers.cia402.servo import ServoDrive
 from drivers.cia402.supervision import Release
 from drivers.errors import BenchError, DriveInFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Loop as LoopSettings
+from hil.configuration.config import LoopConfig
 from hil.loop.loop import LoopOutcome
 from hil.recording.logger_process import RecordingFailed
-from hil.verdict.verdict import DriveEnd, Outcome, RunOutcome, outcome_of_status
+from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.node_fault_plan import DriveFailure, DriveFault
 from virtual_bus.hosting.injection import Faults
@@ -42,10 +42,10 @@ class Conclusion:
         """All that was gathered."""
         found = self._outcome
         if not self._explained:
-            found = _cut_short(found, "it ended by a defect of this program", Outcome.DEFECT)
+            found = _cut_short(found, "it ended by a defect of this program", VerdictKind.DEFECT)
         return replace(found, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
-    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopSettings, **found: Any) -> None:
+    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **found: Any) -> None:
         """The loop ended as a loop does; ``found``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
@@ -53,12 +53,12 @@ class Conclusion:
         self._outcome = replace(self._outcome, **found)
         late = loop.ended_at - loop.last_due_at - settings.period
         if loop.interrupted:
-            self._outcome = _cut_short(self._outcome, interrupted_by, Outcome.INTERRUPTED)
+            self._outcome = _cut_short(self._outcome, interrupted_by, VerdictKind.INTERRUPTED)
         elif late > settings.horizon:
             reason = (
                 f"the host was away at the end, and came back {late / NS_PER_MS:.0f} ms after the last cycle"
             )
-            self._outcome = _cut_short(self._outcome, reason, Outcome.CUT_SHORT)
+            self._outcome = _cut_short(self._outcome, reason, VerdictKind.CUT_SHORT)
 
     @contextmanager
     def explaining(self, close: Callable[[], object]) -> Iterator[None]:
@@ -181,7 +181,7 @@ def _named(fault: DriveFault) -> NamedEmergency:
     return NamedEmergency(fault.nodes, fault.failure.code, Duration(first + fault.detected_after_ns), until)
 
 
-def _cut_short(outcome: RunOutcome, reason: str, cause: Outcome) -> RunOutcome:
+def _cut_short(outcome: RunOutcome, reason: str, cause: VerdictKind) -> RunOutcome:
     return replace(outcome, completed=False, reason=reason, cause=cause)
 
 

@@ -13,11 +13,11 @@ from typing import Final
 from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import Drive, StampCompensator, StateFeedbackController
+from hil.configuration.config_axis import DriveConfig, StampCompensator, StateFeedbackController
 from hil.configuration.config_errors import raise_all
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
 from hil.configuration.network_file import Network, commands_unknown, load_network
-from hil.configuration.speed_controller_file import MadeFor, Plant
+from hil.configuration.speed_controller_file import DesignPlant, MadeFor
 from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
 from hil.rows.recording_plan import CertifiedPlan
@@ -42,7 +42,7 @@ class Allowed:
     """Longest time for which a sample acts, [Ling2012] (2.13)."""
 
 
-def made_for(drive: Drive) -> MadeFor | None:
+def made_for(drive: DriveConfig) -> MadeFor | None:
     """What the controller of an axis was made for, if its file says so."""
     controller = drive.controller
     return controller.made_for if isinstance(controller, StateFeedbackController) else None
@@ -103,7 +103,7 @@ def static_faults(
 _Fault = tuple[str, object, str]
 
 
-def _bench_faults(config: BenchConfig, drive: Drive, wanted: MadeFor, key: str) -> list[_Fault]:
+def _bench_faults(config: BenchConfig, drive: DriveConfig, wanted: MadeFor, key: str) -> list[_Fault]:
     faults: list[_Fault] = []
     period_us = config.loop.period_us
     if wanted.period_us is not None and wanted.period_us != period_us:
@@ -121,7 +121,7 @@ def _bench_faults(config: BenchConfig, drive: Drive, wanted: MadeFor, key: str) 
             faults.append((f"{key}.strategy", f"{wanted.strategy}{at}", expected))
     if wanted.plant is not None:
         motor = drive.motor.parameters
-        for name in Plant.model_fields:
+        for name in DesignPlant.model_fields:
             value, real = getattr(wanted.plant, name), getattr(motor, name)
             if abs(value - real) > _RELATIVE * abs(real):
                 faults.append((f"{key}.plant.{name}", value, f"that of the motor {motor.name}, {real:g}"))

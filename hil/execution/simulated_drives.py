@@ -7,6 +7,7 @@ from pathlib import Path
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.bounded_file import NamedBy
+from drivers.canopen.nmt_states import UNCONFIGURED
 from drivers.errors import BadInput
 from drivers.wire.adapters import BusSpec, parse_bus_spec
 from hil.configuration.config import BenchConfig
@@ -19,7 +20,6 @@ from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.nmt_state import UNCONFIGURED
 from virtual_bus.device.parameter_store import FileStore
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters

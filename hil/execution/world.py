@@ -12,7 +12,7 @@ from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_b
 from virtual_bus.bus.bus_load import BusLoad
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.faults.fault_log import FaultLog
@@ -150,7 +150,7 @@ class _SimulatedSegment:
     def __init__(
         self, plan: WorldPlan, own: SegmentPlan, devices: Sequence[SimulatedNode], timeline: Timeline
     ) -> None:
-        self.segment = segment = Segment(timeline, own.bitrate_bit_s)
+        self.segment = segment = CanSegment(timeline, own.bitrate_bit_s)
         self.bus = bus = SimulatedBus(segment=segment, receive_own_messages=True)
         clock = SimulatedClock(timeline)
         self.injection: Injection | None = None

@@ -17,7 +17,7 @@ _HISTORY_MAX = 16
 
 
 @dataclass(frozen=True, slots=True)
-class DriveFault:
+class DriveDiagnosis:
     """What a drive says of itself."""
 
     node: int
@@ -57,7 +57,7 @@ class DriveFault:
         return told
 
 
-def look_at_fault(network: CanopenNetwork, node: int, reset: bool) -> DriveFault:
+def look_at_fault(network: CanopenNetwork, node: int, reset: bool) -> DriveDiagnosis:
     """Ask a drive; with ``reset`` reset its fault. Raises NoAnswer, PeerFault, DriveInFault if it stays."""
     drive = ServoDrive(network, node)
     identity = drive.connect(network.deadline_after(_CONNECT_NS))
@@ -69,14 +69,14 @@ def look_at_fault(network: CanopenNetwork, node: int, reset: bool) -> DriveFault
     return _asked(drive, str(identity), was_reset=True)
 
 
-def _asked(drive: ServoDrive, device: str, was_reset: bool) -> DriveFault:
+def _asked(drive: ServoDrive, device: str, was_reset: bool) -> DriveDiagnosis:
     objects, make = drive.objects, drive.control.make
     state = drive.control.read_state()
     code = objects.read_if_there(Object.ERROR_CODE, 0, "H")
     history = _history(drive)
     if code is None and history and state in FAULTY:
         code = history[0][0] & 0xFFFF
-    return DriveFault(
+    return DriveDiagnosis(
         node=drive.node_id,
         device=device,
         state="unknown" if state is None else state.value,

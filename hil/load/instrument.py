@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from drivers.errors import BadInput
-from drivers.instruments.dynamometer import Dynamometer, LoadReading, Tally
+from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
 from drivers.timebase import NS_PER_S, Clock, Instant
 from drivers.wire.serial_line import ByteLine, open_line
-from hil.configuration.config_load_machine import SIMULATED, LoadMachine
+from hil.configuration.config_load_machine import SIMULATED, LoadMachineConfig
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.instruments.dynamometer.brake import Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
@@ -79,7 +79,7 @@ class InstrumentLoadMachine:
         """The run's time zero; readings before it are not kept."""
         self._begun_at = at
         self._dynamometer.take_readings()
-        self._dynamometer.tally = Tally()
+        self._dynamometer.tally = LineCounts()
 
     def set_torque(self, torque_nm: float) -> None:
         """Ask for a load torque, N m. Does not wait."""
@@ -125,7 +125,7 @@ class InstrumentLoadMachine:
 
 
 def instrument_line(
-    config: LoadMachine, source: str, clock: Clock, servo: SimulatedServo | None, seed: int
+    config: LoadMachineConfig, source: str, clock: Clock, servo: SimulatedServo | None, seed: int
 ) -> ByteLine:
     """The line to the instrument: its serial port, or that of one simulated on the shaft of ``servo``.
 

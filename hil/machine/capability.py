@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 
 
-class Status(StrEnum):
+class CapabilityStatus(StrEnum):
     """Whether the machine can do a thing."""
 
     OK = "ok"
@@ -20,7 +20,7 @@ class Capability:
     """One thing that the machine can or cannot do."""
 
     name: str
-    status: Status
+    status: CapabilityStatus
     detail: str
     """What was found, in a few words."""
     needed_for: str
@@ -80,9 +80,9 @@ def _soft_limits() -> dict[int, int]:
 
 def capable(name: str, detail: str, needed_for: str) -> Capability:
     """The machine can do it."""
-    return Capability(name, Status.OK, detail, needed_for)
+    return Capability(name, CapabilityStatus.OK, detail, needed_for)
 
 
 def lacking(name: str, detail: str, needed_for: str, remedy: str) -> Capability:
     """The machine cannot, and ``remedy`` mends it."""
-    return Capability(name, Status.LACK, detail, needed_for, remedy)
+    return Capability(name, CapabilityStatus.LACK, detail, needed_for, remedy)

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.text import Text
 
 from hil.machine import doctor_bus, doctor_machine
-from hil.machine.capability import Capability, Machine, Status
+from hil.machine.capability import Capability, CapabilityStatus, Machine
 
 CHECKS = (*doctor_bus.CHECKS, *doctor_machine.CHECKS)
 
@@ -32,12 +32,12 @@ def print_checks(checks: Sequence[Capability], console: Console | None = None) -
     for check in checks:
         for line in _lines(check, width):
             console.print(line, soft_wrap=True)
-    lacks = sum(check.status is Status.LACK for check in checks)
+    lacks = sum(check.status is CapabilityStatus.LACK for check in checks)
     console.print(f"\n{len(checks) - lacks} of {len(checks)} there. {ALWAYS}", soft_wrap=True)
 
 
 def _lines(check: Capability, width: int) -> list[Text]:
-    style = "green" if check.status is Status.OK else "yellow"
+    style = "green" if check.status is CapabilityStatus.OK else "yellow"
     first = Text.assemble(
         (f"{check.status.value:<6}", style),
         f"{check.name:<{width}}  {check.detail}",

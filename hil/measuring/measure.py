@@ -27,7 +27,7 @@ from hil.measuring import stages
 from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
 from hil.measuring.loss_model import Outcomes, losses_of
 from hil.measuring.network import network_of
-from hil.measuring.probe import Change, acting
+from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.request import MeasureRequest
 from hil.measuring.subject import Subject, affordable, timing_of
 from hil.restoring.journal import Journal
@@ -227,7 +227,7 @@ class _Measurement:
         axis: Axis,
         rows: Rows,
         ways: dict[str, Outcomes],
-        changes: dict[int, Change],
+        changes: dict[int, TimedDemandChange],
         echoes: EchoBasis,
     ) -> MeasuredDrive:
         probe, plan = subject.probe, subject.drive.plan

@@ -16,7 +16,7 @@ BEFORE_NS: Final = 2_000
 down to a microsecond, and the map of the clock errs by as much. Longer before, it is another command's."""
 
 
-class Change(NamedTuple):
+class TimedDemandChange(NamedTuple):
     """A torque demand that a drive told when it changed, on the host's clock."""
 
     demand_raw: int
@@ -38,7 +38,7 @@ class ProbedDrive(Drive):
         """From the beginning of each decision until its command is handed over."""
         self.sent: list[SentCommand] = []
         """Every command; its echo may still come."""
-        self.changes: list[Change] = []
+        self.changes: list[TimedDemandChange] = []
         self.decision = DecisionProbe(clock)
         self._now = clock.now
 
@@ -56,7 +56,7 @@ class ProbedDrive(Drive):
         if self.map is not None and self.map.ready:
             for told in self.drive.take_demand_changes():
                 at = self.map.place(told.device_time_ns)
-                self.changes.append(Change(told.demand_raw, at, self.map.error_ns))
+                self.changes.append(TimedDemandChange(told.demand_raw, at, self.map.error_ns))
         return readings
 
     def take_readbacks(self) -> list[Readback]:
@@ -88,7 +88,7 @@ class DecisionProbe:
         return self._arrival.estimate(apply_at)
 
 
-def acting(sent: Sequence[SentCommand], changes: Sequence[Change]) -> dict[int, Change]:
+def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) -> dict[int, TimedDemandChange]:
     """By cycle: when its command began to act.
 
     A change belongs to the newest command of its value that was on its way then. Values come again only
@@ -98,7 +98,7 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[Change]) -> dict[int, 
     by_value: dict[int, list[SentCommand]] = {}
     for command in sent:
         by_value.setdefault(command.raw, []).append(command)
-    found: dict[int, Change] = {}
+    found: dict[int, TimedDemandChange] = {}
     for change in changes:
         candidates = by_value.get(change.demand_raw, [])
         place = bisect_right(candidates, change.at + BEFORE_NS + change.error_ns, key=_on_its_way)

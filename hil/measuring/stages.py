@@ -17,7 +17,7 @@ from drivers.exchange import SentCommand
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.samples import CommandFate, DropoutCause
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
-from hil.measuring.probe import Change
+from hil.measuring.probe import TimedDemandChange
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import action_delays_ns
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
@@ -97,7 +97,7 @@ def reading_stages(rows: Rows, to_user_code_ns: Sequence[int]) -> list[Stage]:
 def command_stages(
     rows: Rows,
     sent: Sequence[SentCommand],
-    changes: Mapping[int, Change],
+    changes: Mapping[int, TimedDemandChange],
     computation_ns: Sequence[int],
     echoes: EchoBasis,
     why_not: str,
@@ -138,7 +138,7 @@ def on_its_way(command: SentCommand) -> int:
     return command.handed_at if command.on_bus_at is None else command.on_bus_at
 
 
-def refined(rows: Rows, changes: Mapping[int, Change], sent: Sequence[SentCommand]) -> Rows:
+def refined(rows: Rows, changes: Mapping[int, TimedDemandChange], sent: Sequence[SentCommand]) -> Rows:
     """The rows with what is known better: when a command acted, and that one acted which seemed lost.
 
     A command whose fate was not identifiable stays so, though it is known to have acted: of those that did

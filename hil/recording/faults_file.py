@@ -22,7 +22,7 @@ from virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
     FAULTS_FILE,
     KIND_CODES,
-    Entry,
+    FaultEntry,
     entries_of,
     entry_line,
 )
@@ -37,13 +37,13 @@ class FaultEntries:
 
     def __init__(self, blocks: RingReader, started_at: Instant) -> None:
         """``started_at``: when the drives were switched on."""
-        self.fresh: list[Entry] = []
+        self.fresh: list[FaultEntry] = []
         """Those of the last :meth:`take`."""
         self._blocks = blocks
         self._started_at = started_at
-        self._early: list[Entry] = []
+        self._early: list[FaultEntry] = []
 
-    def take(self, zero: RunZero, at_end: bool = False) -> list[Entry]:
+    def take(self, zero: RunZero, at_end: bool = False) -> list[FaultEntry]:
         """What came since the last call; nothing before the first cycle is told, unless it never will be."""
         for row in self._blocks.drain():
             self._early += entries_of(row["block"].tobytes()[: int(row["length"])])
@@ -53,7 +53,7 @@ class FaultEntries:
             self._early.clear()
         return self.fresh
 
-    def _in_run_time(self, entry: Entry, zero: Instant) -> Entry:
+    def _in_run_time(self, entry: FaultEntry, zero: Instant) -> FaultEntry:
         if entry.code not in _SINCE_POWER_ON:
             return entry
         return entry._replace(at_ns=entry.at_ns + self._started_at - zero)

@@ -29,9 +29,9 @@ from hil.rows.row_states import (
     LINK_DEGRADED,
     LINK_DOWN,
     LINK_OK,
-    Change,
     DriveStates,
     HostStates,
+    LabelChange,
     LinkStates,
 )
 from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
@@ -201,7 +201,7 @@ class Telemetry:
                 rr.TextLog.columns(text=[event.text], level=[event.level]),
             )
         elif isinstance(event, StateEvent):
-            self._show_changes(event.track, [Change(event.at, event.label)])
+            self._show_changes(event.track, [LabelChange(event.at, event.label)])
         elif isinstance(event, LoadEvent):
             self._show_load(event)
 
@@ -272,13 +272,13 @@ class Telemetry:
         if due_at.size:
             self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
 
-    def _show_changes(self, track: str, changes: Sequence[Change]) -> None:
-        kept: list[Change] = []
+    def _show_changes(self, track: str, changes: Sequence[LabelChange]) -> None:
+        kept: list[LabelChange] = []
         for at, text in changes:
             label = text[:1].upper() + text[1:]
             if self._labels.get(track) != label:
                 self._labels[track] = label
-                kept.append(Change(at, label))
+                kept.append(LabelChange(at, label))
         if kept:
             times = np.array([change.at for change in kept])
             states = rr.StateChange.columns(state=[change.label for change in kept])

@@ -33,7 +33,7 @@ class ObjectKey:
         return f"{self.index:04X}:{self.sub:02X}"
 
 
-class Change(NamedTuple):
+class ObjectWrite(NamedTuple):
     """One write to the drive."""
 
     object: ObjectKey
@@ -67,7 +67,7 @@ class JournalContents:
     """What a journal says."""
 
     head: JournalHead
-    changes: list[Change] = field(default_factory=list)
+    changes: list[ObjectWrite] = field(default_factory=list)
     restored: bool = False
     """All that is in it was put back, and nothing was changed since."""
 
@@ -105,7 +105,7 @@ class Journal:
         )
         _sync_folder(path.parent)
 
-    def note(self, change: Change) -> None:
+    def note(self, change: ObjectWrite) -> None:
         """Put a change on the disk; only then may it be made."""
         self._write({"object": str(change.object), "old": change.old.hex(), "new": change.new.hex()})
         self.contents.changes.append(change)
@@ -172,11 +172,11 @@ def _head(path: Path, record: dict[str, Any]) -> JournalHead:
         raise BadInput(str(path), "line 1", record, "the head of a journal", str(error)) from None
 
 
-def _change(path: Path, number: int, record: dict[str, Any]) -> Change:
+def _change(path: Path, number: int, record: dict[str, Any]) -> ObjectWrite:
     try:
         index, sub = bytes.fromhex(record["object"][:4]), bytes.fromhex(record["object"][5:7])
         key = ObjectKey(int.from_bytes(index), int.from_bytes(sub))
-        return Change(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
+        return ObjectWrite(key, bytes.fromhex(record["old"]), bytes.fromhex(record["new"]))
     except (KeyError, TypeError, ValueError) as error:
         raise BadInput(str(path), f"line {number}", record, "object, old and new", str(error)) from None
 

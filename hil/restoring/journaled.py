@@ -8,7 +8,7 @@ from drivers.cia402.objects402 import Object
 from drivers.errors import TransferAborted
 from drivers.timebase import Clock
 from drivers.wire.link import BusLink
-from hil.restoring.journal import Change, Journal, ObjectKey
+from hil.restoring.journal import Journal, ObjectKey, ObjectWrite
 
 STORE_PARAMETERS: Final = 0x1010
 RESTORE_DEFAULTS: Final = 0x1011
@@ -68,4 +68,4 @@ class JournaledNetwork(CanopenNetwork):
             old = self.upload(node_id, index, sub)
         except TransferAborted:
             return  # what cannot be read cannot be put back, and is no setting
-        journal.note(Change(ObjectKey(index, sub), old, old if data is None else data))
+        journal.note(ObjectWrite(ObjectKey(index, sub), old, old if data is None else data))

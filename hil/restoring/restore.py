@@ -12,7 +12,7 @@ from typing import Final
 
 from drivers.canopen.heartbeats import PRODUCER_HEARTBEAT_TIME
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object

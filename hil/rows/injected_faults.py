@@ -12,7 +12,7 @@ from virtual_bus.faults.fault_log import (
     HOST_KINDS,
     KIND_CODES,
     NONE,
-    Entry,
+    FaultEntry,
 )
 from virtual_bus.faults.node_fault_plan import DriveFailure
 
@@ -38,7 +38,7 @@ class InjectedFaults:
         self._windows: dict[tuple[int, int], _Window] = {}
         """Those that are open, by kind and link."""
 
-    def take(self, entries: Sequence[Entry], zero: Instant) -> list[TextEvent]:
+    def take(self, entries: Sequence[FaultEntry], zero: Instant) -> list[TextEvent]:
         """``entries``: in run time. The events are on the bench clock, in order of time."""
         told: list[TextEvent] = []
         windows = self._windows
@@ -72,7 +72,7 @@ def _closed(window: _Window) -> TextEvent:
     return TextEvent(window.last, "INFO", f"injected until here: {window.what}, {times}")
 
 
-def _struck(entry: Entry) -> str:
+def _struck(entry: FaultEntry) -> str:
     """The kind and where."""
     kind = entry.kind
     if kind in HOST_KINDS:
@@ -83,13 +83,13 @@ def _struck(entry: Entry) -> str:
     return f"{kind} {entry.direction.label}{place}".replace("_", " ")
 
 
-def _first(entry: Entry) -> str:
+def _first(entry: FaultEntry) -> str:
     if entry.kind in HOST_KINDS:
         return f", first by {entry.a / NS_PER_MS:g} ms"
     return f", first frame {entry.can_id & ~EXTENDED_FLAG:03X}h"
 
 
-def _in_words(entry: Entry) -> str:
+def _in_words(entry: FaultEntry) -> str:
     """What befell a node."""
     kind, a = entry.kind.replace("_", " "), entry.a
     node = f"node {entry.link}"

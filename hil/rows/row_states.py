@@ -20,7 +20,7 @@ _STATE_BITS = 0x6F
 """The bits of 0x6041 that name the state (CiA 402-2, statusword)."""
 
 
-class Change(NamedTuple):
+class LabelChange(NamedTuple):
     """From an instant on, ``label`` holds."""
 
     at: int
@@ -33,7 +33,7 @@ class DriveStates:
     def __init__(self) -> None:
         self._last = -1
 
-    def changes(self, rows: Rows) -> list[Change]:
+    def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         read = rows[rows["fate"] == FATE_SAMPLE]
         words = (read["statusword"] & _STATE_BITS).astype(np.int64)
@@ -41,7 +41,7 @@ class DriveStates:
         if words.size:
             self._last = int(words[-1])
         told_at = np.where(read["status_told_at"] == NEVER_TOLD, read["due_at"], read["status_told_at"])
-        return [Change(int(told_at[place]), drive_label(int(words[place]))) for place in changed]
+        return [LabelChange(int(told_at[place]), drive_label(int(words[place]))) for place in changed]
 
 
 class LinkStates:
@@ -54,7 +54,7 @@ class LinkStates:
         self._window: NDArray[np.int64] = np.zeros(LINK_WINDOW_CYCLES, np.int64)
         self._last = -1
 
-    def changes(self, rows: Rows) -> list[Change]:
+    def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         rows = rows[rows["fate"] != FATE_MISSED]
         dropped = np.concatenate((self._window, rows["fate"] != FATE_SAMPLE)).astype(np.int64)
@@ -65,7 +65,9 @@ class LinkStates:
         changed = np.flatnonzero(np.diff(levels, prepend=self._last))
         if levels.size:
             self._last = int(levels[-1])
-        return [Change(int(rows["due_at"][place]), _LINK_LABELS[int(levels[place])]) for place in changed]
+        return [
+            LabelChange(int(rows["due_at"][place]), _LINK_LABELS[int(levels[place])]) for place in changed
+        ]
 
 
 class HostStates:
@@ -74,14 +76,14 @@ class HostStates:
     def __init__(self) -> None:
         self._last = -1
 
-    def changes(self, rows: Rows) -> list[Change]:
+    def changes(self, rows: Rows) -> list[LabelChange]:
         """In rows of one axis, in order."""
         missed = (rows["fate"] == FATE_MISSED).astype(np.int64)
         changed = np.flatnonzero(np.diff(missed, prepend=self._last))
         if missed.size:
             self._last = int(missed[-1])
         labels = (HOST_IN_TIME, HOST_MISSED)
-        return [Change(int(rows["due_at"][place]), labels[int(missed[place])]) for place in changed]
+        return [LabelChange(int(rows["due_at"][place]), labels[int(missed[place])]) for place in changed]
 
 
 def drive_label(statusword: int) -> str:

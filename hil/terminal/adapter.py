@@ -7,24 +7,17 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import bitrate_option, bus_option, seed_option
 
 
 def adapter(
-    bus: Annotated[
-        str,
-        typer.Option(
-            "--bus", metavar="SPEC", help="Where its CAN side hangs: hub:NAME, socketcan:vcan0, ..."
-        ),
-    ],
+    bus: Annotated[str, bus_option("Where its CAN side hangs: hub:NAME, socketcan:vcan0, ...")],
     link: Annotated[
         Path | None,
         typer.Option("--link", metavar="PATH", help="Symbolic link to make to its serial port."),
     ] = None,
     bitrate: Annotated[
-        int | None,
-        typer.Option(
-            "--bitrate", min=10_000, help="Bit rate of the bus, bit/s; a hub that runs keeps its own."
-        ),
+        int | None, bitrate_option("Bit rate of the bus, bit/s; a hub that runs keeps its own.")
     ] = None,
     fault: Annotated[
         list[str] | None,
@@ -35,7 +28,7 @@ def adapter(
             " unplug_after_s=3; may be repeated.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the faults.")] = 0,
+    seed: Annotated[int, seed_option("Of the faults.", most=None)] = 0,
 ) -> None:
     """An emulated SLCAN adapter: a serial port here, a CAN bus there, until Ctrl-C unplugs it.
 

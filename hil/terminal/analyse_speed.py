@@ -15,8 +15,8 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, seed_option
 from hil.terminal.speed_options import (
-    JsonOption,
     LoadOption,
     MotorArgument,
     SpeedOption,
@@ -68,7 +68,7 @@ TauMaxMsOption = Annotated[
 MonteCarloOption = Annotated[
     int | None, typer.Option("--monte-carlo", metavar="N", min=1, help="Random runs of the sampled loop.")
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**63 - 1, help="Of the random runs.")]
+SeedOption = Annotated[int, seed_option("Of the random runs.")]
 LossProbabilityOption = Annotated[
     float, typer.Option("--loss-probability", min=0.0, max=1.0, help="Of each sample in the random runs.")
 ]

@@ -8,21 +8,20 @@ from typing import Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import (
+    BitrateOption,
+    DriveBusOption,
+    DriveFaultsOption,
+    DriveNodeOption,
+    JsonOption,
+    seed_option,
+)
 from hil.verdict.verdict import ExitStatus
-
-BusOption = Annotated[
-    str, typer.Option("--bus", metavar="SPEC", help="hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")
-]
-NodeOption = Annotated[int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")]
-BitrateOption = Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-]
 
 
 def commission(
-    bus: BusOption,
-    node: NodeOption,
+    bus: DriveBusOption,
+    node: DriveNodeOption,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, files and journal.")],
     eds: Annotated[
         Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF of the drive.")
@@ -88,8 +87,8 @@ def restore(
     journal: Annotated[
         Path, typer.Argument(metavar="JOURNAL", help="journal.jsonl of a commissioning, or a measurement's.")
     ],
-    bus: BusOption,
-    node: NodeOption,
+    bus: DriveBusOption,
+    node: DriveNodeOption,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
@@ -107,11 +106,9 @@ def restore(
 
 
 def rehearse(
-    bus: BusOption,
-    node: NodeOption,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Which drive: all that is hidden is drawn from it.")
-    ],
+    bus: DriveBusOption,
+    node: DriveNodeOption,
+    seed: Annotated[int, seed_option("Which drive: all that is hidden is drawn from it.", most=None)],
     nameplate: Annotated[
         Path | None,
         typer.Option(
@@ -121,9 +118,7 @@ def rehearse(
     truth: Annotated[
         Path | None, typer.Option("--truth", metavar="FILE", help="Write what was drawn, to compare with.")
     ] = None,
-    faults: Annotated[
-        Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
-    ] = None,
+    faults: DriveFaultsOption = None,
     drift_ppm: Annotated[
         float,
         typer.Option("--drift-ppm", min=-1000, max=1000, help="How much too fast the drive's clock runs."),

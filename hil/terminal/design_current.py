@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import ControllerOutOption, JsonOption, gamma_option
 
 if TYPE_CHECKING:
     from hil.studies.current.design import CurrentResult
     from hil.studies.current.request import OtherAxis
 
 
-class Axis(StrEnum):
+class CurrentAxis(StrEnum):
     """Which current."""
 
     Q = "q"
@@ -75,22 +76,16 @@ AdvanceOption = Annotated[
     float | None,
     typer.Option("--advance-periods", help="Angle advance; delay + 0.5 periods is right."),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE", help="The controller, for a bench file.")
-]
 PictureOption = Annotated[
     Path | None, typer.Option("--picture", metavar="FILE.png", help="Weights against |S|, |KS|, |T|.")
-]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
 ]
 
 
 def current(
     motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
-    axis: Annotated[Axis, typer.Option("--axis", help="The current to control.")],
+    axis: Annotated[CurrentAxis, typer.Option("--axis", help="The current to control.")],
     weights: WeightsOption = None,
-    gamma: Annotated[float | None, typer.Option("--gamma", min=1e-9, help="The norm to stay below.")] = None,
+    gamma: Annotated[float | None, gamma_option(1e-9)] = None,
     gamma_factor: GammaFactorOption = None,
     structure: Annotated[StructureName, typer.Option("--structure")] = StructureName.FULL,
     reduce: ReduceOption = None,
@@ -103,7 +98,7 @@ def current(
     speed_rpm: SpeedOption = None,
     decoupling_factor: DecouplingOption = 1.0,
     advance_periods: AdvanceOption = None,
-    out: OutOption = None,
+    out: ControllerOutOption = None,
     picture: PictureOption = None,
     as_json: JsonOption = False,
 ) -> None:

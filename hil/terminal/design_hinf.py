@@ -7,19 +7,18 @@ from typing import Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, gamma_option
 
 
 def hinf(
     plant: Annotated[
         Path, typer.Argument(metavar="PLANT.toml", help="A, B, C, D, controls, measurements; TOML or JSON.")
     ],
-    gamma: Annotated[float | None, typer.Option("--gamma", min=1e-12, help="The norm to stay below.")] = None,
+    gamma: Annotated[float | None, gamma_option(1e-12)] = None,
     gamma_factor: Annotated[
         float, typer.Option("--gamma-factor", min=1.0, help="Without --gamma: times gamma_min.")
     ] = 1.1,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Design the central controller of x' = A x + B [w; u], [z; y] = C x + D [w; u] for ||z/w|| < gamma."""
     with reported_errors():

@@ -17,6 +17,7 @@ from hil.terminal.current_loop_options import (
     loop_of_bench,
 )
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import ControllerOutOption, JsonOption
 
 if TYPE_CHECKING:
     from hil.configuration.current_controller_file import CurrentController
@@ -46,12 +47,8 @@ def pid(
     integral_ratio: Annotated[
         float, typer.Option("--integral-ratio", min=1.0, help="Integral time times crossover.")
     ] = 40.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="The controller, for a bench file.")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    out: ControllerOutOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     with reported_errors():

@@ -18,8 +18,8 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, controller_out_option
 from hil.terminal.speed_options import (
-    JsonOption,
     LoadOption,
     MotorArgument,
     SpeedOption,
@@ -107,10 +107,7 @@ TargetOption = Annotated[
         "--target", help="Make best the loop with constant delay, or the sampled one on the network."
     ),
 ]
-OutOption = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="CONTROLLER.toml", help="The controller, for a bench file."),
-]
+OutOption = Annotated[Path | None, controller_out_option("CONTROLLER.toml")]
 
 
 def speed(

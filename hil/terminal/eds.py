@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, bitrate_option
 from hil.verdict.verdict import ExitStatus
 
 ANY_NODE = 1
@@ -38,10 +39,8 @@ def eds(
         ModeName | None, typer.Option("--mode", help="Mode to plan for; the best that it has if absent.")
     ] = None,
     period_us: Annotated[int, typer.Option("--period-us", min=100, help="Period of the loop, us.")] = 1000,
-    bitrate: Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate, bit/s.")] = 1_000_000,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    bitrate: Annotated[int, bitrate_option("Bit rate, bit/s.")] = 1_000_000,
+    as_json: JsonOption = False,
 ) -> None:
     """Read an EDS or DCF and say what the device offers a bench, and what was mended to read the file.
 

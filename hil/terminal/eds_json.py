@@ -8,7 +8,7 @@ from drivers.canopen.pdo import PdoMap
 from drivers.canopen.pdo_budget import Budget, content_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.sections import section_name
-from drivers.sheets.fitness import FileIdentity, Fitness, PdoDefault, mode_name
+from drivers.sheets.fitness import FileIdentity, Fitness, SheetPdo, mode_name
 from hil.terminal.eds_sheet import Planned
 from hil.terminal.eds_units import unit_lines
 
@@ -73,7 +73,7 @@ def _identity(identity: FileIdentity) -> dict[str, Any]:
     return {**texts, **numbers}
 
 
-def _pdo(pdo: PdoDefault) -> dict[str, Any]:
+def _pdo(pdo: SheetPdo) -> dict[str, Any]:
     identifier = None if pdo.cob_id is None else f"0x{pdo.cob_id:03X}"
     return {**pdo._asdict(), "cob_id": identifier, "mapping": list(pdo.mapping)}
 

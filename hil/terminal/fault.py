@@ -6,21 +6,16 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption
 from hil.verdict.verdict import ExitStatus
 
 
 def fault(
-    bus: Annotated[
-        str, typer.Option("--bus", metavar="SPEC", help="hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")
-    ],
-    node: Annotated[int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")],
+    bus: DriveBusOption,
+    node: DriveNodeOption,
     reset: Annotated[bool, typer.Option("--reset", help="Reset the fault. Nothing else ever does.")] = False,
-    bitrate: Annotated[
-        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
-    ] = 1_000_000,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    bitrate: BitrateOption = 1_000_000,
+    as_json: JsonOption = False,
 ) -> None:
     """Show a drive's state and its faults in words: 603Fh, 1001h and 1003h.
 

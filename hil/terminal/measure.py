@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import EVERY_STREAM, BitrateOption, JsonOption, bus_option, faults_option
 from hil.terminal.simulate import MotorOption
 from hil.verdict.verdict import ExitStatus
 
@@ -18,10 +19,7 @@ if TYPE_CHECKING:
 CYCLES_MAX = 1_000_000
 """Each takes half a kilobyte of memory a drive, which is taken before the first."""
 
-BusOption = Annotated[
-    str,
-    typer.Option("--bus", metavar="SPEC", help="simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL."),
-]
+BusOption = Annotated[str, bus_option("simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
 NodeOption = Annotated[
     list[str], typer.Option("--node", metavar="N...", help="Node ids: 1, or 1,2, or 1-3; may be repeated.")
 ]
@@ -49,14 +47,8 @@ FaultsOutOption = Annotated[
 PictureOption = Annotated[
     Path | None, typer.Option("--picture", metavar="FILE", help="Draw the histograms: .png, .svg, .pdf.")
 ]
-FaultsOption = Annotated[
-    Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the host's side.")
-]
-BitrateOption = Annotated[int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-]
+FaultsOption = Annotated[Path | None, faults_option("host")]
+SeedOption = Annotated[int, EVERY_STREAM]
 
 
 def measure(

@@ -7,13 +7,12 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
 
 
 def recover(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write the missing summary of a run from its rows, and end its files behind their last whole entries.
 

@@ -15,11 +15,11 @@ from hil.configuration.config import BenchConfig
 from hil.verdict.certificate_text import certificate_lines
 from hil.verdict.summary import Percentiles, Summary, metric_title
 from hil.verdict.timing_text import timing_lines
-from hil.verdict.verdict import Check, LimitResult, Outcome, verdict_title
+from hil.verdict.verdict import Check, LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100
-_STYLE = {Outcome.PASSED: "green", Outcome.NOTHING_ASKED: "yellow"}
-_TOLD_ELSEWHERE = (Outcome.NOT_PASSED, Outcome.NOT_RECORDED)
+_STYLE = {VerdictKind.PASSED: "green", VerdictKind.NOTHING_ASKED: "yellow"}
+_TOLD_ELSEWHERE = (VerdictKind.NOT_PASSED, VerdictKind.NOT_RECORDED)
 """In the table of limits, and in what the recording lacks."""
 _MARKS = {
     LimitResult.KEPT: ("ok", "green"),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -16,9 +17,7 @@ def azaiz2007(
     figures: Annotated[
         Path | None, typer.Option("--figures", metavar="DIR", help="Folder for the pictures, Figs. 7 to 13.")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """[Azaiz2007] in full: both current controllers, their margins, and the drive of Fig. 4."""
     with reported_errors():

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.speed_options import JsonOption, print_figures
+from hil.terminal.options import JsonOption
+from hil.terminal.speed_options import print_figures
 
 if TYPE_CHECKING:
     from rich.console import Console

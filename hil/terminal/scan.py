@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, bitrate_option, bus_option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -16,14 +17,10 @@ if TYPE_CHECKING:
 
 def scan(
     bus: Annotated[
-        str | None,
-        typer.Option(
-            "--bus", metavar="SPEC", help="Look for nodes on this bus: socketcan:can0, slcan:PORT, ..."
-        ),
+        str | None, bus_option("Look for nodes on this bus: socketcan:can0, slcan:PORT, ...")
     ] = None,
     bitrate: Annotated[
-        int | None,
-        typer.Option("--bitrate", min=10_000, help="Bit rate, bit/s; found out by listening if absent."),
+        int | None, bitrate_option("Bit rate, bit/s; found out by listening if absent.")
     ] = None,
     assign: Annotated[
         list[str] | None,
@@ -38,17 +35,16 @@ def scan(
     listen: Annotated[
         float, typer.Option("--listen", min=0.0, max=600.0, help="How long to listen before asking, s.")
     ] = 1.5,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """The adapters of this machine; with --bus also who is on it. A running network is not disturbed."""
     with reported_errors():
+        from drivers.canopen.nmt_states import UNCONFIGURED
         from drivers.errors import BadInput
         from drivers.timebase import duration_s
         from drivers.wire.adapters import parse_bus_spec
         from hil.inspecting.scanning import ScanPlan, find_adapters, scan_bus
-        from hil.terminal.node_list import UNCONFIGURED, node_ids
+        from hil.terminal.node_list import node_ids
 
         plan = None
         if bus is not None:

@@ -7,10 +7,9 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import BitrateOption, DriveFaultsOption, SeedOption, bus_option
 
-BusOption = Annotated[
-    str, typer.Option("--bus", metavar="SPEC", help="A real-time bus: hub:NAME, socketcan:vcan0, ...")
-]
+BusOption = Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
 NodeOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -22,9 +21,6 @@ NodeOption = Annotated[
 ]
 MotorOption = Annotated[
     Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
-]
-FaultsOption = Annotated[
-    Path | None, typer.Option("--faults", metavar="FAULTS.toml", help="Fault plan, at the drive's side.")
 ]
 EdsOption = Annotated[
     Path | None,
@@ -67,22 +63,18 @@ def simulate(
     node: NodeOption = None,
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
     motor: MotorOption = None,
-    faults: FaultsOption = None,
+    faults: DriveFaultsOption = None,
     eds: EdsOption = None,
     store: StoreOption = None,
     background: BackgroundOption = None,
     load_machine: LoadMachineOption = None,
     load_machine_fault: LoadMachineFaultOption = None,
     current_control: CurrentControlOption = None,
-    bitrate: Annotated[
-        int, typer.Option("--bitrate", min=10_000, help="Bit rate of the bus, bit/s.")
-    ] = 1_000_000,
+    bitrate: BitrateOption = 1_000_000,
     force: Annotated[
         bool, typer.Option("--force", help="Join although a node with such an id is on the bus.")
     ] = False,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, max=2**63 - 1, help="Seed of every random stream.")
-    ] = None,
+    seed: SeedOption = None,
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""
     with reported_errors():

@@ -27,9 +27,6 @@ LoadOption = Annotated[
         "--load-nm", metavar="T", min=1e-9, help="Load step for percents; the rated torque if absent."
     ),
 ]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-]
 
 
 def motor_of(path: Path) -> "PmsmParameters":

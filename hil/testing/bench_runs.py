@@ -19,7 +19,7 @@ from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.testing.hosted import DriveHost
 from hil.testing.run import Run
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 
 PathLike = str | os.PathLike[str]
 
@@ -110,7 +110,7 @@ class BenchRunner:
                 controllers=controllers,
                 privileged=False,  # a locked memory of pytest is too much to ask of any machine
             )
-            interrupted = bool(summary.verdict.of(Outcome.INTERRUPTED))
+            interrupted = bool(summary.verdict.of(VerdictKind.INTERRUPTED))
         except Interrupted:
             interrupted = True
         except BenchError as error:

@@ -26,7 +26,7 @@ from hil.rows.records_file import RECORDS_FILE, read_records
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 
 _TRACK = "drive"
 
@@ -105,7 +105,7 @@ class Run:
         """The run passed, by every condition of docs/verdict.md: something was asked, and all was kept."""
         __tracebackhide__ = True
         verdict = self.summary.verdict
-        if verdict.outcome is Outcome.NOTHING_ASKED:
+        if verdict.outcome is VerdictKind.NOTHING_ASKED:
             raise AssertionError(f"{self.config.source or 'the bench'} has no limit in [verdict] to keep")
         if not verdict.passed:
             raise AssertionError("\n".join(f"{each.outcome}: {each.text}" for each in verdict.findings))

@@ -11,9 +11,9 @@ from hil.verdict.verdict import (
     CycleCount,
     DriveEnd,
     Finding,
-    Outcome,
     RunOutcome,
-    Verdict,
+    RunVerdict,
+    VerdictKind,
     VerdictLimits,
     judge,
     not_run,
@@ -118,7 +118,7 @@ class Summary:
     bus_load_percent: float | None
     realtime_factor: float | None
     lateness_us: Percentiles
-    verdict: Verdict
+    verdict: RunVerdict
     recording: str
     """The folder of the run; empty if nothing was kept."""
     seed: int | None
@@ -156,7 +156,7 @@ class Summary:
         values["delay_us"] = Percentiles(**values["delay_us"])
         values["lateness_us"] = Percentiles(**values["lateness_us"])
         values["speed_error"] = SpeedError(**values["speed_error"])
-        values["verdict"] = Verdict.from_json(values["verdict"])
+        values["verdict"] = RunVerdict.from_json(values["verdict"])
         values["drives"] = tuple(DriveEnd(**drive) for drive in values["drives"])
         for name in ("recording_faults", "network_notes"):
             values[name] = tuple(values.get(name, ()))
@@ -190,7 +190,7 @@ def summarise(
     )
 
 
-def summary_without_run(outcome: Outcome, reason: str) -> Summary:
+def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:
     """Of what ended before there was a run: no cycle, and nothing measured."""
     none = Percentiles(None, None, None)
     return Summary(

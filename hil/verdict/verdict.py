@@ -32,7 +32,7 @@ class ExitStatus(IntEnum):
     """Ctrl-C, SIGTERM, SIGHUP or the caller: whatever was found until then is no verdict (128 + SIGINT)."""
 
 
-class Outcome(StrEnum):
+class VerdictKind(StrEnum):
     """What a run came to. Where several hold, the first of this list is told."""
 
     DEFECT = "defect of the program"
@@ -54,27 +54,32 @@ class Outcome(StrEnum):
 
 
 _EXIT_STATUS = {
-    Outcome.DEFECT: ExitStatus.DEFECT,
-    Outcome.PEER_FAULT: ExitStatus.PEER_FAULT,
-    Outcome.INTERRUPTED: ExitStatus.INTERRUPTED,
-    Outcome.BAD_INPUT: ExitStatus.BAD_INPUT,
-    Outcome.NOT_TRUSTWORTHY: ExitStatus.NOT_TRUSTWORTHY,
-    Outcome.NOT_RECORDED: ExitStatus.NOT_RECORDED,
-    Outcome.CUT_SHORT: ExitStatus.INCOMPLETE,
-    Outcome.NOT_MEASURED: ExitStatus.INCOMPLETE,
-    Outcome.NOT_PASSED: ExitStatus.FAILED,
-    Outcome.NOTHING_ASKED: ExitStatus.PASSED,
-    Outcome.PASSED: ExitStatus.PASSED,
+    VerdictKind.DEFECT: ExitStatus.DEFECT,
+    VerdictKind.PEER_FAULT: ExitStatus.PEER_FAULT,
+    VerdictKind.INTERRUPTED: ExitStatus.INTERRUPTED,
+    VerdictKind.BAD_INPUT: ExitStatus.BAD_INPUT,
+    VerdictKind.NOT_TRUSTWORTHY: ExitStatus.NOT_TRUSTWORTHY,
+    VerdictKind.NOT_RECORDED: ExitStatus.NOT_RECORDED,
+    VerdictKind.CUT_SHORT: ExitStatus.INCOMPLETE,
+    VerdictKind.NOT_MEASURED: ExitStatus.INCOMPLETE,
+    VerdictKind.NOT_PASSED: ExitStatus.FAILED,
+    VerdictKind.NOTHING_ASKED: ExitStatus.PASSED,
+    VerdictKind.PASSED: ExitStatus.PASSED,
 }
-_GRAVITY = list(Outcome)
+_GRAVITY = list(VerdictKind)
 
 
-def outcome_of_status(status: int) -> Outcome:
+def outcome_of_status(status: int) -> VerdictKind:
     """What an error comes to that leaves with ``status``; a defect for a status that no error has."""
-    for outcome in (Outcome.PEER_FAULT, Outcome.INTERRUPTED, Outcome.BAD_INPUT, Outcome.NOT_RECORDED):
+    for outcome in (
+        VerdictKind.PEER_FAULT,
+        VerdictKind.INTERRUPTED,
+        VerdictKind.BAD_INPUT,
+        VerdictKind.NOT_RECORDED,
+    ):
         if outcome.exit_status == status:
             return outcome
-    return Outcome.DEFECT
+    return VerdictKind.DEFECT
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +126,7 @@ class RunOutcome:
     """The loop came to its end."""
     reason: str = ""
     """Why it did not."""
-    cause: Outcome = Outcome.CUT_SHORT
+    cause: VerdictKind = VerdictKind.CUT_SHORT
     """What that comes to; of no meaning where it did."""
     cycles_planned: int | None = None
     """Of each axis."""
@@ -142,7 +147,7 @@ class RunOutcome:
     def from_json(cls, found: Mapping[str, Any]) -> "RunOutcome":
         """Inverse of ``asdict`` and JSON."""
         drives = tuple(DriveEnd(**drive) for drive in found["drives"])
-        return cls(**{**found, "cause": Outcome(found["cause"]), "drives": drives})
+        return cls(**{**found, "cause": VerdictKind(found["cause"]), "drives": drives})
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,15 +186,15 @@ class Check:
 class Finding:
     """Something that keeps a run from being passed."""
 
-    outcome: Outcome
+    outcome: VerdictKind
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RunVerdict:
     """The gravest of what was found, and all of it."""
 
-    outcome: Outcome
+    outcome: VerdictKind
     exit_status: int
     passed: bool
     """Something was asked, and all of it was kept in a valid run."""
@@ -201,20 +206,20 @@ class Verdict:
     findings: tuple[Finding, ...]
     """The gravest first."""
 
-    def also(self, finding: Finding) -> "Verdict":
+    def also(self, finding: Finding) -> "RunVerdict":
         """With something that was found afterwards; such a run is not passed."""
         return _conclude(self.completed, self.limits, [*self.findings, finding])
 
-    def of(self, outcome: Outcome) -> tuple[str, ...]:
+    def of(self, outcome: VerdictKind) -> tuple[str, ...]:
         """The findings of one kind, in words."""
         return tuple(finding.text for finding in self.findings if finding.outcome is outcome)
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "Verdict":
+    def from_json(cls, found: Mapping[str, Any]) -> "RunVerdict":
         """Inverse of ``asdict`` and JSON."""
         checks = [Check(**{**check, "result": LimitResult(check["result"])}) for check in found["limits"]]
-        findings = [Finding(Outcome(each["outcome"]), each["text"]) for each in found["findings"]]
-        plain = {**found, "outcome": Outcome(found["outcome"])}
+        findings = [Finding(VerdictKind(each["outcome"]), each["text"]) for each in found["findings"]]
+        plain = {**found, "outcome": VerdictKind(found["outcome"])}
         return cls(**{**plain, "limits": tuple(checks), "findings": tuple(findings)})
 
 
@@ -224,7 +229,7 @@ def judge(
     values: Mapping[str, float | None],
     limits: VerdictLimits,
     recording_lacks: str = "",
-) -> Verdict:
+) -> RunVerdict:
     """The verdict on a run.
 
     ``values``: by the names of :class:`VerdictLimits`; None, or left out, if not measured.
@@ -241,11 +246,11 @@ def judge(
     found = [*undone, *_doubted(outcome, recording_lacks), *_broken(checks, completed)]
     if not checks and count.missed:
         text = f"{count.missed} cycles went without SYNC, and no limit says how many may"
-        found.append(Finding(Outcome.NOT_MEASURED, text))
+        found.append(Finding(VerdictKind.NOT_MEASURED, text))
     return _conclude(completed, checks, found)
 
 
-def not_run(outcome: Outcome, reason: str) -> Verdict:
+def not_run(outcome: VerdictKind, reason: str) -> RunVerdict:
     """Of what ended before there was a run."""
     return _conclude(False, (), [Finding(outcome, reason)])
 
@@ -254,7 +259,7 @@ def _undone(outcome: RunOutcome, count: CycleCount) -> list[Finding]:
     """Why not everything that was planned was run."""
     if not outcome.completed:
         return [Finding(outcome.cause, outcome.reason)]
-    return [Finding(Outcome.CUT_SHORT, text) for text in _gaps(outcome, count)]
+    return [Finding(VerdictKind.CUT_SHORT, text) for text in _gaps(outcome, count)]
 
 
 def _gaps(outcome: RunOutcome, count: CycleCount) -> Iterator[str]:
@@ -278,15 +283,15 @@ def _doubted(outcome: RunOutcome, recording_lacks: str) -> Iterator[Finding]:
     for drive in outcome.drives:
         if drive.at_rest is False or (drive.at_rest is None and outcome.completed):
             text = f"{drive.name} is not confirmed at rest: {drive.evidence}".removesuffix(": ")
-            yield Finding(Outcome.PEER_FAULT, text)
+            yield Finding(VerdictKind.PEER_FAULT, text)
         if drive.unwatched:
-            yield Finding(Outcome.PEER_FAULT, f"{drive.name}: {drive.unwatched}")
+            yield Finding(VerdictKind.PEER_FAULT, f"{drive.name}: {drive.unwatched}")
     for emergency in outcome.emergencies:
-        yield Finding(Outcome.PEER_FAULT, emergency)
+        yield Finding(VerdictKind.PEER_FAULT, emergency)
     for doubt in outcome.distrust:
-        yield Finding(Outcome.NOT_TRUSTWORTHY, doubt)
+        yield Finding(VerdictKind.NOT_TRUSTWORTHY, doubt)
     if recording_lacks:
-        yield Finding(Outcome.NOT_RECORDED, recording_lacks)
+        yield Finding(VerdictKind.NOT_RECORDED, recording_lacks)
 
 
 def _held_against(value: float | None, limit: float, completed: bool) -> LimitResult:
@@ -299,21 +304,23 @@ def _broken(checks: Sequence[Check], completed: bool) -> Iterator[Finding]:
     for check in checks:
         if check.result is LimitResult.BROKEN:
             text = f"{check.metric} = {check.limit:g}, found {check.value:.4g}"
-            yield Finding(Outcome.NOT_PASSED, text)
+            yield Finding(VerdictKind.NOT_PASSED, text)
         elif check.result is LimitResult.NOT_MEASURED and completed:
-            yield Finding(Outcome.NOT_MEASURED, f"{check.metric} = {check.limit:g}, and nothing was measured")
+            yield Finding(
+                VerdictKind.NOT_MEASURED, f"{check.metric} = {check.limit:g}, and nothing was measured"
+            )
 
 
-def _conclude(completed: bool, checks: tuple[Check, ...], found: Sequence[Finding]) -> Verdict:
+def _conclude(completed: bool, checks: tuple[Check, ...], found: Sequence[Finding]) -> RunVerdict:
     findings = tuple(sorted(found, key=lambda finding: _GRAVITY.index(finding.outcome)))
-    fair = Outcome.PASSED if checks else Outcome.NOTHING_ASKED
+    fair = VerdictKind.PASSED if checks else VerdictKind.NOTHING_ASKED
     outcome = findings[0].outcome if findings else fair
-    verdict = Verdict(
-        outcome, int(outcome.exit_status), outcome is Outcome.PASSED, completed, "", checks, findings
+    verdict = RunVerdict(
+        outcome, int(outcome.exit_status), outcome is VerdictKind.PASSED, completed, "", checks, findings
     )
     return replace(verdict, reason="; ".join(verdict.of(outcome)))
 
 
-def verdict_title(verdict: Verdict) -> str:
+def verdict_title(verdict: RunVerdict) -> str:
     """The verdict in capitals, as a reader sees it first."""
     return verdict.outcome.upper()

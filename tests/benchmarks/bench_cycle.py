@@ -25,7 +25,7 @@ from hil.recording.row_writer import RowWriter
 from hil.rows.records import ROW, ROW_DTYPE, record_of
 from hil.rows.side_rows import FRAME, FRAME_DTYPE
 from virtual_bus.bus.host_port import HostPort
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_plan import Direction
@@ -142,7 +142,7 @@ def _plain_python(cycles: int) -> None:
 
 def _frame_cycle() -> Callable[[int], None]:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     bus = HostPort(segment, "host")
     peer = segment.attach("peer", lambda _frame, _at: None)
     frame = Frame(0x181, bytes(range(8)))
@@ -183,7 +183,7 @@ def _demo_faults() -> FaultInjector:
 def _bus_cycle(faults: FaultInjector | None) -> Callable[[int], None]:
     """Two readings are fetched as far as they come within the cycle; then the answer goes out."""
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     bus = HostPort(segment, "host")
     if faults is not None:
         bus.put_before(faults, Direction.HOST_TO_DRIVE)

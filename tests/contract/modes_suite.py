@@ -11,7 +11,7 @@ import pytest
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.motion import Homing, Profile
+from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.profile import Mode, State
@@ -25,8 +25,8 @@ TURN = math.tau
 COUNT = TURN / 65536
 NODE = 1
 PERIOD = Duration(NS_PER_MS)
-PROFILE = Profile(speed_rad_s=10 * TURN, acceleration_rad_s2=200 * TURN, deceleration_rad_s2=200 * TURN)
-HOW = Homing(switch_speed_rad_s=5 * TURN, zero_speed_rad_s=2 * TURN, acceleration_rad_s2=200 * TURN)
+PROFILE = MoveProfile(speed_rad_s=10 * TURN, acceleration_rad_s2=200 * TURN, deceleration_rad_s2=200 * TURN)
+HOW = HomingSetup(switch_speed_rad_s=5 * TURN, zero_speed_rad_s=2 * TURN, acceleration_rad_s2=200 * TURN)
 SDO_REQUEST = 0x600 + NODE
 ENABLED = 0x0F
 FAULT_RESET = 0x80
@@ -166,7 +166,7 @@ class ModesSuite:
         assert rig.words() == [0x10F, ENABLED]
 
     def test_torque_is_reached(self, rig: ModesRig) -> None:
-        rig.drive.apply_torque(0.1, rig.soon(5.0), Profile(torque_slope_nm_s=20.0))
+        rig.drive.apply_torque(0.1, rig.soon(5.0), MoveProfile(torque_slope_nm_s=20.0))
         assert rig.drive.objects.read(Object.TORQUE_DEMAND, 0, "h") == 50
         rig.drive.apply_torque(0.0, rig.soon(5.0))
         assert rig.words() == []
@@ -176,7 +176,7 @@ class ModesSuite:
         rig.drive.home(34, rig.soon(5.0), HOW)
         assert rig.position_rad == pytest.approx(2**2 / 400 * TURN, abs=0.05), "it stops behind its home"
         assert rig.words() == [0x1F, ENABLED]
-        rig.drive.home(35, rig.soon(5.0), Homing(offset_rad=0.25 * TURN))
+        rig.drive.home(35, rig.soon(5.0), HomingSetup(offset_rad=0.25 * TURN))
         assert rig.position_rad == pytest.approx(-0.25 * TURN, abs=0.02)
 
     def test_a_homing_that_fails_tells_why(self, rig: ModesRig) -> None:

@@ -13,7 +13,7 @@ from drivers.timebase import NS_PER_MS, Duration, MonotonicClock
 from drivers.wire.adapters import BusSpec
 from drivers.wire.bitrate import detect_bitrate
 from drivers.wire.slcan import SlcanBus
-from drivers.wire.slcan_protocol import Status
+from drivers.wire.slcan_protocol import SlcanStatus
 from tests.contract.slcan_bench import running_adapter
 from virtual_bus.bus.hub import HubBus
 
@@ -96,7 +96,7 @@ def test_an_adapter_at_the_wrong_rate_refuses_and_says_why() -> None:
 
         with pytest.raises(can.CanOperationError, match=r"refused \d+ frames.*error passive.*bus error"):
             keep_sending()
-        assert bus.adapter_status & Status.BUS_ERROR
+        assert bus.adapter_status & SlcanStatus.BUS_ERROR
         bus.shutdown()
 
 

@@ -12,7 +12,7 @@ from drivers.timebase import Clock, MonotonicClock
 from drivers.wire.frame_port import EchoBasis
 from tests.contract.bus_suite import ExactBusSuite, OpenBus
 from tests.contract.echo_suite import EchoSuite
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.timeline import SimulatedClock, Timeline
 
@@ -50,7 +50,7 @@ class TestSimulated(ExactBusSuite, EchoSuite):
 
     @pytest.fixture
     def open_bus(self, timeline: Timeline) -> Iterator[OpenBus]:
-        segment = Segment(timeline, self.bitrate_bit_s)
+        segment = CanSegment(timeline, self.bitrate_bit_s)
         opened: list[can.BusABC] = []
         numbers = count()
 

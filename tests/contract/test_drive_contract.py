@@ -17,7 +17,7 @@ from drivers.errors import DriveInFault, NoAnswer
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from drivers.wire.link import BusLink, StampSource
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
@@ -59,7 +59,7 @@ SETTINGS = DriveSettings(
 @dataclass
 class Bench:
     timeline: Timeline
-    segment: Segment
+    segment: CanSegment
     bus: can.BusABC
     device: SimulatedServo
     network: CanopenNetwork
@@ -97,7 +97,7 @@ class Bench:
 def make_bench(plan: FaultPlan | None = None, seed: int = 0) -> Bench:
     """The drive and its client on one segment; the client's side is faulty if there is a plan."""
     timeline = Timeline()
-    clock, segment = SimulatedClock(timeline), Segment(timeline)
+    clock, segment = SimulatedClock(timeline), CanSegment(timeline)
     device = SimulatedServo(1, MOTOR, DriveParameters(), 1)
     attach_to_segment(device, segment, timeline)
     bus: can.BusABC = SimulatedBus(segment=segment)

@@ -16,7 +16,7 @@ from drivers.wire.link import BusLink, StampSource
 from tests.contract.live_modes import live_modes
 from tests.contract.modes_suite import NODE, ModesRig, ModesSuite
 from tests.motors import LING
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
@@ -25,7 +25,7 @@ from virtual_bus.timeline import SimulatedClock, Timeline
 
 def simulated_rig(synchronous: bool) -> Iterator[ModesRig]:
     timeline = Timeline()
-    clock, segment = SimulatedClock(timeline), Segment(timeline)
+    clock, segment = SimulatedClock(timeline), CanSegment(timeline)
     device = SimulatedServo(NODE, LING)
     attach_to_segment(device, segment, timeline)
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.timebase import Instant
 from drivers.wire.slcan import SlcanBus
-from drivers.wire.slcan_protocol import Status
+from drivers.wire.slcan_protocol import SlcanStatus
 from tests.contract.bus_suite import PATIENCE_S, SILENCE_S, OpenBus, content, data_message
 from tests.contract.slcan_bench import RunningAdapter, SlcanSuite
 from tests.ports import fetched
@@ -83,7 +83,7 @@ def test_a_full_adapter_and_its_flags_are_told(adapters: list[RunningAdapter]) -
             bus.send(data_message(number))
             assert bus.recv(0) is None
         flags = bus.status()
-        assert flags & Status.ERROR_PASSIVE
+        assert flags & SlcanStatus.ERROR_PASSIVE
         came = 0
         while hub.recv(0.2 if came else PATIENCE_S) is not None:
             came += 1

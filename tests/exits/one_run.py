@@ -20,7 +20,7 @@ from hil.configuration.config import BenchConfig
 from hil.rows.records import FATE_MISSED
 from hil.rows.records_file import RECORDS_FILE
 from hil.testing.hosted import DriveProcess
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 from tests.exits.cells import (
     BROKER,
     CONNECTING,
@@ -86,7 +86,7 @@ class Ended:
         told = self.ran.told
         lacks = any(fault.startswith(RECORDS_FILE) for fault in told.get("recording_faults", ()))
         return lacks and any(
-            found["outcome"] == Outcome.NOT_RECORDED for found in told["verdict"]["findings"]
+            found["outcome"] == VerdictKind.NOT_RECORDED for found in told["verdict"]["findings"]
         )
 
     @property

@@ -25,7 +25,7 @@ from hil.rows.side_rows import (
     TextEvent,
 )
 from hil.verdict.summary import summary_without_run
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 from tests.mutants.kinds import BENCH, RECORDED
 from tests.mutants.mutant import Kind
 from tests.unit.hil.recording_tools import plan_for
@@ -57,7 +57,7 @@ def write_unfinished(folder: Path) -> None:
     for keeper in (EventsKeeper(plan, folder), FramesKeeper(plan, folder), LoadKeeper(plan, folder)):
         keeper.take(rows, frames, EVENTS)
     (folder / "faults.jsonl").write_text(RECORDED)
-    whole = summary_without_run(Outcome.CUT_SHORT, "made up").as_json()
+    whole = summary_without_run(VerdictKind.CUT_SHORT, "made up").as_json()
     (folder / "summary.json").write_text(json.dumps(whole))
 
 

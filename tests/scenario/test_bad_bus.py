@@ -23,7 +23,7 @@ from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
 from virtual_bus.bus.disturbance import Disturbance
 from virtual_bus.bus.error_state import ErrorState
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
@@ -42,7 +42,7 @@ BIT_NS = 1_000
 class Axis:
     """A drive and its client, on a segment of their own."""
 
-    segment: Segment
+    segment: CanSegment
     bus: SimulatedBus
     servo: SimulatedServo
     attached: AttachedDevice
@@ -65,7 +65,7 @@ class Axis:
 
 
 def make_axis(timeline: Timeline, name: str = "axis1") -> Axis:
-    segment, clock = Segment(timeline), SimulatedClock(timeline)
+    segment, clock = CanSegment(timeline), SimulatedClock(timeline)
     servo = SimulatedServo(1, LING)
     attached = attach_to_segment(servo, segment, timeline)
     bus = SimulatedBus(segment=segment)
@@ -140,7 +140,7 @@ def test_a_drive_survives_to_be_unplugged_for_less_than_its_host_s_time_out(axis
 
 
 def test_python_can_gets_error_frames_where_it_asks_for_them() -> None:
-    segment = Segment(Timeline())
+    segment = CanSegment(Timeline())
     asking = SimulatedBus("asking", segment=segment, receive_error_frames=True)
     plain = SimulatedBus("plain", segment=segment)
     attempts = 0

@@ -13,7 +13,7 @@ import can
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import NmtCommand, NmtState
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402.drive_setup import read_identity
 from drivers.cia402.profile import State

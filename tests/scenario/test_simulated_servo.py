@@ -8,7 +8,7 @@ import pytest
 from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, Instant
 from tests.motors import AZAIZ, LING
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
@@ -22,7 +22,7 @@ class Master:
 
     def __init__(self) -> None:
         self.timeline = Timeline()
-        self.segment = Segment(self.timeline)
+        self.segment = CanSegment(self.timeline)
         self.heard: list[tuple[Frame, Instant]] = []
         self.port = self.segment.attach("master", lambda frame, at: self.heard.append((frame, at)))
 

@@ -10,7 +10,7 @@ from hil.configuration.config import BenchConfig
 from hil.execution.simulated_drives import simulated_drives
 from hil.loop.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
-from hil.verdict.verdict import LimitResult, Outcome
+from hil.verdict.verdict import LimitResult, VerdictKind
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
@@ -47,8 +47,8 @@ def test_a_drive_that_stopped_itself_while_the_host_was_away_at_the_end_is_found
 ) -> None:
     run = servo_bench(BENCH, changes, faults=stall(0.58, 4_000_000), ends_in=DriveInFault)
     verdict = run.summary.verdict
-    assert (verdict.outcome, verdict.exit_status) == (Outcome.PEER_FAULT, 3)
-    assert any("EMCY 8130h" in text and "at 0." in text for text in verdict.of(Outcome.PEER_FAULT))
+    assert (verdict.outcome, verdict.exit_status) == (VerdictKind.PEER_FAULT, 3)
+    assert any("EMCY 8130h" in text and "at 0." in text for text in verdict.of(VerdictKind.PEER_FAULT))
     assert not verdict.completed
     assert all(check.result is LimitResult.NOT_MEASURED for check in verdict.limits)
     assert run.summary.dropouts.missed == 20, "the cycles are accounted for all the same"
@@ -60,7 +60,7 @@ def test_a_host_that_was_away_at_the_end_does_not_pass_with_a_drive_that_did_not
 ) -> None:
     run = servo_bench(BENCH, changes | BLIND, faults=stall(0.58, 4_000_000))
     verdict = run.summary.verdict
-    assert (verdict.outcome, verdict.exit_status) == (Outcome.CUT_SHORT, 6)
+    assert (verdict.outcome, verdict.exit_status) == (VerdictKind.CUT_SHORT, 6)
     assert "came back 398" in verdict.reason
     (drive,) = run.summary.drives
     assert drive.after_last_cycle == "operation enabled"
@@ -72,14 +72,14 @@ def test_a_host_that_was_away_at_the_end_does_not_pass_with_a_drive_that_did_not
 def test_missed_cycles_are_judged_by_limits_and_without_any_not_let_pass(servo_bench: BenchRunner) -> None:
     runs = [servo_bench(BENCH, changes, faults=stall(0.3, 5_000)) for changes in (SHORT, NO_LIMITS)]
     assert [run.summary.dropouts.missed for run in runs] == [5, 5]
-    assert [run.summary.verdict.outcome for run in runs] == [Outcome.PASSED, Outcome.NOT_MEASURED]
+    assert [run.summary.verdict.outcome for run in runs] == [VerdictKind.PASSED, VerdictKind.NOT_MEASURED]
     assert runs[1].summary.verdict.exit_status == 6
 
 
 def test_of_a_run_without_limits_nothing_was_asked(servo_bench: BenchRunner) -> None:
     run = servo_bench(BENCH, NO_LIMITS, faults={})
     verdict = run.summary.verdict
-    assert (verdict.outcome, verdict.exit_status, verdict.passed) == (Outcome.NOTHING_ASKED, 0, False)
+    assert (verdict.outcome, verdict.exit_status, verdict.passed) == (VerdictKind.NOTHING_ASKED, 0, False)
     with pytest.raises(AssertionError, match="no limit in"):
         run.assert_passed()
 
@@ -129,7 +129,7 @@ def test_an_emcy_that_nobody_planned_keeps_a_run_from_passing(
     monkeypatch.setattr("hil.execution.bench.simulated_drives", made)
     run = servo_bench(BENCH, SHORT, faults={}, controllers={"axis1": Warned(drives)})
     verdict = run.summary.verdict
-    assert (verdict.outcome, verdict.exit_status) == (Outcome.PEER_FAULT, 3)
+    assert (verdict.outcome, verdict.exit_status) == (VerdictKind.PEER_FAULT, 3)
     assert verdict.reason.startswith("axis1: EMCY 3110h")
     assert verdict.reason.endswith("at 0.010 s")
     assert verdict.completed
@@ -140,7 +140,7 @@ def test_a_limit_on_what_the_run_never_did_is_not_measured(servo_bench: BenchRun
     run = servo_bench(BENCH, SHORT | {"verdict": {"after_load_percent_max": 5.0}}, faults={})
     (check,) = run.summary.verdict.limits
     assert (check.value, check.result) == (None, LimitResult.NOT_MEASURED)
-    assert (run.summary.verdict.outcome, run.summary.verdict.exit_status) == (Outcome.NOT_MEASURED, 6)
+    assert (run.summary.verdict.outcome, run.summary.verdict.exit_status) == (VerdictKind.NOT_MEASURED, 6)
 
 
 def test_a_controller_for_an_axis_that_is_not_there_is_refused(servo_bench: BenchRunner) -> None:

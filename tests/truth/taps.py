@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
@@ -123,7 +123,7 @@ class TapLog:
     """PDOs that the loop was given, in the order in which it fetched them, with the stamps of its port."""
     drives: dict[int, DriveLog] = field(default_factory=dict)
 
-    def watch(self, segment: Segment) -> None:
+    def watch(self, segment: CanSegment) -> None:
         """Note every frame on ``segment``."""
         note = self.on_bus.append
 

@@ -8,7 +8,7 @@ RECEIVE_ERRORS_MAX = 255
 """Where the receive error counter stops, as in a controller with a counter of eight bits."""
 
 
-class Controller:
+class CanController:
     """What the fault confinement of ISO 11898-1 knows about one node."""
 
     __slots__ = (

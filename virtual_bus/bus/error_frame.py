@@ -274,7 +274,7 @@ class Node:
             self.receive_errors += errors
 
 
-class Attempt(NamedTuple):
+class AttemptResult(NamedTuple):
     """How an attempt ended."""
 
     sent: bool
@@ -292,7 +292,7 @@ def attempt(
     *,
     acknowledged: bool = False,
     cut_at: int = BITS_MAX,
-) -> Attempt:
+) -> AttemptResult:
     """Let the one of ``nodes`` that sends drive ``image``; the nodes hold what became of it.
 
     ``flipped``: a place, and the nodes that see the inverse level there. ``acknowledged``:
@@ -321,7 +321,7 @@ def attempt(
         error: tuple[int, ErrorKind] | None = (cut_at, ErrorKind.CUT_OFF)
     else:
         error = min((n.detected for n in nodes if n.detected is not None), default=None, key=_place)
-    return Attempt(sender.completed, bit, error)
+    return AttemptResult(sender.completed, bit, error)
 
 
 def _harmless(node: Node, sender: Node) -> bool:

@@ -11,7 +11,7 @@ end (ACK or error delimiter, end of frame, intermission) and once for every 11 b
 from drivers.timebase import NS_PER_S, Duration, Instant
 from virtual_bus.bus.arbitration import arbitration_key
 from virtual_bus.bus.bit_length import bits_duration
-from virtual_bus.bus.controller import Controller
+from virtual_bus.bus.controller import CanController
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_state import (
     RECOVERY_SEQUENCE_BITS,
@@ -19,7 +19,7 @@ from virtual_bus.bus.error_state import (
     SUSPEND_BITS,
     ErrorState,
 )
-from virtual_bus.bus.port import Handling, Port, Wire
+from virtual_bus.bus.port import BusMedium, Handling, Port
 from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
 from virtual_bus.frame import Frame
 
@@ -32,7 +32,7 @@ _TAIL_BITS = 8
 class ErrorHandling(Handling):
     """Takes over the arbitration of ``segment``."""
 
-    def __init__(self, segment: Wire) -> None:
+    def __init__(self, segment: BusMedium) -> None:
         self._segment = segment
         self._timeline = segment.timeline
         self._under_way = False
@@ -125,7 +125,7 @@ class ErrorHandling(Handling):
         self._trial = undisturbed(self._frame, sender._rank, controllers, segment.bitrate_bit_s)
         self._timeline.post(self._end_at, self._finish)
 
-    def _controllers(self) -> dict[int, Controller]:
+    def _controllers(self) -> dict[int, CanController]:
         found = {port._rank: port.controller for port in self._segment._ports}
         if self._sender is not None:
             found.setdefault(self._sender._rank, self._sender.controller)
@@ -255,10 +255,10 @@ class ErrorHandling(Handling):
             controller.recovery_from = max(controller.recovery_from, recessive_from)
             self._await_recovery(controller)
 
-    def _recovering(self) -> list[Controller]:
+    def _recovering(self) -> list[CanController]:
         return [port.controller for port in self._segment._ports if port.controller.recovery_left]
 
-    def _await_recovery(self, controller: Controller) -> None:
+    def _await_recovery(self, controller: CanController) -> None:
         bits = controller.recovery_left * RECOVERY_SEQUENCE_BITS
         self._timeline.post(Instant(controller.recovery_from + self._bits(bits)), self._end_recoveries)
 

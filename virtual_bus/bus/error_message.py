@@ -5,7 +5,7 @@ from typing import Final
 import can
 
 from drivers.wire.frame_port import ERROR_FLAG
-from virtual_bus.bus.controller import Controller
+from virtual_bus.bus.controller import CanController
 from virtual_bus.bus.disturbance import BusError, ErrorKind
 from virtual_bus.bus.error_state import PASSIVE_FROM, ErrorState
 from virtual_bus.frame import Frame
@@ -34,7 +34,7 @@ def bus_state(state: ErrorState) -> can.BusState:
     return _STATES.get(state, can.BusState.ERROR)
 
 
-def error_frame_of(error: BusError, controller: Controller) -> Frame:
+def error_frame_of(error: BusError, controller: CanController) -> Frame:
     """``error`` as it looks to the node of ``controller``; its identifier bears ERROR_FLAG."""
     transmit, receive = controller.transmit_errors, controller.receive_errors
     status = _level(transmit, 0x08, 0x20) | _level(receive, 0x04, 0x10)

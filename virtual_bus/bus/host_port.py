@@ -19,11 +19,11 @@ from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.filters import accepts
-from virtual_bus.bus.inbox import Arrival, Inbox
+from virtual_bus.bus.inbox import Inbox, ReceivedFrame
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Frame
 
@@ -71,7 +71,7 @@ class _Ear(Listener):
 class HostPort(FramePort):
     """One participant of ``segment``."""
 
-    def __init__(self, segment: Segment, name: str) -> None:
+    def __init__(self, segment: CanSegment, name: str) -> None:
         super().__init__()
         self.timeline = segment.timeline
         self.received = Inbox(RECEIVE_QUEUE_MAX)
@@ -153,14 +153,14 @@ class HostPort(FramePort):
         self.echoes = EchoBasis.BUS
         self.port.on_sent = self._on_sent
 
-    def hear_errors(self, segment: Segment) -> None:
+    def hear_errors(self, segment: CanSegment) -> None:
         """Let error frames come in from now on, each as a frame whose identifier bears ERROR_FLAG."""
         self._deaf_to_errors = segment.add_error_monitor(self._on_error)
 
     def _on_error(self, error: BusError) -> None:
         if self.port.controller.on_bus:
             frame = error_frame_of(error, self.port.controller)
-            self._store(Arrival(frame, error.at, False))
+            self._store(ReceivedFrame(frame, error.at, False))
 
     def _on_sent(self, frame: Frame, at: Instant) -> None:
         self._keep(frame, at, True)
@@ -169,9 +169,9 @@ class HostPort(FramePort):
         """Put a frame into the inbox, if a filter lets it through and there is room."""
         if self.filters is not None and not accepts(self.filters, frame):
             return
-        self._store(Arrival(frame, at, own))
+        self._store(ReceivedFrame(frame, at, own))
 
-    def _store(self, arrival: Arrival) -> None:
+    def _store(self, arrival: ReceivedFrame) -> None:
         if not self.received.put(arrival):
             self.overruns += 1
 

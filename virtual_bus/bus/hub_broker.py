@@ -43,7 +43,7 @@ from virtual_bus.bus.hub_protocol import (
 )
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event, Timeline
 
@@ -154,7 +154,7 @@ class Broker:
         self._clock = clock
         self._timeline = Timeline()
         self._timeline.run_until(clock.now())
-        self._segment = Segment(self._timeline, bitrate)
+        self._segment = CanSegment(self._timeline, bitrate)
         self._clients: list[Client] = []
         self._accepted = 0
         self._wire = _Wire()

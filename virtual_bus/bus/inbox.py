@@ -9,7 +9,7 @@ _SPENT_MAX: Final = 64
 """Places at the head that are kept before the rest is moved up."""
 
 
-class Arrival:
+class ReceivedFrame:
     """A received frame, and the instant at which it came."""
 
     __slots__ = ("at", "frame", "own")
@@ -27,14 +27,14 @@ class Inbox:
     __slots__ = ("_arrivals", "_most", "_taken")
 
     def __init__(self, most: int) -> None:
-        self._arrivals: list[Arrival] = []
+        self._arrivals: list[ReceivedFrame] = []
         self._taken = 0
         self._most = most
 
     def __len__(self) -> int:
         return len(self._arrivals) - self._taken
 
-    def put(self, arrival: Arrival) -> bool:
+    def put(self, arrival: ReceivedFrame) -> bool:
         """Add ``arrival``; False if there is no room."""
         arrivals = self._arrivals
         if len(arrivals) - self._taken >= self._most:
@@ -42,7 +42,7 @@ class Inbox:
         arrivals.append(arrival)
         return True
 
-    def take(self) -> Arrival:
+    def take(self) -> ReceivedFrame:
         """The first one. Error: IndexError."""
         arrivals = self._arrivals
         arrival = arrivals[self._taken]

@@ -10,7 +10,7 @@ from drivers.timebase import Duration, Instant
 from virtual_bus.bus.arbitration import arbitration_key
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration
 from virtual_bus.bus.bus_load import BusLoad
-from virtual_bus.bus.controller import Controller
+from virtual_bus.bus.controller import CanController
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.listener import NOBODY, Listener, OnFrame
@@ -51,7 +51,7 @@ class Handling:
         raise NotImplementedError
 
 
-class Wire:
+class BusMedium:
     """What the ports of a segment share, and who is sending; how a frame goes over it, the segment says."""
 
     __slots__ = (
@@ -126,7 +126,7 @@ class Port:
         "recover_after_ns",
     )
 
-    def __init__(self, segment: "Wire", rank: int, name: str, listener: Listener) -> None:
+    def __init__(self, segment: "BusMedium", rank: int, name: str, listener: Listener) -> None:
         self.name = name
         self.listener = listener
         """Gets every other port's frame."""
@@ -135,7 +135,7 @@ class Port:
         """Told when the controller gets error active, error passive or bus-off."""
         self.recover_after_ns: int | None = None
         """So long after bus-off the controller begins to recover by itself; None: only on request."""
-        self.controller = Controller(segment.bitrate_bit_s)
+        self.controller = CanController(segment.bitrate_bit_s)
         self._segment = segment
         self._rank = rank
         self._queue: list[Frame] = []

@@ -20,7 +20,7 @@ from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, bits_duration, wire_b
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_handling import ErrorHandling
 from virtual_bus.bus.listener import Listener, OnFrame, listener_of
-from virtual_bus.bus.port import Port, Wire
+from virtual_bus.bus.port import BusMedium, Port
 from virtual_bus.event_heap import Action
 from virtual_bus.timeline import Timeline
 
@@ -28,14 +28,14 @@ from virtual_bus.timeline import Timeline
 class _EndOfFrame(Action):
     """The last bit of the frame under way."""
 
-    def __init__(self, segment: "Segment") -> None:
+    def __init__(self, segment: "CanSegment") -> None:
         self._segment = segment
 
     def happen(self, now: Instant) -> None:
         self._segment._finish(now)
 
 
-class Segment(Wire):
+class CanSegment(BusMedium):
     """A bus of one bit rate on a timeline, with any number of ports."""
 
     __slots__ = ("_attached", "_durations", "_handling", "_on_end")

@@ -11,7 +11,7 @@ from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.error_message import bus_state
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.timeline import Timeline
 
 _NEVER = Instant(1 << 62)
@@ -32,13 +32,13 @@ class SimulatedBus(can.BusABC):
         channel: str | None = None,
         can_filters: CanFilters | None = None,
         *,
-        segment: Segment | None = None,
+        segment: CanSegment | None = None,
         bitrate: int = 1_000_000,
         receive_own_messages: bool = False,
         receive_error_frames: bool = False,
         **_: object,
     ) -> None:
-        self.segment = segment if segment is not None else Segment(Timeline(), bitrate)
+        self.segment = segment if segment is not None else CanSegment(Timeline(), bitrate)
         self.timeline = self.segment.timeline
         self.channel_info = f"simulated segment, port {channel or 'host'}"
         self._channel = channel

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.controller import Controller
+from virtual_bus.bus.controller import CanController
 from virtual_bus.bus.disturbance import Disturbance, ErrorKind
 from virtual_bus.bus.error_frame import BITS_MAX, Node, attempt
 from virtual_bus.bus.error_state import ErrorState
@@ -31,14 +31,14 @@ class Trial(NamedTuple):
     """The nodes by rank; empty if no counter goes up."""
 
 
-def undisturbed(frame: Frame, sender: int, controllers: Mapping[int, Controller], bitrate: int) -> Trial:
+def undisturbed(frame: Frame, sender: int, controllers: Mapping[int, CanController], bitrate: int) -> Trial:
     """A frame that everybody understands and somebody acknowledges."""
     bits = frame_bits(frame)
     accepted = tuple(rank for rank, one in controllers.items() if rank != sender and one.hears(bitrate))
     return Trial(True, accepted, bits, bits, None, {})
 
 
-def is_plain(sender: int, controllers: Mapping[int, Controller], bitrate: int, acknowledged: bool) -> bool:
+def is_plain(sender: int, controllers: Mapping[int, CanController], bitrate: int, acknowledged: bool) -> bool:
     """Whether an attempt that nothing disturbs succeeds for certain."""
     if not controllers[sender].hears(bitrate):
         return False
@@ -65,7 +65,7 @@ class Conditions(NamedTuple):
 def bit_by_bit(
     frame: Frame,
     sender: int,
-    controllers: Mapping[int, Controller],
+    controllers: Mapping[int, CanController],
     names: Mapping[int, str],
     conditions: Conditions,
 ) -> Trial:

@@ -12,6 +12,7 @@ got switches its feature off.
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
@@ -21,7 +22,6 @@ from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer
 from virtual_bus.device.lss_slave import LssSlave
 from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.nmt_state import NODE_ID_MAX, UNCONFIGURED, NmtState
 from virtual_bus.device.node_guarding import NodeGuarding
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.parameter_storage import ParameterStorage

@@ -1,6 +1,6 @@
 """The communication profile of a simulated device, 1000h..1FFFh, with its defaults (CiA 301, 7.5.2)."""
 
-from virtual_bus.device.data_types import DataType
+from drivers.canopen.data_types import DataType
 from virtual_bus.device.device_options import DeviceOptions, PdoDefault
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 

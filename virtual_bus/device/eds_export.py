@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from virtual_bus.device.data_types import DataType
+from drivers.canopen.data_types import DataType
 from virtual_bus.device.device_options import DeviceIdentity
 from virtual_bus.device.object_dictionary import (
     DictionaryObject,

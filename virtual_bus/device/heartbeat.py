@@ -2,11 +2,11 @@
 
 from typing import Final
 
+from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.nmt_state import NODE_ID_MAX
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station

@@ -17,9 +17,9 @@ It is the host's controller that runs at that rate; where the host cannot set on
 from collections.abc import Callable
 from enum import IntEnum
 
+from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.nmt_state import NODE_ID_MAX, UNCONFIGURED
 from virtual_bus.device.parameter_store import ParameterStore
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame

@@ -12,24 +12,12 @@ node-ID, which stays there until LSS gives it one.
 """
 
 from collections.abc import Callable
-from enum import IntEnum
 
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.timebase import Instant
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
-
-
-class NmtCommand(IntEnum):
-    """Command specifiers (CiA 301, 7.2.8.3.1)."""
-
-    START = 1
-    STOP = 2
-    ENTER_PRE_OPERATIONAL = 128
-    RESET_NODE = 129
-    RESET_COMMUNICATION = 130
-
 
 TARGETS: dict[int, NmtState] = {
     NmtCommand.START: NmtState.OPERATIONAL,

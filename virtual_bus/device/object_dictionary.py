@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from enum import Enum, IntEnum
 from typing import Any, Final
 
-from virtual_bus.device.data_types import BITS, DataType, decode, encode
+from drivers.canopen.data_types import BITS, DataType
+from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 

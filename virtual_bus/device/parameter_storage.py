@@ -13,7 +13,7 @@ is refused with 08000020h.
 from collections.abc import Callable
 
 from drivers.errors import BenchError
-from virtual_bus.device.data_types import decode, encode
+from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
 from virtual_bus.device.parameter_store import ParameterStore
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort

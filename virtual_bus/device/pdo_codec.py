@@ -9,7 +9,8 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from virtual_bus.device.data_types import REALS, SIGNED, STRUCT_CODES, decode, encode
+from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from virtual_bus.device.encoding import STRUCT_CODES, decode, encode
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
@@ -115,8 +116,8 @@ def _unpack_bits(fields: Sequence[Field], data: bytes) -> list[Any]:
 
 
 def _from_bits(variable: Variable, raw: int, bits: int) -> Any:
-    if variable.data_type in REALS:
+    if variable.data_type in REAL_BITS:
         return decode(variable.data_type, raw.to_bytes(bits // 8, "little"))
-    if variable.data_type in SIGNED and raw >> (bits - 1):
+    if variable.data_type in SIGNED_BITS and raw >> (bits - 1):
         return raw - (1 << bits)
     return raw

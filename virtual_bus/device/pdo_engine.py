@@ -2,9 +2,9 @@
 
 from typing import Final
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.rpdo import ReceivePdo
 from virtual_bus.device.station import Station

@@ -2,10 +2,10 @@
 
 from typing import Final
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.pdo_codec import byte_length, compile_unpacker
 from virtual_bus.device.pdo_parameters import PdoParameters

@@ -15,9 +15,9 @@ out of place is aborted with 05040001h. Messages that are not 8 bytes long are n
 
 from collections.abc import Callable
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.data_types import byte_length
-from virtual_bus.device.nmt_state import NmtState
+from virtual_bus.device.encoding import byte_length
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.sdo_block import ABORT_COMMAND, BlockDownload, BlockUpload

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Final
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.application import Application
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.frame import Frame
 

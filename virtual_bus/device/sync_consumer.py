@@ -2,10 +2,10 @@
 
 from typing import Final
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device import cob_id
 from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station

@@ -1,8 +1,8 @@
 """TIME consumer, 1012h: the master's calendar time for the application (CiA 301, 7.2.6, 7.5.2.15)."""
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device import cob_id
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame

@@ -12,9 +12,9 @@ synchronous PDO, or a fresh one of an event-driven PDO.
 
 from typing import Final
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device import cob_id
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.pdo_codec import compile_packer
 from virtual_bus.device.pdo_parameters import PdoParameters

@@ -15,7 +15,8 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
-from virtual_bus.device.data_types import BITS, REALS, SIGNED, DataType, encode
+from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
+from virtual_bus.device.encoding import encode
 from virtual_bus.device.object_dictionary import (
     Access,
     DictionaryObject,
@@ -140,12 +141,12 @@ def _default(data_type: DataType, member: Any) -> Any:
             wide = data_type is DataType.UNICODE_STRING
             return value.encode("utf-16-le" if wide else "latin-1", errors="replace")
         return bytes(value) if isinstance(value, bytes) else None
-    if data_type in REALS:
+    if data_type in REAL_BITS:
         return float(value) if isinstance(value, int | float) else None
     if not isinstance(value, int):
         return None
     bits = BITS[data_type]
-    if data_type in SIGNED and 1 << (bits - 1) <= value < 1 << bits:
+    if data_type in SIGNED_BITS and 1 << (bits - 1) <= value < 1 << bits:
         # Vendors write FFFFFFFFh for -1.
         value -= 1 << bits
     try:

@@ -40,7 +40,7 @@ _STIFFEST_RAD_S2: Final = 1e9
 """In the place of an acceleration without limit where a profile is planned with it."""
 
 
-class Window:
+class WindowTimer:
     """Whether something has been so for long enough: 6068h, 606Eh, 6070h, 6066h."""
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class Window:
         return self._inside_s * 1000.0 >= time_ms
 
 
-class Axis:
+class SimulatedAxis:
     """What all modes share."""
 
     def __init__(
@@ -92,7 +92,7 @@ class Axis:
         """Position asked of the position loop, encoder counts; None where there is none."""
         self._state = cast("memoryview[float]", firmware.state.data)
         self._fail_following = fail_following
-        self._following = Window()
+        self._following = WindowTimer()
         self._counts_per_rad = firmware.counts_per_rad
         self._gain = POSITION_BANDWIDTH * firmware.speed_bandwidth_rad_s
 

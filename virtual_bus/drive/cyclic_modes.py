@@ -11,7 +11,7 @@ Statusword bit 12 in all of them: the drive follows the command; 0 while the end
 from typing import Final
 
 from drivers.cia402.profile import Status
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.firmware import InnerControl
 from virtual_bus.drive.operation_mode import OperationMode
 
@@ -22,7 +22,7 @@ _LATE: Final = 1.5
 class CyclicSynchronousTorque(OperationMode):
     """CST. It runs by periods only where the axis has an end."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self.periodic = False
         self._target = axis.objects.target_torque
@@ -47,7 +47,7 @@ class CyclicSynchronousTorque(OperationMode):
 class CyclicSynchronousVelocity(OperationMode):
     """CSV."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self._speed_rad_s = 0.0
         self._end_tick = 0
@@ -81,7 +81,7 @@ class CyclicSynchronousPosition(OperationMode):
     A set-point is reached one interpolation period after its arrival; without another one the drive stays.
     """
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self.has_following_error = True
         self._start = 0.0
@@ -134,5 +134,5 @@ class CyclicSynchronousPosition(OperationMode):
         return self._target if share >= 1.0 else self._start + share * (self._target - self._start)
 
 
-def _follows(axis: Axis) -> int:
+def _follows(axis: SimulatedAxis) -> int:
     return 0 if axis.barred else Status.FOLLOWS_COMMAND

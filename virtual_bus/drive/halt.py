@@ -1,13 +1,13 @@
 """Halt: bit 8 of the controlword and 605Dh, in the profile modes and homing."""
 
 from drivers.cia402.profile import Control
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 
 
 class Halt:
     """Whether a halt is commanded, and how far it is."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         self._axis = axis
         self.active = False
 

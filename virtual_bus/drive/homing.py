@@ -16,9 +16,9 @@ from enum import Enum
 from typing import Final
 
 from drivers.cia402.profile import Control, Status
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.halt import Halt
-from virtual_bus.drive.homing_methods import HOMING_METHODS, TURNS_AT_LIMIT, Edge, HomingMethod, Sensor
+from virtual_bus.drive.homing_methods import HOMING_METHODS, TURNS_AT_LIMIT, HomingMethod, Sensor, SwitchEdge
 from virtual_bus.drive.operation_mode import OperationMode
 
 START: Final = Control.MODE_4
@@ -26,7 +26,7 @@ TRAVEL_TURNS_MAX: Final = 1000
 """A search that has come so far fails."""
 
 
-class Step(Enum):
+class HomingPhase(Enum):
     """How far a homing is."""
 
     IDLE = "idle"
@@ -38,19 +38,19 @@ class Step(Enum):
     FAILED = "failed"
 
 
-_UNDER_WAY: Final = (Step.SEARCH, Step.RETURN, Step.CREEP, Step.PULSE)
+_UNDER_WAY: Final = (HomingPhase.SEARCH, HomingPhase.RETURN, HomingPhase.CREEP, HomingPhase.PULSE)
 
 
 class Homing(OperationMode):
     """One homing at a time, begun by the rising edge of bit 4 and interrupted by its fall."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self._halt = Halt(axis)
         self._word = 0
         self._number = 35
         self._method: HomingMethod = HOMING_METHODS[35]
-        self._step = Step.IDLE
+        self._step = HomingPhase.IDLE
         self._direction = 0
         self._active = False
         self._count = 0.0
@@ -61,7 +61,7 @@ class Homing(OperationMode):
     def begin(self, controlword: int) -> None:
         self.axis.begin()
         self._word = controlword
-        self._stop(Step.IDLE)
+        self._stop(HomingPhase.IDLE)
         self._halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
@@ -71,7 +71,7 @@ class Homing(OperationMode):
             if controlword & START:
                 self._start()
             elif self._step in _UNDER_WAY:
-                self._stop(Step.IDLE)
+                self._stop(HomingPhase.IDLE)
         if self._halt.receive(controlword, self.slow_down_rad_s2()) and self._step in _UNDER_WAY:
             self._go(self._direction)
 
@@ -81,8 +81,8 @@ class Homing(OperationMode):
         before, self._count = self._count, self.axis.count
         self._travelled += abs(self._count - before)
         if self._travelled > TRAVEL_TURNS_MAX * self.axis.firmware.parameters.encoder_counts_per_revolution:
-            self._stop(Step.FAILED)
-        elif self._step is Step.PULSE:
+            self._stop(HomingPhase.FAILED)
+        elif self._step is HomingPhase.PULSE:
             self._look_for_pulse()
         else:
             self._look_for_edge(before)
@@ -91,9 +91,9 @@ class Homing(OperationMode):
         if self._step in _UNDER_WAY:
             return Status.TARGET_REACHED if self._halt.active and self._halt.standing else 0
         bits = Status.TARGET_REACHED if self.axis.rests() else 0
-        if self._step is Step.FOUND:
+        if self._step is HomingPhase.FOUND:
             bits |= Status.MODE_12
-        elif self._step is Step.FAILED:
+        elif self._step is HomingPhase.FAILED:
             bits |= Status.MODE_13
         return bits
 
@@ -109,20 +109,20 @@ class Homing(OperationMode):
         self._count, self._travelled, self._turned = axis.count, 0.0, False
         if method.sensor is not None:
             self._active = axis.machine.active(method.sensor)
-            self._begin(Step.SEARCH, method.start_active if self._active else method.start_inactive)
+            self._begin(HomingPhase.SEARCH, method.start_active if self._active else method.start_inactive)
         elif method.pulse:
             self._pulse_from(self._count)
         else:
             self._found(self._count)
 
-    def _begin(self, step: Step, direction: int) -> None:
+    def _begin(self, step: HomingPhase, direction: int) -> None:
         self._step = step
         self._go(direction)
 
     def _go(self, direction: int) -> None:
         axis, motion = self.axis, self.axis.motion
         self._direction = direction
-        velocity = motion.switch_speed if self._step is Step.SEARCH else motion.zero_speed
+        velocity = motion.switch_speed if self._step is HomingPhase.SEARCH else motion.zero_speed
         if not self._halt.active:
             speed = axis.cut_speed(axis.speed_of(velocity.value))
             axis.firmware.ramp_to_speed(direction * speed, axis.homing_rad_s2)
@@ -135,20 +135,20 @@ class Homing(OperationMode):
             self._watch_limit(sensor)
             return
         moving = 1 if self._count > before or (self._count == before and self._direction > 0) else -1
-        edge = Edge.LEFT if self._active == (moving > 0) else Edge.RIGHT
+        edge = SwitchEdge.LEFT if self._active == (moving > 0) else SwitchEdge.RIGHT
         if edge is self._method.edge:
             self._passed_edge(sensor, moving, before)
         elif self._active:
-            self._go(1 if self._method.edge is Edge.RIGHT else -1)
+            self._go(1 if self._method.edge is SwitchEdge.RIGHT else -1)
         else:
             self._go(-moving)
 
     def _passed_edge(self, sensor: Sensor, moving: int, before: float) -> None:
         across = self._method.across
         if moving != across:
-            self._begin(Step.CREEP, across)
-        elif self._step is not Step.CREEP:
-            self._begin(Step.RETURN, -across)
+            self._begin(HomingPhase.CREEP, across)
+        elif self._step is not HomingPhase.CREEP:
+            self._begin(HomingPhase.RETURN, -across)
         else:
             place = self.axis.machine.edge_between(sensor, self._method.edge, before, self._count)
             if self._method.pulse:
@@ -161,28 +161,28 @@ class Homing(OperationMode):
         ahead = Sensor.POSITIVE_LIMIT if self._direction > 0 else Sensor.NEGATIVE_LIMIT
         if ahead is sensor or not self.axis.machine.active(ahead):
             return
-        if self._number in TURNS_AT_LIMIT and self._step is Step.SEARCH and not self._turned:
+        if self._number in TURNS_AT_LIMIT and self._step is HomingPhase.SEARCH and not self._turned:
             self._turned = True
             self._go(-self._direction)
         else:
-            self._stop(Step.FAILED)
+            self._stop(HomingPhase.FAILED)
 
     def _pulse_from(self, count: float) -> None:
         across = self._method.across
         self._pulse_at = self.axis.machine.next_index(count, across)
-        self._begin(Step.PULSE, across)
+        self._begin(HomingPhase.PULSE, across)
 
     def _look_for_pulse(self) -> None:
         if (self._count - self._pulse_at) * self._method.across >= 0.0:
             self._found(self._pulse_at)
         elif self.axis.machine.blocked(self._direction):
-            self._stop(Step.FAILED)
+            self._stop(HomingPhase.FAILED)
 
     def _found(self, count: float) -> None:
         axis = self.axis
         axis.units.set_origin(count + axis.motion.home_offset.value * axis.units.counts_per_position)
-        self._stop(Step.FOUND)
+        self._stop(HomingPhase.FOUND)
 
-    def _stop(self, step: Step) -> None:
+    def _stop(self, step: HomingPhase) -> None:
         self._step = step
         self.axis.stop(self.slow_down_rad_s2())

@@ -27,7 +27,7 @@ class Sensor(Enum):
     HOME = 2
 
 
-class Edge(Enum):
+class SwitchEdge(Enum):
     """An end of the stretch in which a switch is active."""
 
     LEFT = "left"
@@ -38,7 +38,7 @@ class HomingMethod(NamedTuple):
     """How a home is found; no ``sensor`` and no ``pulse``: it is where the shaft stands."""
 
     sensor: Sensor | None
-    edge: Edge
+    edge: SwitchEdge
     across: int
     """Direction, +1 or -1, in which the edge is crossed at last, or the index pulse is looked for."""
     start_inactive: int
@@ -49,7 +49,7 @@ class HomingMethod(NamedTuple):
 
 
 _NEGATIVE, _POSITIVE, _HOME = Sensor.NEGATIVE_LIMIT, Sensor.POSITIVE_LIMIT, Sensor.HOME
-_LEFT, _RIGHT = Edge.LEFT, Edge.RIGHT
+_LEFT, _RIGHT = SwitchEdge.LEFT, SwitchEdge.RIGHT
 
 _WITH_INDEX: Final[dict[int, HomingMethod]] = {
     1: HomingMethod(_NEGATIVE, _RIGHT, +1, -1, +1, True),

@@ -16,10 +16,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
-from virtual_bus.drive.homing_methods import Edge, Sensor
+from virtual_bus.drive.homing_methods import Sensor, SwitchEdge
 
 MACHINE: Final = 0x2110
 """Manufacturer-specific."""
@@ -83,11 +83,11 @@ class SimulatedMachine:
         """Whether the limit switch at that end of the axis is active."""
         return self.active(Sensor.POSITIVE_LIMIT if direction > 0.0 else Sensor.NEGATIVE_LIMIT)
 
-    def edge_between(self, sensor: Sensor, edge: Edge, before: float, after: float) -> float:
+    def edge_between(self, sensor: Sensor, edge: SwitchEdge, before: float, after: float) -> float:
         """The count of ``edge`` if the encoder has just passed it between the two counts, as captured; else
         ``after``, where an input that is held by hand was noticed."""
         low, high = self._stretch(sensor)
-        place = low if edge is Edge.LEFT else high
+        place = low if edge is SwitchEdge.LEFT else high
         return place if min(before, after) <= place <= max(before, after) else after
 
     def next_index(self, count: float, direction: int) -> float:

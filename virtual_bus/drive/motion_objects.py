@@ -6,9 +6,9 @@ Defaults are in the units that the drive starts with: encoder counts, 0.001 rev/
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
 from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
 from virtual_bus.drive.homing_methods import HOMING_METHODS
 from virtual_bus.drive.option_objects import one_of

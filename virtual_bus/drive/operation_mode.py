@@ -2,14 +2,14 @@
 
 from mypy_extensions import mypyc_attr
 
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class OperationMode:
     """What the drive does in OPERATION_ENABLED while nothing stops it. Override what is needed."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         self.axis = axis
         self.periodic = True
         """Whether the mode runs once per motion period; the others act on their set-points alone."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from drivers.cia402.profile import Mode
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.cyclic_modes import (
     CyclicSynchronousPosition,
     CyclicSynchronousTorque,
@@ -15,7 +15,7 @@ from virtual_bus.drive.profile_position import ProfilePosition
 from virtual_bus.drive.profile_torque import ProfileTorque
 from virtual_bus.drive.profile_velocity import ProfileVelocity
 
-MODES: dict[Mode, Callable[[Axis], OperationMode]] = {
+MODES: dict[Mode, Callable[[SimulatedAxis], OperationMode]] = {
     Mode.PROFILE_POSITION: ProfilePosition,
     Mode.PROFILE_VELOCITY: ProfileVelocity,
     Mode.PROFILE_TORQUE: ProfileTorque,

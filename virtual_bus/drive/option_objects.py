@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from enum import IntEnum
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
     AbortConnectionOption,
@@ -12,7 +13,6 @@ from drivers.cia402.profile import (
     QuickStopOption,
     ShutdownOption,
 )
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.device.sdo_abort import AbortCode
 

@@ -26,7 +26,7 @@ from drivers.cia402.profile import (
     TRANSITION_OF,
     Control,
     DriveCommand,
-    Event,
+    DriveEvent,
     QuickStopOption,
     State,
     Transition,
@@ -36,7 +36,7 @@ from drivers.cia402.profile import (
 _FAULT_RESET: Final = int(Control.FAULT_RESET)
 
 
-class Motion(Enum):
+class MotorAction(Enum):
     """What the inner loops are to do with the motor."""
 
     OFF = "off"
@@ -57,17 +57,17 @@ STOP_OPTIONS: dict[int, Object] = {
 }
 """Which option code says how to stop, by the number of the arrow."""
 
-STOP_MOTIONS: dict[int, Motion] = {
-    0: Motion.OFF,
-    1: Motion.SLOW_DOWN_RAMP,
-    2: Motion.QUICK_STOP_RAMP,
-    3: Motion.CURRENT_LIMIT,
+STOP_MOTIONS: dict[int, MotorAction] = {
+    0: MotorAction.OFF,
+    1: MotorAction.SLOW_DOWN_RAMP,
+    2: MotorAction.QUICK_STOP_RAMP,
+    3: MotorAction.CURRENT_LIMIT,
     # A drive that limits its current reaches the voltage limit no sooner: both stop alike.
-    4: Motion.CURRENT_LIMIT,
-    5: Motion.SLOW_DOWN_RAMP,
-    6: Motion.QUICK_STOP_RAMP,
-    7: Motion.CURRENT_LIMIT,
-    8: Motion.CURRENT_LIMIT,
+    4: MotorAction.CURRENT_LIMIT,
+    5: MotorAction.SLOW_DOWN_RAMP,
+    6: MotorAction.QUICK_STOP_RAMP,
+    7: MotorAction.CURRENT_LIMIT,
+    8: MotorAction.CURRENT_LIMIT,
 }
 """Option code -> how the motor stops. The codes of 605Ah; those of the others are among them."""
 
@@ -93,18 +93,18 @@ class PowerStateMachine:
     def restart(self) -> None:
         """Power-on: NOT_READY, and at once on to SWITCH_ON_DISABLED (arrows 0 and 1)."""
         self.state = State.NOT_READY
-        self.motion = Motion.OFF
+        self.motion = MotorAction.OFF
         self.at_rest = False
         """The motor was brought to rest and is held there, in QUICK_STOP."""
         self._waiting: Transition | None = None
         self._controlword = 0
         self._open = self._arrows[self.state]
-        self.signal(Event.INITIALISED)
+        self.signal(DriveEvent.INITIALISED)
 
     @property
     def stopping(self) -> bool:
         """The motor is being brought to rest; :meth:`rested` is awaited."""
-        return self.motion not in (Motion.OFF, Motion.FOLLOW) and not self.at_rest
+        return self.motion not in (MotorAction.OFF, MotorAction.FOLLOW) and not self.at_rest
 
     def receive(self, controlword: int) -> None:
         """A controlword was written, a new one or the same again."""
@@ -117,7 +117,7 @@ class PowerStateMachine:
         for arrow in self._open[bits]:
             self._take(arrow)
         if self._waiting is not None and DriveCommand.ENABLE_OPERATION in commands_in(bits):
-            self._waiting, self.motion = None, Motion.FOLLOW
+            self._waiting, self.motion = None, MotorAction.FOLLOW
             self.revision += 1
 
     def command(self, command: DriveCommand) -> None:
@@ -126,7 +126,7 @@ class PowerStateMachine:
         if arrow is not None:
             self._take(arrow)
 
-    def signal(self, event: Event) -> None:
+    def signal(self, event: DriveEvent) -> None:
         """Something happened in the drive. Nothing happens where no arrow leaves."""
         arrow = TRANSITION_OF.get((self.state, event))
         if arrow is not None:
@@ -135,7 +135,7 @@ class PowerStateMachine:
     def cut_torque(self) -> None:
         """Safe torque off: no ramp any more. Arrows 7, 9, 10 and 12, or a fault reaction that is over."""
         if self.state is State.FAULT_REACTION:
-            self.signal(Event.FAULT_REACTION_DONE)
+            self.signal(DriveEvent.FAULT_REACTION_DONE)
         else:
             self.command(DriveCommand.DISABLE_VOLTAGE)
 
@@ -145,12 +145,12 @@ class PowerStateMachine:
         if self._waiting is not None:
             self._enter(self._waiting)
         elif self.state is State.FAULT_REACTION:
-            self.signal(Event.FAULT_REACTION_DONE)
+            self.signal(DriveEvent.FAULT_REACTION_DONE)
         elif self._stays_in_quick_stop():
             self.at_rest = True
             self.revision += 1
         else:
-            self.signal(Event.QUICK_STOP_DONE)
+            self.signal(DriveEvent.QUICK_STOP_DONE)
 
     def _take(self, arrow: Transition) -> None:
         if arrow is self._waiting:
@@ -159,27 +159,27 @@ class PowerStateMachine:
             return
         if arrow.number == 2 and self.torque_off:
             return
-        was_moving = self.motion is not Motion.OFF
-        stop = self._stop_for(arrow) if was_moving else Motion.OFF
-        if arrow.number in _AFTER_REST and stop is not Motion.OFF:
+        was_moving = self.motion is not MotorAction.OFF
+        stop = self._stop_for(arrow) if was_moving else MotorAction.OFF
+        if arrow.number in _AFTER_REST and stop is not MotorAction.OFF:
             self._waiting, self.motion = arrow, stop
             self.revision += 1
             return
         self._enter(arrow, stop)
-        if arrow.number in (11, 13) and stop is Motion.OFF:
-            self.signal(Event.QUICK_STOP_DONE if arrow.number == 11 else Event.FAULT_REACTION_DONE)
+        if arrow.number in (11, 13) and stop is MotorAction.OFF:
+            self.signal(DriveEvent.QUICK_STOP_DONE if arrow.number == 11 else DriveEvent.FAULT_REACTION_DONE)
 
-    def _enter(self, arrow: Transition, motion: Motion = Motion.OFF) -> None:
+    def _enter(self, arrow: Transition, motion: MotorAction = MotorAction.OFF) -> None:
         self._waiting = None
         self.at_rest = False
         self.state = arrow.target
         self._open = self._arrows[self.state]
-        self.motion = Motion.FOLLOW if self.state is State.OPERATION_ENABLED else motion
+        self.motion = MotorAction.FOLLOW if self.state is State.OPERATION_ENABLED else motion
         self.revision += 1
 
-    def _stop_for(self, arrow: Transition) -> Motion:
+    def _stop_for(self, arrow: Transition) -> MotorAction:
         option = STOP_OPTIONS.get(arrow.number)
-        return Motion.OFF if option is None else STOP_MOTIONS[self._option(option)]
+        return MotorAction.OFF if option is None else STOP_MOTIONS[self._option(option)]
 
     def _stays_in_quick_stop(self) -> bool:
         return self._option(Object.QUICK_STOP_OPTION) >= QuickStopOption.SLOW_DOWN_RAMP_AND_STAY

@@ -14,7 +14,7 @@ A limit switch on the way ends the move: the drive stops, drops its set-points a
 from typing import Final
 
 from drivers.cia402.profile import Control, Status
-from virtual_bus.drive.axis import Axis, Window
+from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from virtual_bus.drive.halt import Halt
 from virtual_bus.drive.motion_objects import NO_WINDOW
 from virtual_bus.drive.operation_mode import OperationMode
@@ -26,7 +26,7 @@ RELATIVE: Final = Control.MODE_6
 CHANGE_ON_SET_POINT: Final = 1 << 9
 
 
-class SetPoint:
+class PositionSetPoint:
     """A target, encoder counts, and how to get there, as they were when bit 4 rose."""
 
     def __init__(self, target: float, limits: MoveLimits, cut: bool) -> None:
@@ -39,11 +39,11 @@ class SetPoint:
 class ProfilePosition(OperationMode):
     """Trapezoids to one target after the other, under the position loop."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self.has_following_error = True
         self._halt = Halt(axis)
-        self._window = Window()
+        self._window = WindowTimer()
         self._profile = plan_stop(0.0, 0.0, 1.0)
         self._elapsed_s = 0.0
         self._word = 0
@@ -52,8 +52,8 @@ class ProfilePosition(OperationMode):
         self._lags = False
         self._passing = False
         self._given_up = False
-        self._under_way: SetPoint | None = None
-        self._waiting: SetPoint | None = None
+        self._under_way: PositionSetPoint | None = None
+        self._waiting: PositionSetPoint | None = None
         self._last_target = 0.0
 
     def begin(self, controlword: int) -> None:
@@ -113,7 +113,7 @@ class ProfilePosition(OperationMode):
         if self._passing:
             self._plan_passing()
 
-    def _set_point(self, controlword: int) -> SetPoint:
+    def _set_point(self, controlword: int) -> PositionSetPoint:
         axis = self.axis
         units, position = axis.units, axis.motion.target_position.value
         axis.limited = False
@@ -123,7 +123,7 @@ class ProfilePosition(OperationMode):
         else:
             target = units.count_of(axis.cut_target(position), axis.count)
         limits = axis.move_limits()
-        return SetPoint(target, limits, axis.limited)
+        return PositionSetPoint(target, limits, axis.limited)
 
     def _busy(self) -> bool:
         return self._under_way is not None and not self._reached
@@ -132,7 +132,7 @@ class ProfilePosition(OperationMode):
         if not self._word & NEW_SET_POINT and self._waiting is None:
             self._acknowledged = False
 
-    def _start(self, set_point: SetPoint) -> None:
+    def _start(self, set_point: PositionSetPoint) -> None:
         """From where the present profile is, or the shaft during a halt."""
         start = self._profile.at(self._elapsed_s)
         self._under_way = set_point
@@ -148,7 +148,7 @@ class ProfilePosition(OperationMode):
             return
         limits = under_way.limits
         passing = MoveLimits(limits.speed, limits.acceleration, limits.deceleration, limits.speed)
-        self._start(SetPoint(under_way.target, passing, under_way.cut))
+        self._start(PositionSetPoint(under_way.target, passing, under_way.cut))
         self._passing = True
 
     def _begin_waiting(self) -> None:

@@ -3,7 +3,7 @@
 from typing import Final
 
 from drivers.cia402.profile import Status
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.halt import Halt
 from virtual_bus.drive.operation_mode import OperationMode
 
@@ -14,7 +14,7 @@ _WINDOW: Final = 0.01
 class ProfileTorque(OperationMode):
     """A ramp in torque. A halt brings the shaft to rest, and the ramp begins at no torque again."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self._halt = Halt(axis)
         self._torque_nm = 0.0

@@ -6,7 +6,7 @@ motors, stays 0.
 """
 
 from drivers.cia402.profile import Status
-from virtual_bus.drive.axis import Axis, Window
+from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
 from virtual_bus.drive.halt import Halt
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.trajectory import plan_speed
@@ -15,11 +15,11 @@ from virtual_bus.drive.trajectory import plan_speed
 class ProfileVelocity(OperationMode):
     """A ramp in speed, planned anew when the target or a rate changes."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self._halt = Halt(axis)
-        self._reached_window = Window()
-        self._turning_window = Window()
+        self._reached_window = WindowTimer()
+        self._turning_window = WindowTimer()
         self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
         self._elapsed_s = 0.0
         self._planned: tuple[float, float, float] | None = None

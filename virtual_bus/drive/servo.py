@@ -1,7 +1,7 @@
 """The simulated servo drive: a CiA 402 device with firmware and motor inside.
 
 CanopenDevice (CiA 301)  --  ServoApplication  --  PowerStateMachine   (when may torque flow)
-                                    |           --  OperationMode, Axis (which motion)
+                                    |           --  OperationMode, SimulatedAxis (which motion)
                                     +---------- --  Firmware            (inner loops, motor)
 """
 
@@ -10,30 +10,25 @@ from collections.abc import Callable
 from typing import Final
 
 from design.motor import PmsmParameters
+from drivers.canopen.nmt_states import NmtState
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
     STATUS_PATTERNS,
     AbortConnectionOption,
     DriveCommand,
-    Event,
+    DriveEvent,
     Mode,
     State,
     Status,
 )
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.application import (
-    Application,
-    CommunicationLoss,
-    DeviceServices,
-    ErrorRegister,
-    NmtState,
-)
+from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_store import ParameterStore
 from virtual_bus.drive.actual_values import ActualValues
-from virtual_bus.drive.axis import REST_S, Axis
+from virtual_bus.drive.axis import REST_S, SimulatedAxis
 from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
 from virtual_bus.drive.failures import Failures
 from virtual_bus.drive.firmware import Firmware, InnerControl
@@ -44,7 +39,7 @@ from virtual_bus.drive.motor_kernel import D_LOAD, S_COUNT
 from virtual_bus.drive.open_defaults import OpenDefaults
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
-from virtual_bus.drive.power_state import Motion, PowerStateMachine
+from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.slow_values import LOAD_NM, provide_slow_values
@@ -71,7 +66,7 @@ class ServoApplication(Application):
         self._demand = self.firmware.demand
         self.wake_at = Instant(0)
         self._powered = False
-        self._motion = Motion.OFF
+        self._motion = MotorAction.OFF
         self._revision = -1
         self._base_status = 0
         self._controlword = 0
@@ -89,9 +84,11 @@ class ServoApplication(Application):
         self._torque_demand = objects.torque_demand
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
-        self.units = UserUnits(dictionary, counts, lambda: self._motion is Motion.OFF)
+        self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF)
         self.machine = SimulatedMachine(dictionary, counts, self._encoder_count)
-        self.axis = Axis(self.firmware, objects, motion, self.units, self.machine, self._fail_following)
+        self.axis = SimulatedAxis(
+            self.firmware, objects, motion, self.units, self.machine, self._fail_following
+        )
         self._modes: dict[int, OperationMode] = {int(mode): make(self.axis) for mode, make in MODES.items()}
         self._mode = self._modes[objects.mode.default]
         self._actual = ActualValues(self.firmware, objects, self.units)
@@ -169,7 +166,7 @@ class ServoApplication(Application):
 
     def _show_mode(self) -> None:
         """Let the statusword follow the mode."""
-        if self._motion is Motion.FOLLOW:
+        if self._motion is MotorAction.FOLLOW:
             status = _BASE_STATUS[self.power.state] | self._mode.status_bits()
             self._base_status = status | INTERNAL_LIMIT_ACTIVE if self.axis.limited else status
 
@@ -193,7 +190,7 @@ class ServoApplication(Application):
             self._move(power.motion)
         status = _BASE_STATUS[power.state]
         self._choose_task()
-        if power.motion is Motion.FOLLOW:
+        if power.motion is MotorAction.FOLLOW:
             status |= self._mode.status_bits()
         elif self._failures.following and self._mode.has_following_error:
             status |= Status.MODE_13
@@ -207,23 +204,25 @@ class ServoApplication(Application):
 
     def _choose_task(self) -> None:
         mode = self._mode
-        follows = self._motion is Motion.FOLLOW and (mode.periodic or self.axis.guarded)
+        follows = self._motion is MotorAction.FOLLOW and (mode.periodic or self.axis.guarded)
         self._task = mode if follows else None
 
-    def _move(self, motion: Motion) -> None:
-        if motion is Motion.OFF:
+    def _move(self, motion: MotorAction) -> None:
+        if motion is MotorAction.OFF:
             self.firmware.control(InnerControl.OFF)
-        elif motion is Motion.FOLLOW:
+        elif motion is MotorAction.FOLLOW:
             self._mode.begin(self._controlword)
         else:
             self.axis.demand = None
             self.firmware.ramp_to_speed(0.0, self._deceleration_rad_s2(motion))
 
-    def _deceleration_rad_s2(self, motion: Motion) -> float:
-        if motion is Motion.CURRENT_LIMIT:
+    def _deceleration_rad_s2(self, motion: MotorAction) -> float:
+        if motion is MotorAction.CURRENT_LIMIT:
             return math.inf
         return (
-            self.axis.quick_stop_rad_s2 if motion is Motion.QUICK_STOP_RAMP else self._mode.slow_down_rad_s2()
+            self.axis.quick_stop_rad_s2
+            if motion is MotorAction.QUICK_STOP_RAMP
+            else self._mode.slow_down_rad_s2()
         )
 
     def _on_controlword(self, controlword: int) -> None:
@@ -248,7 +247,7 @@ class ServoApplication(Application):
             return
         self._mode = self._modes[mode]
         self.objects.mode_display.value = mode
-        if self._motion is Motion.FOLLOW:
+        if self._motion is MotorAction.FOLLOW:
             self._mode.begin(self._controlword)
             self._choose_task()
             self._show_mode()
@@ -296,7 +295,7 @@ class ServoApplication(Application):
         """A mode that acts on its set-points alone runs by periods while the axis has an end."""
         guarded = self.axis.guarded
         self.axis.take_guards()
-        if guarded != self.axis.guarded and self._motion is Motion.FOLLOW and not self._mode.periodic:
+        if guarded != self.axis.guarded and self._motion is MotorAction.FOLLOW and not self._mode.periodic:
             self._mode.begin(self._controlword)
             self._choose_task()
             self._show_mode()
@@ -340,7 +339,7 @@ class ServoApplication(Application):
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return
         self._failures.show(code)
-        self.power.signal(Event.FAULT_DETECTED)
+        self.power.signal(DriveEvent.FAULT_DETECTED)
         self._act()
         self._refresh()
 

@@ -7,10 +7,10 @@ acceleration in rev/min per second (60AAh), torque in per thousand of 6076h, cur
 import math
 
 from design.motor import PmsmParameters, Transform
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.rotation import RAD_S_PER_RPM
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.drive.option_objects import add_option_codes, one_of
 from virtual_bus.drive.servo_parameters import DriveParameters

@@ -2,7 +2,7 @@
 
 from typing import Final, cast
 
-from virtual_bus.drive.axis import Axis
+from virtual_bus.drive.axis import SimulatedAxis
 from virtual_bus.drive.motor_kernel import (
     CONTROL_SPEED,
     D_LOAD,
@@ -17,7 +17,7 @@ LOAD_NM: Final = 1e-3
 """Unit of 2100h."""
 
 
-def provide_slow_values(axis: Axis) -> None:
+def provide_slow_values(axis: SimulatedAxis) -> None:
     """Demand values, current, following error and load, as of the last inner tick, but for the torque demand:
     that is what is in force now."""
     objects, motion, units, firmware = axis.objects, axis.motion, axis.units, axis.firmware

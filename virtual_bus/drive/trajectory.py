@@ -12,7 +12,7 @@ length and the second. Source: CiA 402-2, profile position and profile velocity 
 import math
 
 
-class Motion:
+class TrajectoryPoint:
     """What a profile asks for at one instant."""
 
     __slots__ = ("position", "speed")
@@ -22,7 +22,7 @@ class Motion:
         self.speed = speed
 
 
-class _Phase:
+class _ProfilePhase:
     """Constant acceleration from ``start_s`` of the profile on."""
 
     __slots__ = ("acceleration", "position", "speed", "start_s")
@@ -34,14 +34,14 @@ class _Phase:
         self.acceleration = acceleration
 
 
-class Profile:
+class Trajectory:
     """Phases one after the other; after the last one the speed stays as it is."""
 
     __slots__ = ("_phases", "duration_s", "end_position", "end_speed")
 
     def __init__(self, position: float, speed: float) -> None:
         """Without phases: at ``position`` and going on at ``speed``."""
-        self._phases: list[_Phase] = [_Phase(0.0, position, speed, 0.0)]
+        self._phases: list[_ProfilePhase] = [_ProfilePhase(0.0, position, speed, 0.0)]
         self.duration_s = 0.0
         self.end_position = position
         self.end_speed = speed
@@ -54,7 +54,7 @@ class Profile:
         self.end_position += duration_s * (self.end_speed + 0.5 * acceleration * duration_s)
         self.end_speed += acceleration * duration_s
         self.duration_s += duration_s
-        self._phases.append(_Phase(self.duration_s, self.end_position, self.end_speed, 0.0))
+        self._phases.append(_ProfilePhase(self.duration_s, self.end_position, self.end_speed, 0.0))
 
     def end_at(self, position: float, speed: float) -> None:
         """Take the rounding off the end."""
@@ -62,7 +62,7 @@ class Profile:
         last = self._phases[-1]
         last.position, last.speed = position, speed
 
-    def at(self, elapsed_s: float) -> Motion:
+    def at(self, elapsed_s: float) -> TrajectoryPoint:
         """Position and speed ``elapsed_s`` after the start."""
         phase = self._phases[0]
         for later in self._phases:
@@ -70,23 +70,23 @@ class Profile:
                 break
             phase = later
         t = elapsed_s - phase.start_s
-        return Motion(
+        return TrajectoryPoint(
             phase.position + t * (phase.speed + 0.5 * phase.acceleration * t),
             phase.speed + phase.acceleration * t,
         )
 
 
-def plan_stop(position: float, speed: float, deceleration: float) -> Profile:
+def plan_stop(position: float, speed: float, deceleration: float) -> Trajectory:
     """To rest on the shortest way."""
-    profile = Profile(position, speed)
+    profile = Trajectory(position, speed)
     profile.add(abs(speed) / deceleration, -math.copysign(deceleration, speed))
     profile.end_at(profile.end_position, 0.0)
     return profile
 
 
-def plan_speed(start: float, target: float, acceleration: float, deceleration: float) -> Profile:
+def plan_speed(start: float, target: float, acceleration: float, deceleration: float) -> Trajectory:
     """From one speed to another: slower by ``deceleration``, faster by ``acceleration``, both through 0."""
-    profile = Profile(0.0, start)
+    profile = Trajectory(0.0, start)
     sign = math.copysign(1.0, start)
     if start * target < 0.0:
         profile.add(abs(start) / deceleration, -sign * deceleration)
@@ -114,14 +114,14 @@ class MoveLimits:
         self.end_speed = min(end_speed, speed)
 
 
-def plan_move(position: float, speed: float, target: float, limits: MoveLimits) -> Profile:
+def plan_move(position: float, speed: float, target: float, limits: MoveLimits) -> Trajectory:
     """The quickest move to ``target`` within ``limits``, from any speed.
 
     A start that is too fast for the way overshoots, stops and comes back; one that moves away stops first.
     ``end_speed`` is in the direction of travel; the way may be too short to reach it, and a move that has to
     turn back ends at rest.
     """
-    profile = Profile(position, speed)
+    profile = Trajectory(position, speed)
     direction = math.copysign(1.0, target - position)
     end_speed = limits.end_speed
     if speed != 0.0 and _must_stop_first(speed * direction, abs(target - position), end_speed, limits):
@@ -144,7 +144,7 @@ def _must_stop_first(speed: float, way: float, end_speed: float, limits: MoveLim
     return braking > way * (1.0 + 1e-9)
 
 
-def _add_way(profile: Profile, direction: float, way: float, end_speed: float, limits: MoveLimits) -> None:
+def _add_way(profile: Trajectory, direction: float, way: float, end_speed: float, limits: MoveLimits) -> None:
     """Phases over ``way`` in ``direction``, from the profile's end, which does not move away."""
     a, d = limits.acceleration, limits.deceleration
     start = abs(profile.end_speed)

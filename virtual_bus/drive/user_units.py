@@ -14,10 +14,10 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
-from virtual_bus.device.data_types import DataType
 from virtual_bus.device.object_dictionary import Access, DictionaryObject, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 

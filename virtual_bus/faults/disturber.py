@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 from drivers.timebase import Instant
 from virtual_bus.bus.bit_length import frame_bits
 from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, Entry, FaultLog
+from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultEntry, FaultLog
 from virtual_bus.faults.fault_plan import Corruption, Direction, Effect, FaultPlan, node_of
 from virtual_bus.faults.fault_streams import uniform_stream
 from virtual_bus.faults.replay import RecordedFaults
@@ -34,7 +34,7 @@ class Attempt(NamedTuple):
     """Since time zero."""
 
 
-class Judge(Protocol):
+class DisturbanceJudge(Protocol):
     """Says which bit of an attempt is disturbed, None: none."""
 
     def bit(self, attempt: Attempt) -> int | None: ...
@@ -61,7 +61,7 @@ class DrawnJudge:
         return not self._faults
 
     def bit(self, attempt: Attempt) -> int | None:
-        """See :class:`Judge`."""
+        """See :class:`DisturbanceJudge`."""
         key = attempt.direction, attempt.key
         route = self._routes.get(key)
         if route is None:
@@ -96,7 +96,7 @@ class ReplayedJudge:
     """The error frames of a recorded run."""
 
     def __init__(self, recorded: RecordedFaults) -> None:
-        self._entries: dict[tuple[int, int, int], Entry] = {
+        self._entries: dict[tuple[int, int, int], FaultEntry] = {
             (item.link, item.can_id, item.n): item for item in recorded.entries if item.code == _ERROR_FRAME
         }
 
@@ -106,7 +106,7 @@ class ReplayedJudge:
         return not self._entries
 
     def bit(self, attempt: Attempt) -> int | None:
-        """See :class:`Judge`."""
+        """See :class:`DisturbanceJudge`."""
         entry = self._entries.get((int(attempt.direction), attempt.key, attempt.n))
         return None if entry is None else entry.a
 
@@ -114,7 +114,7 @@ class ReplayedJudge:
 class Disturber:
     """Between a segment and a judge: counts the attempts, and enters what it disturbs in ``log``."""
 
-    def __init__(self, judge: Judge, log: FaultLog | None, is_host: Callable[[str], bool]) -> None:
+    def __init__(self, judge: DisturbanceJudge, log: FaultLog | None, is_host: Callable[[str], bool]) -> None:
         """``is_host``: whether the port of that name sends from host to drive."""
         self.disturbed = {way.label: 0 for way in Direction}
         self._judge = judge
@@ -133,7 +133,7 @@ class Disturber:
         self._zero = None
 
     def disturb(self, sender: str, frame: Frame, at: Instant) -> Disturbance | None:
-        """What ``Segment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
+        """What ``CanSegment.set_disturb`` of the bus asks: every node sees the disturbed bit."""
         bit = self.bit(sender, frame, at)
         return None if bit is None else Disturbance(bit)
 

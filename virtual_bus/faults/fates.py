@@ -10,7 +10,7 @@ from virtual_bus.faults.fault_log import AT_NODE, EXTENDED_FLAG, KIND_CODES, NON
 from virtual_bus.frame import Frame
 
 
-class Fate(NamedTuple):
+class FrameFate(NamedTuple):
     """What becomes of a frame."""
 
     dropped: bool
@@ -19,8 +19,8 @@ class Fate(NamedTuple):
     """From the instant given to ``fate`` until it goes on; 0 if dropped."""
 
 
-PASSED: Final = Fate(False, Duration(0))
-DROPPED: Final = Fate(True, Duration(0))
+PASSED: Final = FrameFate(False, Duration(0))
+DROPPED: Final = FrameFate(True, Duration(0))
 
 _DELAY: Final = KIND_CODES["delay"]
 _REORDER: Final = KIND_CODES["reorder"]
@@ -60,12 +60,12 @@ class FateSource(Judge):
         """Frames by direction and by what befell them."""
         raise NotImplementedError
 
-    def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> Fate:
+    def fate(self, direction: Direction, can_id: int, now: Instant, extended: bool = False) -> FrameFate:
         """As :meth:`Judge.hold`, in words."""
         held = self.hold(int(direction), can_id, now, extended)
         if held == 0:
             return PASSED
-        return DROPPED if held == LOST else Fate(False, Duration(held))
+        return DROPPED if held == LOST else FrameFate(False, Duration(held))
 
     def note(self, log: FaultLog, way: int, key: int, n: int, at_ns: int, held: int) -> None:
         """Enter the last frame, the ``n``-th of ``key`` in its direction, for which ``hold`` gave ``held``.

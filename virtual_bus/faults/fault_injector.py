@@ -13,8 +13,8 @@ from drivers.timebase import Duration, Instant
 from virtual_bus.bus.judge import LOST as LOST
 from virtual_bus.faults.fates import DROPPED as DROPPED
 from virtual_bus.faults.fates import PASSED as PASSED
-from virtual_bus.faults.fates import Fate as Fate
 from virtual_bus.faults.fates import FateSource as FateSource
+from virtual_bus.faults.fates import FrameFate as FrameFate
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
 from virtual_bus.faults.fault_plan import (
     STANDARD_ID_MAX,

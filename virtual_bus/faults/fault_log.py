@@ -87,7 +87,7 @@ BLOCK: Final = struct.Struct(f"<I{BLOCK_BYTES}s")
 """A row of the ring between the run and whoever writes: how much of the block is filled, and the block."""
 
 
-class Entry(NamedTuple):
+class FaultEntry(NamedTuple):
     """One thing that was injected."""
 
     at_ns: int
@@ -136,7 +136,7 @@ class FaultLog:
     def note(
         self, code: int, at_ns: int, link: int, can_id: int, n: int, a: int = 0, b: int = 0, c: int = 0
     ) -> None:
-        """Add an entry, see :class:`Entry`."""
+        """Add an entry, see :class:`FaultEntry`."""
         block = self._block
         write_i64_le(block, at_ns)
         write_i64_le(block, a)
@@ -160,18 +160,18 @@ class FaultLog:
         else:
             self._sink(len(data), data)
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[FaultEntry]:
         """All that is kept here, for want of a sink."""
         self.flush()
         return [entry for data in self._waiting for entry in entries_of(data)]
 
 
-def entries_of(block: bytes) -> Iterator[Entry]:
+def entries_of(block: bytes) -> Iterator[FaultEntry]:
     """The entries in the filled part of a block."""
-    return map(Entry._make, _ENTRY.iter_unpack(block))
+    return map(FaultEntry._make, _ENTRY.iter_unpack(block))
 
 
-def entry_line(entry: Entry) -> str:
+def entry_line(entry: FaultEntry) -> str:
     """One line of JSON, without its end."""
     if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX and entry.link < AT_NODE:
         at_ns, delay_ns, _, _, can_id, n, _, link = entry
@@ -191,7 +191,7 @@ def entry_line(entry: Entry) -> str:
     return json.dumps(found, separators=_COMPACT)
 
 
-def _struck(entry: Entry, kind: str) -> dict[str, Any]:
+def _struck(entry: FaultEntry, kind: str) -> dict[str, Any]:
     """Which node or which frame."""
     found: dict[str, Any] = {}
     if kind in NODE_KINDS:
@@ -209,7 +209,7 @@ def _struck(entry: Entry, kind: str) -> dict[str, Any]:
     return found
 
 
-def read_line(text: str, source: str, line: int) -> Entry:
+def read_line(text: str, source: str, line: int) -> FaultEntry:
     """Inverse of :func:`entry_line`; ``line``: its number in the file ``source``. Raises BadInput."""
     place = f"line {line}"
     found = parse_json(text, source, "a line of a recorded run's faults", place)
@@ -232,7 +232,7 @@ class _Line:
         self._source = source
         self._place = place
 
-    def entry(self) -> Entry:
+    def entry(self) -> FaultEntry:
         kind: str = self._found["kind"]
         can_id = n = 0
         if kind in _OF_ONE_FRAME:
@@ -245,7 +245,7 @@ class _Line:
         names = _NUMBERS.get(kind, ("", "", ""))
         at_ns = self._whole("at_ns", -(2**62), 2**62)
         a, b, c = (self._number(name) for name in names)
-        return Entry(at_ns, a, b, c, can_id, n, KIND_CODES[kind], link)
+        return FaultEntry(at_ns, a, b, c, can_id, n, KIND_CODES[kind], link)
 
     def _number(self, name: str) -> int:
         if not name:

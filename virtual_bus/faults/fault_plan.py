@@ -10,6 +10,7 @@ from enum import Enum
 from itertools import pairwise
 from typing import ClassVar, Literal
 
+from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_US, Duration
 from virtual_bus.bus.judge import Direction as Direction
@@ -22,7 +23,6 @@ from virtual_bus.faults.node_fault_plan import (
 )
 from virtual_bus.faults.plan_checks import (
     DELAY_MAX,
-    NODE_MAX,
     require,
     require_nodes,
     require_probability,
@@ -76,7 +76,7 @@ def node_of(can_id: int, extended: bool = False) -> int:
     """The node that a frame belongs to by its COB-ID; :data:`BROADCAST` if to none."""
     if extended or not any(can_id in COB_IDS[frames] for frames in _OF_ONE_NODE):
         return BROADCAST
-    return can_id & NODE_MAX
+    return can_id & NODE_ID_MAX
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

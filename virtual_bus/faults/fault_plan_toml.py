@@ -90,7 +90,7 @@ def read_fault_plan(
     mapping: Mapping[str, Any], source: str, prefix: str = ""
 ) -> tuple[FaultPlan, list[BadInput]]:
     """As :func:`load_fault_plan`, but with all errors; the plan then holds the faults that could be read."""
-    found = _Found([], [], [], [])
+    found = _PlanSoFar([], [], [], [])
     known = (*_KINDS, *NODE_KINDS, HostStall.kind)
     for kind, tables in mapping.items():
         path = f"{prefix}.{kind}" if prefix else kind
@@ -118,7 +118,7 @@ def fault_plan_mapping(plan: FaultPlan) -> dict[str, list[dict[str, Any]]]:
     return mapping
 
 
-class _Found(NamedTuple):
+class _PlanSoFar(NamedTuple):
     """What has been read so far."""
 
     faults: list[Fault]
@@ -127,7 +127,7 @@ class _Found(NamedTuple):
     errors: list[BadInput]
 
 
-def _read_fault(kind: str, table: Table, source: str, path: str, found: _Found) -> None:
+def _read_fault(kind: str, table: Table, source: str, path: str, found: _PlanSoFar) -> None:
     keys: tuple[str, ...] = HOST_STALL_KEYS
     if kind in _KINDS:
         keys = (*_KINDS[kind][0], *_COMMON)

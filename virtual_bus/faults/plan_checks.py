@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S, Duration
 
-NODE_MAX = 127
 DELAY_MAX = Duration(10 * NS_PER_S)
 """No field bus holds a frame longer; what is held takes memory."""
 
@@ -24,7 +24,7 @@ def require_probability(key: str, value: float) -> None:
 def require_nodes(nodes: tuple[int, ...]) -> None:
     """Node ids, CiA 301 7.2.8.1."""
     for node in nodes:
-        require(1 <= node <= NODE_MAX, "nodes", node, f"a node id from 1 to {NODE_MAX}")
+        require(1 <= node <= NODE_ID_MAX, "nodes", node, f"a node id from 1 to {NODE_ID_MAX}")
 
 
 def require_window(from_ns: Duration, until_ns: Duration | None) -> None:

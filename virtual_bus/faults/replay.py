@@ -14,7 +14,7 @@ from virtual_bus.faults.fault_log import (
     HOST_KINDS,
     NODE_KINDS,
     NONE,
-    Entry,
+    FaultEntry,
     FaultLog,
     read_line,
 )
@@ -31,7 +31,7 @@ _GOES_ON = frozenset({"corruption", "duplicate"})
 class RecordedFaults:
     """The entries of a run, in order."""
 
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[FaultEntry, ...] = ()
 
     @property
     def span(self) -> Duration:
@@ -66,7 +66,7 @@ class ReplayedFates(FateSource):
 
     def __init__(self, recorded: RecordedFaults, log: FaultLog | None = None, node: int = 0) -> None:
         super().__init__(log, node)
-        self._entries: tuple[dict[tuple[int, int], Entry], ...] = ({}, {})
+        self._entries: tuple[dict[tuple[int, int], FaultEntry], ...] = ({}, {})
         self._ordered: set[tuple[int, int]] = set()
         self._kinds: list[str] = []
         for entry in recorded.entries:
@@ -107,7 +107,7 @@ class ReplayedFates(FateSource):
             self.note(self.log, way, key, n, now - self._zero, held)
         return held
 
-    def _apply(self, entry: Entry | None, way: int, link: tuple[int, int] | None, now: Instant) -> int:
+    def _apply(self, entry: FaultEntry | None, way: int, link: tuple[int, int] | None, now: Instant) -> int:
         self._instead = ()
         kind = "delay" if entry is None else entry.kind
         if entry is None or kind == "delay":

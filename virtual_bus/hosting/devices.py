@@ -14,7 +14,7 @@ from drivers.wire.message_port import ERROR_FLAG, MessagePort, StampSource
 from virtual_bus.bus.error_message import told_bus_off
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.listener import Listener
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.station import NEVER
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
@@ -46,7 +46,7 @@ class AttachedDevice(Listener):
     off, is entered again. That is cheaper than to move an event at every frame.
     """
 
-    def __init__(self, device: Device, segment: Segment, timeline: Timeline, name: str) -> None:
+    def __init__(self, device: Device, segment: CanSegment, timeline: Timeline, name: str) -> None:
         self.device = device
         self.frames_lost = 0
         """Frames that did not fit into the port's transmit queue."""
@@ -122,7 +122,7 @@ class AttachedDevice(Listener):
 
 
 def attach_to_segment(
-    device: Device, segment: Segment, timeline: Timeline, name: str = "device"
+    device: Device, segment: CanSegment, timeline: Timeline, name: str = "device"
 ) -> AttachedDevice:
     """Power ``device`` on at ``timeline.now`` and keep it going as the timeline runs."""
     return AttachedDevice(device, segment, timeline, name)

@@ -14,12 +14,12 @@ from enum import IntEnum
 from heapq import heappop, heappush
 from typing import Protocol
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.host_port import HELD_MAX
 from virtual_bus.bus.judge import LOST
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
@@ -56,7 +56,7 @@ class SimulatedNode(Device, Protocol):
     def bus_recovered(self, now: Instant) -> Sequence[Frame]: ...
 
 
-class Drive(Protocol):
+class FailingDrive(Protocol):
     """What an application must be able to do to fail."""
 
     def fail(self, code: int, register: ErrorRegister) -> None: ...
@@ -64,7 +64,7 @@ class Drive(Protocol):
     def hold_encoder(self, held: bool) -> None: ...
 
 
-class Controller(Protocol):
+class BusOffControl(Protocol):
     """The node's CAN controller, where the bus has error counters; it tells the device by itself."""
 
     def go_bus_off(self) -> None: ...
@@ -98,7 +98,7 @@ class FaultyDevice:
         self.overflow = 0
         """Frames lost because too many were held."""
         self._fates = fates
-        self.controller: Controller | None = None
+        self.controller: BusOffControl | None = None
         """None: bus-off is acted out here, by silence."""
         self._source = source
         self._log = log
@@ -339,6 +339,6 @@ class FaultyDevice:
         frames += self.device.wake(now)
         out += self._pass_on(frames, now)
 
-    def _drive(self) -> Drive:
-        drive: Drive = self.device.application  # type: ignore[assignment]
+    def _drive(self) -> FailingDrive:
+        drive: FailingDrive = self.device.application  # type: ignore[assignment]
         return drive

@@ -1,5 +1,6 @@
 """PDOs that have no sections of their own: CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3)."""
 
+from drivers.canopen.data_types import DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import DeviceInformation
@@ -13,12 +14,12 @@ _PDOS_MAX = 512
 _MAPPED_MAX = 64
 
 _SUBS = {
-    1: ("COB-ID", types.UNSIGNED32),
-    2: ("Transmission type", types.UNSIGNED8),
-    3: ("Inhibit time", types.UNSIGNED16),
-    4: ("Reserved", types.UNSIGNED8),
-    5: ("Event timer", types.UNSIGNED16),
-    6: ("SYNC start value", types.UNSIGNED8),
+    1: ("COB-ID", DataType.UNSIGNED32),
+    2: ("Transmission type", DataType.UNSIGNED8),
+    3: ("Inhibit time", DataType.UNSIGNED16),
+    4: ("Reserved", DataType.UNSIGNED8),
+    5: ("Event timer", DataType.UNSIGNED16),
+    6: ("SYNC start value", DataType.UNSIGNED8),
 }
 
 
@@ -41,7 +42,7 @@ def add_compact_pdos(objects: dict[int, EdsObject], device: DeviceInformation) -
 def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
     made = EdsObject(index, f"{title} communication parameter", types.RECORD)
     subs = [sub for sub in _SUBS if mask >> (sub - 1) & 1]
-    made.entries[0] = _entry(index, 0, "Highest sub-index", types.UNSIGNED8, "ro", max(subs, default=0))
+    made.entries[0] = _entry(index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", max(subs, default=0))
     for sub in subs:
         name, data_type = _SUBS[sub]
         made.entries[sub] = _entry(index, sub, name, data_type, "rw", 255 if sub == 2 else 0)
@@ -53,9 +54,9 @@ def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
 
 def _mapping(index: int, granularity: int, title: str) -> EdsObject:
     made = EdsObject(index, f"{title} mapping parameter", types.RECORD)
-    made.entries[0] = _entry(index, 0, "Number of mapped objects", types.UNSIGNED8, "rw", 0)
+    made.entries[0] = _entry(index, 0, "Number of mapped objects", DataType.UNSIGNED8, "rw", 0)
     for sub in range(1, _MAPPED_MAX // max(1, min(granularity, _MAPPED_MAX)) + 1):
-        made.entries[sub] = _entry(index, sub, f"Mapped object {sub}", types.UNSIGNED32, "rw", 0)
+        made.entries[sub] = _entry(index, sub, f"Mapped object {sub}", DataType.UNSIGNED32, "rw", 0)
     return made
 
 

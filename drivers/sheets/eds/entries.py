@@ -3,10 +3,11 @@
 import re
 from dataclasses import dataclass, field
 
+from drivers.canopen.data_types import BITS, DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import integer
 from drivers.sheets.eds.repairs import RepairLog
-from drivers.sheets.eds.sections import Option, Section, Sections, section_name
+from drivers.sheets.eds.sections import EdsSection, Option, Sections, section_name
 from drivers.sheets.eds.standard import standard_type
 from drivers.sheets.eds.values import NOTHING, Place, Scalar, Value, read_value
 
@@ -42,7 +43,7 @@ class Entry:
     index: int
     sub: int
     name: str
-    data_type: int = types.DOMAIN
+    data_type: int = DataType.DOMAIN
     access: str = "rw"
     mappable: bool = False
     default: Value = NOTHING
@@ -67,7 +68,7 @@ class EntryReader:
         self._node_id = node_id
         self._log = log
 
-    def entry(self, section: Section, index: int, sub: int | None) -> Entry:
+    def entry(self, section: EdsSection, index: int, sub: int | None) -> Entry:
         """The variable (``sub`` None) or sub-object that ``section`` defines."""
         data_type = self.data_type(section, index, sub)
         place = Place(section.name, index, sub, data_type)
@@ -85,7 +86,7 @@ class EntryReader:
         }
         return made
 
-    def name(self, section: Section) -> str:
+    def name(self, section: EdsSection) -> str:
         """ParameterName; one made up where it is missing."""
         if section.text("ParameterName"):
             return section.text("ParameterName")
@@ -93,7 +94,7 @@ class EntryReader:
         self._log.add(section.name, "ParameterName is missing", f"named {made!r}", section.line)
         return made
 
-    def number(self, section: Section, option_name: str) -> int | None:
+    def number(self, section: EdsSection, option_name: str) -> int | None:
         """A number of the object's structure; None if it is absent, empty or none, which is noted."""
         option = section.options.get(option_name.lower())
         if option is None:
@@ -110,7 +111,7 @@ class EntryReader:
         self._note_oddity(section, option, found.value, found.oddity)
         return found.value
 
-    def data_type(self, section: Section, index: int, sub: int | None) -> int:
+    def data_type(self, section: EdsSection, index: int, sub: int | None) -> int:
         """DataType, or the standard's, or DOMAIN."""
         option = section.option("DataType")
         if option is None:
@@ -129,7 +130,7 @@ class EntryReader:
             return defined
         return self._supposed_type(section, index, sub, f"data type {code:04X}h is unknown", option.line)
 
-    def _type_number(self, section: Section, option: Option) -> int | None:
+    def _type_number(self, section: EdsSection, option: Option) -> int | None:
         text = option.value.strip()
         if re.fullmatch(r"0\d{3}", text) and int(text) > 7:
             # Four digits with zeros in front are how type indices are written, and those are hexadecimal.
@@ -157,20 +158,20 @@ class EntryReader:
                 return found.value
         return None
 
-    def _supposed_type(self, section: Section, index: int, sub: int | None, fault: str, line: int) -> int:
+    def _supposed_type(self, section: EdsSection, index: int, sub: int | None, fault: str, line: int) -> int:
         known = standard_type(index, sub)
         if known is None and integer(section.text("ObjectType") or "7") == (types.DOMAIN_OBJECT, ""):
-            return types.DOMAIN
+            return DataType.DOMAIN
         if known is not None:
             action = f"taken for {types.type_name(known)}, as in the standard"
         elif sub == 0:
-            known, action = types.UNSIGNED8, "taken for UNSIGNED8, as every sub-index 0"
+            known, action = DataType.UNSIGNED8, "taken for UNSIGNED8, as every sub-index 0"
         else:
-            known, action = types.DOMAIN, "taken for a DOMAIN"
+            known, action = DataType.DOMAIN, "taken for a DOMAIN"
         self._log.add(section.name, fault, action, line)
         return known
 
-    def _access(self, section: Section) -> str:
+    def _access(self, section: EdsSection) -> str:
         option = section.option("AccessType")
         if option is None:
             line = section.options["accesstype"].line if "accesstype" in section.options else section.line
@@ -183,7 +184,7 @@ class EntryReader:
         self._log.add(section.name, f"AccessType is {option.value!r}", f"taken for {read}", option.line)
         return read
 
-    def _mappable(self, section: Section) -> bool:
+    def _mappable(self, section: EdsSection) -> bool:
         option = section.option("PDOMapping")
         if option is not None and option.value.strip().lower() in _MAPPABLE_WORDS:
             read = _MAPPABLE_WORDS[option.value.strip().lower()]
@@ -193,11 +194,11 @@ class EntryReader:
             return read
         return bool(self.number(section, "PDOMapping"))
 
-    def _flags(self, section: Section) -> int:
+    def _flags(self, section: EdsSection) -> int:
         return self.number(section, "ObjFlags") or 0 if section.option("ObjFlags") else 0
 
-    def _limits(self, made: Entry, section: Section, place: Place) -> None:
-        if place.data_type not in types.BITS:
+    def _limits(self, made: Entry, section: EdsSection, place: Place) -> None:
+        if place.data_type not in BITS:
             return
         low = read_value(section.option("LowLimit"), place, self._log).at(self._node_id)
         high = read_value(section.option("HighLimit"), place, self._log).at(self._node_id)
@@ -222,7 +223,7 @@ class EntryReader:
             self._log.add(section.name, fault, "kept", section.options["defaultvalue"].line)
         made.low, made.high = low, high
 
-    def _note_oddity(self, section: Section, option: Option, value: int, oddity: str) -> None:
+    def _note_oddity(self, section: EdsSection, option: Option, value: int, oddity: str) -> None:
         if oddity:
             fault = f"{option.name} is {option.value!r}"
             self._log.add(section.name, fault, f"{oddity}: read as {value}", option.line)

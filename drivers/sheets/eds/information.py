@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from drivers.sheets.eds.numbers import integer
 from drivers.sheets.eds.objects import FIRST_OBJECT
 from drivers.sheets.eds.repairs import RepairLog
-from drivers.sheets.eds.sections import COMMISSIONING, Section, Sections, object_of, section_name
+from drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Sections, object_of, section_name
 
 BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
@@ -152,7 +152,7 @@ def check_lists(sections: Sections, log: RepairLog) -> None:
         log.add(name, "the object is defined, but in no list", "taken for supported", line)
 
 
-def _check_list(section: Section, defined: set[int], listed: dict[int, str], log: RepairLog) -> None:
+def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str], log: RepairLog) -> None:
     entries = 0
     for key, option in section.options.items():
         if key == _COUNT or integer(option.name) is None:
@@ -193,7 +193,7 @@ def _listed_index(text: str, defined: set[int]) -> int | None:
 class _Numbers:
     """Numbers of a section that is no object's."""
 
-    def __init__(self, section: Section, log: RepairLog) -> None:
+    def __init__(self, section: EdsSection, log: RepairLog) -> None:
         self._section = section
         self._log = log
 

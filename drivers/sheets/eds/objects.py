@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass, field, replace
 
+from drivers.canopen.data_types import DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry, EntryReader
 from drivers.sheets.eds.numbers import integer
 from drivers.sheets.eds.repairs import RepairLog
 from drivers.sheets.eds.sections import (
     COMMISSIONING,
+    EdsSection,
     Option,
-    Section,
     Sections,
     object_of,
     section_name,
@@ -42,7 +43,7 @@ class EdsObject:
 def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> dict[int, EdsObject]:
     """Every object that the sections define, by index."""
     builder = _Builder(sections, node_id, log)
-    heads: dict[int, Section | None] = {}
+    heads: dict[int, EdsSection | None] = {}
     for name, section in sections.items():
         found = object_of(name)
         if found is None or found.index < FIRST_OBJECT:
@@ -60,14 +61,14 @@ def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> di
 
 class _Builder:
     def __init__(self, sections: Sections, node_id: int | None, log: RepairLog) -> None:
-        self.subs: dict[int, dict[int, Section]] = {}
+        self.subs: dict[int, dict[int, EdsSection]] = {}
         self._sections = sections
         self._configured = COMMISSIONING in sections
         """It is a DCF: its tables of values hold what is configured, those of an EDS the defaults."""
         self._log = log
         self._read = EntryReader(sections, node_id, log)
 
-    def build(self, index: int, head: Section | None) -> EdsObject | None:
+    def build(self, index: int, head: EdsSection | None) -> EdsObject | None:
         subs = self.subs.get(index, {})
         if head is None:
             head = self._made_up_head(index, subs)
@@ -98,9 +99,9 @@ class _Builder:
 
     # ---- what kind of object ------------------------------------------------------------------------------
 
-    def _made_up_head(self, index: int, subs: dict[int, Section]) -> Section:
+    def _made_up_head(self, index: int, subs: dict[int, EdsSection]) -> EdsSection:
         first = subs[min(subs)]
-        head = Section(section_name(index), first.line)
+        head = EdsSection(section_name(index), first.line)
         kind = standard_object_type(index)
         array = kind == types.ARRAY
         for name, value in (
@@ -114,7 +115,7 @@ class _Builder:
         )
         return head
 
-    def _empty(self, index: int, head: Section) -> EdsObject | None:
+    def _empty(self, index: int, head: EdsSection) -> EdsObject | None:
         """A section without a single option: the object is named, but not defined."""
         data_type = standard_type(index, None)
         if data_type is None:
@@ -130,7 +131,7 @@ class _Builder:
         entry = Entry(index, 0, f"Object {head.name}", data_type, line=head.line)
         return EdsObject(index, entry.name, types.VARIABLE, {0: entry})
 
-    def _object_type(self, index: int, head: Section, subs: dict[int, Section]) -> int:
+    def _object_type(self, index: int, head: EdsSection, subs: dict[int, EdsSection]) -> int:
         option = head.option("ObjectType")
         kind = None
         if option is not None:
@@ -151,7 +152,9 @@ class _Builder:
             return types.RECORD
         return kind
 
-    def _supposed_type(self, index: int, head: Section, subs: dict[int, Section], kind: int | None) -> int:
+    def _supposed_type(
+        self, index: int, head: EdsSection, subs: dict[int, EdsSection], kind: int | None
+    ) -> int:
         """CiA 306-1: without ObjectType it is a variable; sub-objects, or the standard, say more."""
         if subs:
             supposed = types.ARRAY if standard_object_type(index) == types.ARRAY else types.RECORD
@@ -167,7 +170,7 @@ class _Builder:
 
     # ---- short forms --------------------------------------------------------------------------------------
 
-    def _compact_count(self, head: Section, made: EdsObject) -> int:
+    def _compact_count(self, head: EdsSection, made: EdsObject) -> int:
         """CompactSubObj: how many entries like one another the object has; 0 if it is not compact."""
         if not head.text("CompactSubObj"):
             return 0
@@ -180,10 +183,10 @@ class _Builder:
             made.object_type = types.ARRAY
         return count
 
-    def _expand(self, made: EdsObject, head: Section, count: int) -> None:
+    def _expand(self, made: EdsObject, head: EdsSection, count: int) -> None:
         """Entries 1 to ``count`` like the head; names and values that differ stand in tables of their own."""
         template = self._read.entry(head, made.index, 1)
-        made.entries[0] = Entry(made.index, 0, "Number of entries", types.UNSIGNED8, "ro", line=head.line)
+        made.entries[0] = Entry(made.index, 0, "Number of entries", DataType.UNSIGNED8, "ro", line=head.line)
         made.entries[0].default = Value(count, text=str(count))
         for sub in range(1, count + 1):
             made.entries[sub] = replace(
@@ -194,7 +197,7 @@ class _Builder:
             if table is not None:
                 self._apply_table(made, table, kind, template.data_type)
 
-    def _apply_table(self, made: EdsObject, table: Section, kind: str, data_type: int) -> None:
+    def _apply_table(self, made: EdsObject, table: EdsSection, kind: str, data_type: int) -> None:
         listed = 0
         for option in table.options.values():
             found = integer(option.name)
@@ -219,7 +222,7 @@ class _Builder:
                     entry.default = value
         self._check_table_count(table, listed)
 
-    def _check_table_count(self, table: Section, listed: int) -> None:
+    def _check_table_count(self, table: EdsSection, listed: int) -> None:
         option = table.option("NrOfEntries")
         told = integer(option.value) if option is not None else None
         if option is None:
@@ -232,7 +235,7 @@ class _Builder:
 
     # ---- counts and sub-index 0 ---------------------------------------------------------------------------
 
-    def _without_subs(self, made: EdsObject, head: Section) -> bool:
+    def _without_subs(self, made: EdsObject, head: EdsSection) -> bool:
         """An array or record of which no entry is defined; False if it is to be left out."""
         data_type = integer(head.text("DataType") or "0")
         typed = data_type is not None and data_type.value in types.KNOWN_TYPES
@@ -251,7 +254,7 @@ class _Builder:
         self._log.add(head.name, f"{kind} of which no sub-object is defined", "left out", head.line)
         return False
 
-    def _check_count(self, made: EdsObject, head: Section, compact: int) -> None:
+    def _check_count(self, made: EdsObject, head: EdsSection, compact: int) -> None:
         option = head.options.get("subnumber")
         if option is None or (compact and not option.value):
             return
@@ -262,11 +265,11 @@ class _Builder:
             fault = f"SubNumber is {told}, {there} sub-objects are there"
             self._log.add(head.name, fault, "those that are there count", option.line)
 
-    def _add_sub_0(self, made: EdsObject, head: Section) -> None:
+    def _add_sub_0(self, made: EdsObject, head: EdsSection) -> None:
         if 0 in made.entries:
             return
         highest = max(made.entries)
-        entry = Entry(made.index, 0, "Highest sub-index", types.UNSIGNED8, "ro", line=head.line)
+        entry = Entry(made.index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", line=head.line)
         entry.default = Value(highest, text=str(highest))
         made.entries[0] = entry
         self._log.add(head.name, "sub-object 0 is missing", f"made, UNSIGNED8 = {highest}", head.line)

@@ -17,7 +17,7 @@ class Option(NamedTuple):
     line: int
 
 
-class Section:
+class EdsSection:
     """A section; its options are found whatever the case of their names."""
 
     def __init__(self, name: str, line: int) -> None:
@@ -44,7 +44,7 @@ class ObjectName:
     sub: int | None
 
 
-Sections = dict[str, Section]
+Sections = dict[str, EdsSection]
 
 _HEADER = re.compile(r"^\[([^\]]*)\](.*)$")
 _TORN_HEADER = re.compile(
@@ -132,7 +132,7 @@ class _Reader:
     def __init__(self, log: RepairLog) -> None:
         self.sections: Sections = {}
         self._log = log
-        self._current: Section | None = None
+        self._current: EdsSection | None = None
 
     def take(self, line: str, number: int) -> None:
         if line[0] == "[":
@@ -157,7 +157,7 @@ class _Reader:
             self._log.add(name, fault, "taken as one", number)
             self._current = known
             return
-        self._current = self.sections[name] = Section(name, number)
+        self._current = self.sections[name] = EdsSection(name, number)
 
     def _take_option(self, line: str, number: int) -> None:
         section = self._current
@@ -172,7 +172,7 @@ class _Reader:
             written, _, value = line.replace(":", " ", 1).partition(" ")
         self._keep(section, Option(self._option_name(section, written, number), value.strip(), number))
 
-    def _rescued(self, section: Section, line: str, number: int) -> bool:
+    def _rescued(self, section: EdsSection, line: str, number: int) -> bool:
         """A known option whose = is missing."""
         first, _, rest = line.replace(":", " ", 1).partition(" ")
         if first.lower() not in _OBJECT_OPTIONS or not rest.strip() or object_of(section.name) is None:
@@ -180,7 +180,7 @@ class _Reader:
         self._log.add(section.name, f"{first} has no =", f"read as {first}={rest.strip()[:30]}", number)
         return True
 
-    def _option_name(self, section: Section, written: str, number: int) -> str:
+    def _option_name(self, section: EdsSection, written: str, number: int) -> str:
         if object_of(section.name) is None:
             return written
         name = _OBJECT_OPTIONS.get(written.lower())
@@ -194,7 +194,7 @@ class _Reader:
         self._log.add(section.name, f"the option is called {written!r}", f"read as {name}", number)
         return name
 
-    def _keep(self, section: Section, option: Option) -> None:
+    def _keep(self, section: EdsSection, option: Option) -> None:
         key = option.name.lower()
         free = key in _FREE_TEXT or section.name == "Comments"
         value = _without_comment(option.value, free)

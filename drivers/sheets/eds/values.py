@@ -4,6 +4,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import Formula, Spelled, formula, integer, is_formula, real
 from drivers.sheets.eds.repairs import RepairLog
@@ -51,7 +52,7 @@ def read_value(option: Option | None, place: Place, log: RepairLog) -> Value:
         return Value(option.value, text=option.value)
     if place.data_type in types.BYTE_TYPES:
         return _bytes(option, place, log)
-    if place.data_type in types.REAL_BITS:
+    if place.data_type in REAL_BITS:
         return _real(option, place, log)
     if is_formula(option.value):
         return _formula(option, place, log)
@@ -65,7 +66,7 @@ def _bytes(option: Option, place: Place, log: RepairLog) -> Value:
         return Value(bytes.fromhex(digits), text=option.value)
     except ValueError:
         pass
-    if place.data_type == types.OCTET_STRING:
+    if place.data_type == DataType.OCTET_STRING:
         _note(option, place, log, "read as text")
         return Value(option.value.encode("latin-1", errors="replace"), text=option.value)
     _note(option, place, log, "left out, for a DOMAIN holds octets")
@@ -73,7 +74,7 @@ def _bytes(option: Option, place: Place, log: RepairLog) -> Value:
 
 
 def _real(option: Option, place: Place, log: RepairLog) -> Value:
-    bits = types.REAL_BITS[place.data_type]
+    bits = REAL_BITS[place.data_type]
     text = option.value.strip()
     if text[:2].lower() == "0x":
         pattern = integer(text)
@@ -152,7 +153,7 @@ def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:
 
     A signed value may be written as its bits: FFFFFFFFh for -1 is common, and no fault in hexadecimal.
     """
-    signed = types.SIGNED_BITS.get(data_type)
+    signed = SIGNED_BITS.get(data_type)
     if signed is not None:
         if -1 << (signed - 1) <= value < 1 << (signed - 1):
             return value, ""
@@ -160,10 +161,10 @@ def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:
             odd = "" if "x" in text.lower() else "beyond its signed type"
             return value - (1 << signed), odd
         return None, ""
-    bits = types.UNSIGNED_BITS.get(data_type) or types.TIME_BITS.get(data_type)
+    bits = UNSIGNED_BITS.get(data_type) or TIME_BITS.get(data_type)
     if bits is None or 0 <= value < 1 << bits:
         return value, ""
-    if data_type == types.BOOLEAN:
+    if data_type == DataType.BOOLEAN:
         return 1, "beyond BOOLEAN"
     if -1 << (bits - 1) <= value < 0:
         return value + (1 << bits), "negative in an unsigned type"

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.cia402.motion import Profile
+from drivers.cia402.motion import MoveProfile
 from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.profile import State
 
@@ -28,7 +28,7 @@ def test_a_move_of_three_turns_keeps_the_controlword_in_force(spindle):
     spindle.enable(plan=all_modes_plan(3, device_stamp=True))
     spindle.wire.clear()
 
-    profile = Profile(speed_rad_s=100.0, acceleration_rad_s2=2000.0, deceleration_rad_s2=2000.0)
+    profile = MoveProfile(speed_rad_s=100.0, acceleration_rad_s2=2000.0, deceleration_rad_s2=2000.0)
     spindle.client.move_to(3 * math.tau, spindle.deadline(3.0), profile)
 
     spindle.assert_controlwords(0x0F, 0x3F, 0x2F)

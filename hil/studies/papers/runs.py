@@ -38,7 +38,7 @@ from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted
 from hil.rows.records_file import RECORDS_FILE, read_records
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 
 CAREFUL_RAD_S, EAGER_RAD_S = 60.0, 200.0
 """Crossings of the two PI controllers of Case 2, both well damped without sampling."""
@@ -171,7 +171,7 @@ def _run(variant: Variant, folder: Path, tell: Callable[[str], None]) -> PaperRu
     summary = run_bench(
         config, bus_spec=None, time=None, seed=None, record=record, view=False, progress=no_progress
     )
-    if ended_by := summary.verdict.of(Outcome.INTERRUPTED):
+    if ended_by := summary.verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
     time_s, error = _errors(record)
     figures = _figures(variant, time_s, error) | {

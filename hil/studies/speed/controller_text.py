@@ -13,8 +13,8 @@ from hil.configuration.config_axis import StateFeedbackController
 from hil.configuration.speed_controller_file import (
     Certificate,
     CurrentLoop,
+    DesignPlant,
     MadeFor,
-    Plant,
     SequenceProof,
 )
 from hil.configuration.toml_text import toml_text
@@ -29,9 +29,9 @@ def whole_us(time_s: float) -> int:
     return math.ceil(time_s * _US_PER_S - 1e-6)
 
 
-def plant_of(motor: PmsmParameters) -> Plant:
+def plant_of(motor: PmsmParameters) -> DesignPlant:
     """What a design depends on."""
-    return Plant(
+    return DesignPlant(
         resistance_ohm=motor.resistance_ohm,
         inductance_q_h=motor.inductance_q_h,
         inertia_kg_m2=motor.inertia_kg_m2,

@@ -196,7 +196,7 @@ class Unreachable(DesignError):
 
     request: DesignRequest
     delay_s: float
-    best: "_Found"
+    best: "_Synthesis"
     delay_needed_s: float | None
     """At which the wanted gain could just be kept; None if at none that was found."""
 
@@ -261,7 +261,7 @@ def _amount(figures: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _Synthesis:
     """What a method ends with."""
 
     K: Array
@@ -307,45 +307,47 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     if gain is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if request.gamma is not None:
-        _demand_sampled(request, _Found(best.K, delay_s, gain), sampled, request.gamma)
+        _demand_sampled(request, _Synthesis(best.K, delay_s, gain), sampled, request.gamma)
     exact = hinf_norm(model.loop(best.K, delay_s))
     return DesignResult(request, best.K, delay_s, gain, exact, None, sampled)
 
 
-def _demand_sampled(request: DesignRequest, found: "_Found", sampled: SampledAnalysis, gamma: float) -> None:
+def _demand_sampled(
+    request: DesignRequest, found: "_Synthesis", sampled: SampledAnalysis, gamma: float
+) -> None:
     """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
     certified = sampled.gain_certified
     if certified is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if certified > gamma * _KEPT:
-        raise Unreachable(request, found.delay_s, _Found(found.K, found.delay_s, certified), None)
+        raise Unreachable(request, found.delay_s, _Synthesis(found.K, found.delay_s, certified), None)
 
 
-def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Found:
+def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Synthesis:
     if request.method == "exact":
         exact = largest_delay(model, gamma, request.feedback, request.integral_time_s)
-        return _Found(exact.K, exact.delay_s, exact.gain)
+        return _Synthesis(exact.K, exact.delay_s, exact.gain)
     if request.method == "lmi":
         certified = largest_certified_delay(model, gamma, request.feedback)
-        return _Found(certified.K, certified.delay_s, certified.certified.gain)
+        return _Synthesis(certified.K, certified.delay_s, certified.certified.gain)
     linearised = largest_ccl_delay(model, gamma)
-    return _Found(linearised.K, linearised.delay_s, linearised.certified.gain)
+    return _Synthesis(linearised.K, linearised.delay_s, linearised.certified.gain)
 
 
-def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> _Found:
+def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> _Synthesis:
     if request.method == "exact":
         exact = least_gain(model, delay_s, request.feedback, request.integral_time_s)
-        return _Found(exact.K, delay_s, exact.gain)
+        return _Synthesis(exact.K, delay_s, exact.gain)
     certified = least_certified_gain(model, delay_s, request.feedback)
     if request.method == "lmi":
-        return _Found(certified.K, delay_s, certified.certified.gain)
+        return _Synthesis(certified.K, delay_s, certified.certified.gain)
     return _least_by_ccl(model, delay_s, certified.certified.gain)
 
 
-def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Found:
+def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Synthesis:
     """Algorithm 4.2 asked for the delay: bisection over gamma, which lies above the least ``certified``."""
     low, high = certified, certified * _CCL_SPAN
-    best: _Found | None = None
+    best: _Synthesis | None = None
     for _ in range(_CCL_BISECTIONS):
         gamma = high if best is None else 0.5 * (low + high)
         try:
@@ -356,7 +358,7 @@ def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Found
             gain = certified_gain(model, model.loop(found.K, delay_s), 0).gain
             high = min(gamma, gain)
             if best is None or gain < best.gamma:
-                best = _Found(found.K, delay_s, gain)
+                best = _Synthesis(found.K, delay_s, gain)
         elif best is None:
             low, high = high, high * _CCL_SPAN
         else:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.rig import (
     GUARD,
     NODE,
@@ -14,7 +15,6 @@ from tests.contract.conformance.rig import (
     initiate,
 )
 from tests.contract.conformance.rule import Rules
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 
 RULES = Rules()

@@ -2,9 +2,9 @@
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.rig import NODE, RESET_NODE, Rig
 from tests.contract.conformance.rule import Rules
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 
 RULES = Rules()

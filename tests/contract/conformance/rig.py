@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import can
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.wire.message import frame_of
-from virtual_bus.device.nmt_state import NmtState
 from virtual_bus.frame import Frame
 
 NODE = 5

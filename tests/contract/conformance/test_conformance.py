@@ -10,7 +10,7 @@ from tests.contract.conformance.live_device import live_servo
 from tests.contract.conformance.rig import NODE, Rig
 from tests.contract.conformance.suite import ConformanceSuite
 from tests.motors import LING
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
@@ -22,7 +22,7 @@ class TestInSimulatedTime(ConformanceSuite):
     @pytest.fixture
     def rig(self) -> Iterator[Rig]:
         timeline = Timeline()
-        segment = Segment(timeline)
+        segment = CanSegment(timeline)
         attach_to_segment(SimulatedServo(NODE, LING), segment, timeline)
         with can.Bus(interface="simulated", segment=segment, ignore_config=True) as bus:
             yield Rig(bus)

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
 from drivers.timebase import NS_PER_US, Instant
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, initiate
 from tests.motors import LING
-from virtual_bus.device.nmt_state import NODE_ID_MAX, NmtState
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
 

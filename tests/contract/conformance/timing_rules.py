@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.pdo_rules import (
     EMCY,
     EXTENDED,
@@ -15,7 +16,6 @@ from tests.contract.conformance.pdo_rules import (
 )
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, SDO_RESPONSE, Rig, initiate
 from tests.contract.conformance.rule import Rules
-from virtual_bus.device.nmt_state import NmtState
 
 RULES = Rules()
 rule = RULES.of

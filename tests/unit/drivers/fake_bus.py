@@ -8,7 +8,14 @@ from typing import Any
 import can
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.profile import STATUS_PATTERNS, TRANSITION_OF, DriveCommand, Event, State, commands_in
+from drivers.cia402.profile import (
+    STATUS_PATTERNS,
+    TRANSITION_OF,
+    DriveCommand,
+    DriveEvent,
+    State,
+    commands_in,
+)
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink, StampSource
@@ -284,7 +291,7 @@ class FakeServo:
 
     def _stopped(self) -> None:
         self.values[0x606C, 0] = 0
-        arrow = TRANSITION_OF.get((self.state, Event.QUICK_STOP_DONE))
+        arrow = TRANSITION_OF.get((self.state, DriveEvent.QUICK_STOP_DONE))
         if arrow is not None and self.values[0x605A, 0] < 5:
             self.state = arrow.target
 

@@ -12,7 +12,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import FramePort
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.motor_file import LING2012
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
@@ -46,7 +46,7 @@ class Bench:
 
     def __init__(self, nodes: Sequence[int] = (), drop_every: int = 0) -> None:
         self.timeline = Timeline()
-        self.segment = Segment(self.timeline)
+        self.segment = CanSegment(self.timeline)
         self.frames: list[Frame] = []
         self.segment.add_monitor(lambda frame, _at: self.frames.append(frame))
         bus = SimulatedBus(segment=self.segment)

@@ -9,7 +9,7 @@ from drivers.canopen.frame_pump import NEVER, SYNC, FramePump
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
 from drivers.wire.link import BusLink
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import SimulatedClock, Timeline
@@ -23,7 +23,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.timeline = Timeline()
-        segment = Segment(self.timeline)
+        segment = CanSegment(self.timeline)
         self.peer = segment.attach("peer", lambda _frame, _at: None)
         self.ended: list[tuple[int, Instant]] = []
         segment.add_monitor(lambda frame, at: self.ended.append((frame.can_id, at)))

@@ -10,7 +10,7 @@ import pytest
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects import SettingRefused
 from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.motion import Homing, Profile
+from drivers.cia402.motion import HomingSetup, MoveProfile
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.profile import Mode, State
@@ -134,7 +134,7 @@ def test_a_mode_that_the_drive_has_not_is_refused_before_anything_is_sent(rig: R
 
 
 def test_move_to_shakes_hands_and_waits_for_the_target(rig: Rig) -> None:
-    profile = Profile(speed_rad_s=TURN, acceleration_rad_s2=10 * TURN, deceleration_rad_s2=20 * TURN)
+    profile = MoveProfile(speed_rad_s=TURN, acceleration_rad_s2=10 * TURN, deceleration_rad_s2=20 * TURN)
     started = rig.network.clock.now()
     rig.drive.move_to(-2.5 * TURN, rig.soon(), profile)
     assert rig.network.clock.now() - started >= rig.servo.move_ns
@@ -197,11 +197,11 @@ def test_a_target_that_the_drive_refuses_is_never_repeated(rig: Rig) -> None:
 
 
 def test_run_at_and_apply_torque_wait_until_they_are_reached(rig: Rig) -> None:
-    rig.drive.run_at(TURN, rig.soon(), Profile(acceleration_rad_s2=TURN))
+    rig.drive.run_at(TURN, rig.soon(), MoveProfile(acceleration_rad_s2=TURN))
     assert rig.servo.values[0x606C, 0] == 60_000
     rig.drive.run_at(-TURN, rig.soon())
     assert rig.servo.values[0x606C, 0] == -60_000
-    rig.drive.apply_torque(0.5, rig.soon(), Profile(torque_slope_nm_s=4.0))
+    rig.drive.apply_torque(0.5, rig.soon(), MoveProfile(torque_slope_nm_s=4.0))
     assert rig.servo.values[0x6077, 0] == 250
     assert rig.servo.values[0x6087, 0] == 2000
     assert set(rig.words()) <= {ENABLED}
@@ -210,12 +210,12 @@ def test_run_at_and_apply_torque_wait_until_they_are_reached(rig: Rig) -> None:
 def test_a_profile_that_the_drive_does_not_take_is_no_move(rig: Rig) -> None:
     rig.servo.stubborn.add((0x6081, 0))
     with pytest.raises(SettingRefused, match=r"cannot move as asked; profile velocity.*holds 0 in 6081h"):
-        rig.drive.move_to(TURN, rig.soon(), Profile(speed_rad_s=TURN))
+        rig.drive.move_to(TURN, rig.soon(), MoveProfile(speed_rad_s=TURN))
     assert rig.servo.moves == []
 
 
 def test_homing_ends_at_home(rig: Rig) -> None:
-    how = Homing(
+    how = HomingSetup(
         switch_speed_rad_s=TURN, zero_speed_rad_s=TURN / 10, acceleration_rad_s2=TURN, offset_rad=TURN
     )
     rig.drive.home(33, rig.soon(), how)
@@ -286,7 +286,7 @@ def test_a_drive_that_counts_the_other_way_is_turned_in_every_mode(velocity: int
     drive.enable(soon())
     drive.run_at(TURN, soon())
     assert servo.values[0x60FF, 0] == velocity * 60_000
-    drive.apply_torque(0.5, soon(), Profile(torque_slope_nm_s=0.5))
+    drive.apply_torque(0.5, soon(), MoveProfile(torque_slope_nm_s=0.5))
     assert servo.values[0x6071, 0] == torque * 250
     assert servo.values[0x6087, 0] == 250, "a slope has no sign"
     drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, soon())

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.nmt import Emergency, NmtCommand, NmtState
+from drivers.canopen.nmt import Emergency
+from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
 from drivers.errors import AnswersTwice, BusDown, NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant

@@ -12,7 +12,7 @@ from drivers.cia402.profile import (
     TRANSITION_OF,
     TRANSITIONS,
     DriveCommand,
-    Event,
+    DriveEvent,
     Mode,
     State,
     command_path,
@@ -76,7 +76,7 @@ def test_every_cause_has_one_arrow_and_every_number_of_the_standard_occurs() -> 
 
 
 def test_a_fault_is_possible_wherever_none_is_yet() -> None:
-    states = {arrow.source for arrow in TRANSITIONS if arrow.cause is Event.FAULT_DETECTED}
+    states = {arrow.source for arrow in TRANSITIONS if arrow.cause is DriveEvent.FAULT_DETECTED}
     assert states == set(State) - {State.FAULT, State.FAULT_REACTION}
 
 

@@ -12,7 +12,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.pdo_plans import mode_plan, torque_plan
 from drivers.cia402.profile import Mode
-from drivers.cia402.readings import ReadingAssembler, Seen
+from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.scaling import Scaling
 from drivers.exchange import DemandChange, Readback, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration, Instant
@@ -33,7 +33,7 @@ class Rig:
         self.network: CanopenNetwork
         self.bus, self.network = make_network()
         self.plan = plan
-        self.told = Seen()
+        self.told = LastStatusword()
         self.assembler = ReadingAssembler(self.network, plan, scaling, PERIOD, self.told)
 
     def deliver(self, can_id: int, *fields: int, after_us: int) -> None:
@@ -138,7 +138,7 @@ def test_a_plan_without_speed_position_or_statusword_is_refused(lacking: int) ->
     plan = torque_plan(1, device_stamp=True)
     short = PdoPlan(tuple(pdo for place, pdo in enumerate(plan.tpdos) if place != lacking), plan.rpdos)
     with pytest.raises(ValueError, match=("606Ch", "6064h", "6041h")[lacking]):
-        ReadingAssembler(network, short, SCALING, PERIOD, Seen())
+        ReadingAssembler(network, short, SCALING, PERIOD, LastStatusword())
     bus.shutdown()
 
 

@@ -15,7 +15,7 @@ from drivers.wire.adapters import open_bus, parse_bus_spec
 from drivers.wire.frame_port import WireFrame
 from drivers.wire.link import BusLink, StampSource
 from drivers.wire.slcan import REFUSALS_MAX, SlcanBus
-from drivers.wire.slcan_protocol import Status
+from drivers.wire.slcan_protocol import SlcanStatus
 from tests.ports import fetched
 
 CLOCK = MonotonicClock()
@@ -178,7 +178,7 @@ def test_one_refused_frame_is_counted_and_its_reason_asked_for(scripted: Make) -
         received = fetched(bus, until(2.0))
         assert received is not None
         assert received[0] == WireFrame(0x124), "the refused frame came back, or another was taken for it"
-        assert bus.status() == Status.TRANSMIT_FIFO_FULL | Status.ERROR_PASSIVE
+        assert bus.status() == SlcanStatus.TRANSMIT_FIFO_FULL | SlcanStatus.ERROR_PASSIVE
         assert bus.refused_frames == 1
         assert bus.state is can.BusState.PASSIVE
 
@@ -210,7 +210,7 @@ def test_lost_answers_do_not_shift_the_later_ones(scripted: Make) -> None:
     adapter = scripted(answer)
     with SlcanBus(adapter.path, receive_own_messages=True) as bus:
         bus.frame_port.transmit(WireFrame(0x101))
-        assert bus.status() == Status(0)
+        assert bus.status() == SlcanStatus(0)
         bus.frame_port.transmit(WireFrame(0x102))
         received = fetched(bus, until(2.0))
         assert received is not None

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from drivers.wire.frame_port import WireFrame
 from drivers.wire.slcan_protocol import (
     LINE_LENGTH_MAX,
-    Line,
     LineSplitter,
-    Status,
+    SlcanLine,
+    SlcanStatus,
     decode_frame,
     decode_status,
     encode_frame,
@@ -105,10 +105,10 @@ def test_lines_do_not_depend_on_the_pieces_in_which_they_come(data: bytes, size:
 
 def test_cr_and_bel_end_lines() -> None:
     assert LineSplitter().feed(b"z\r\at100\a0\r") == [
-        Line(b"z", False),
-        Line(b"", True),
-        Line(b"t100", True),
-        Line(b"0", False),
+        SlcanLine(b"z", False),
+        SlcanLine(b"", True),
+        SlcanLine(b"t100", True),
+        SlcanLine(b"0", False),
     ]
 
 
@@ -116,18 +116,22 @@ def test_a_line_without_end_is_given_up() -> None:
     splitter = LineSplitter()
     assert splitter.feed(b"t" * (LINE_LENGTH_MAX + 1)) == []
     assert splitter.overlong == 1
-    assert splitter.feed(b"z\r") == [Line(b"z", False)]
+    assert splitter.feed(b"z\r") == [SlcanLine(b"z", False)]
 
 
 def test_status_flags_are_those_of_the_manual() -> None:
-    assert decode_status(b"F00") == Status(0)
-    assert decode_status(b"FA2") == Status.BUS_ERROR | Status.ERROR_PASSIVE | Status.TRANSMIT_FIFO_FULL
+    assert decode_status(b"F00") == SlcanStatus(0)
+    assert (
+        decode_status(b"FA2")
+        == SlcanStatus.BUS_ERROR | SlcanStatus.ERROR_PASSIVE | SlcanStatus.TRANSMIT_FIFO_FULL
+    )
     assert decode_status(b"F0") is None
     assert decode_status(b"F0G") is None
     assert (
-        status_text(Status.TRANSMIT_FIFO_FULL | Status.BUS_ERROR) == "its transmit queue is full, bus error"
+        status_text(SlcanStatus.TRANSMIT_FIFO_FULL | SlcanStatus.BUS_ERROR)
+        == "its transmit queue is full, bus error"
     )
-    assert status_text(Status(0)) == "no error"
+    assert status_text(SlcanStatus(0)) == "no error"
 
 
 @pytest.mark.parametrize(

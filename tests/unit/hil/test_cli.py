@@ -14,12 +14,12 @@ from drivers.errors import BadInput, BusDown, DriveInFault, NoAnswer
 from hil.cli import app
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.machine.capability import Capability, Status
+from hil.machine.capability import Capability, CapabilityStatus
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import ExitStatus, Finding, Outcome
+from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
 from tests.unit.hil.test_report import summary
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -87,7 +87,7 @@ def test_a_failed_run_leaves_with_one(bench: Bench) -> None:
 
 
 def test_an_interrupted_run_prints_what_it_has_and_leaves_with_130(bench: Bench) -> None:
-    bench.summary = summary().also(Finding(Outcome.INTERRUPTED, "ended by SIGINT"))
+    bench.summary = summary().also(Finding(VerdictKind.INTERRUPTED, "ended by SIGINT"))
     result = hil("run", BENCH)
     assert result.exit_code == ExitStatus.INTERRUPTED
     assert "INTERRUPTED" in result.stdout
@@ -188,7 +188,7 @@ def test_json_is_one_object_at_every_exit(
 
 @pytest.mark.parametrize("as_json", [False, True])
 def test_of_an_error_and_what_the_run_came_to_the_gravest_is_the_status(bench: Bench, as_json: bool) -> None:
-    found = (Finding(Outcome.PEER_FAULT, "lost"), Finding(Outcome.NOT_RECORDED, "the disk is full"))
+    found = (Finding(VerdictKind.PEER_FAULT, "lost"), Finding(VerdictKind.NOT_RECORDED, "the disk is full"))
     bench.summary = bench.summary.also(found[0]).also(found[1])
     bench.error, bench.begins = RecordingFailed("the disk is full"), True
     result = hil("run", BENCH, *(["--json"] if as_json else []))
@@ -299,9 +299,13 @@ def test_simulate_has_a_default_motor_and_no_faults(bench: Bench) -> None:
 def checks(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [
         Capability(
-            "vcan0", Status.LACK, "no such link", "--bus socketcan:vcan0", "ip link add dev vcan0 type vcan"
+            "vcan0",
+            CapabilityStatus.LACK,
+            "no such link",
+            "--bus socketcan:vcan0",
+            "ip link add dev vcan0 type vcan",
         ),
-        Capability("disk space", Status.OK, "50 GB free", "recordings"),
+        Capability("disk space", CapabilityStatus.OK, "50 GB free", "recordings"),
     ]
     monkeypatch.setattr("hil.machine.doctor.run_checks", lambda: found)
 

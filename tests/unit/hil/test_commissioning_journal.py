@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadInput
 from hil.restoring.journal import (
-    Change,
     DriveMark,
     Journal,
     JournalHead,
     ObjectKey,
+    ObjectWrite,
     append_restored,
     read_journal,
 )
@@ -23,13 +23,13 @@ LIMIT = ObjectKey(0x6072, 0)
 HEARTBEAT = ObjectKey(0x1016, 1)
 
 
-def changes() -> st.SearchStrategy[list[Change]]:
+def changes() -> st.SearchStrategy[list[ObjectWrite]]:
     key = st.builds(ObjectKey, st.integers(0x1000, 0xFFFF), st.integers(0, 255))
     octets = st.binary(max_size=8)
-    return st.lists(st.builds(Change, key, octets, octets), max_size=8)
+    return st.lists(st.builds(ObjectWrite, key, octets, octets), max_size=8)
 
 
-def written(path: Path, noted: list[Change]) -> Journal:
+def written(path: Path, noted: list[ObjectWrite]) -> Journal:
     path.unlink(missing_ok=True)
     journal = Journal(path, HEAD)
     for change in noted:
@@ -39,7 +39,7 @@ def written(path: Path, noted: list[Change]) -> Journal:
 
 def test_what_is_noted_is_on_the_disk_at_once(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "new" / "journal.jsonl", HEAD)
-    journal.note(Change(LIMIT, b"\xb8\x0b", b"\xf4\x01"))
+    journal.note(ObjectWrite(LIMIT, b"\xb8\x0b", b"\xf4\x01"))
     lines = journal.path.read_text().splitlines()
     assert json.loads(lines[0])["node"] == 7
     assert json.loads(lines[1]) == {"object": "6072:00", "old": "b80b", "new": "f401"}
@@ -49,7 +49,7 @@ def test_what_is_noted_is_on_the_disk_at_once(tmp_path: Path) -> None:
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(noted=changes())
 def test_reading_gives_back_what_was_noted(
-    tmp_path_factory: pytest.TempPathFactory, noted: list[Change]
+    tmp_path_factory: pytest.TempPathFactory, noted: list[ObjectWrite]
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "round.jsonl"
     written(path, noted).close()
@@ -62,7 +62,7 @@ def test_reading_gives_back_what_was_noted(
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(noted=changes(), torn=st.integers(0, 10_000))
 def test_a_torn_end_loses_only_what_was_never_made(
-    tmp_path_factory: pytest.TempPathFactory, noted: list[Change], torn: int
+    tmp_path_factory: pytest.TempPathFactory, noted: list[ObjectWrite], torn: int
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "torn.jsonl"
     written(path, noted).close()
@@ -78,9 +78,9 @@ def test_the_first_old_value_is_the_one_to_put_back(tmp_path: Path) -> None:
     journal = written(
         tmp_path / "j.jsonl",
         [
-            Change(LIMIT, b"\x01", b"\x02"),
-            Change(HEARTBEAT, b"\x09", b"\x08"),
-            Change(LIMIT, b"\x02", b"\x03"),
+            ObjectWrite(LIMIT, b"\x01", b"\x02"),
+            ObjectWrite(HEARTBEAT, b"\x09", b"\x08"),
+            ObjectWrite(LIMIT, b"\x02", b"\x03"),
         ],
     )
     journal.close()
@@ -91,7 +91,7 @@ def test_the_first_old_value_is_the_one_to_put_back(tmp_path: Path) -> None:
 
 def test_a_journal_that_waits_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
-    written(path, [Change(LIMIT, b"\x01", b"\x02")]).close()
+    written(path, [ObjectWrite(LIMIT, b"\x01", b"\x02")]).close()
     before = path.read_bytes()
     with pytest.raises(BadInput, match=r"hil restore --bus hub:bench --node 7"):
         Journal(path, HEAD)
@@ -103,10 +103,10 @@ def test_a_journal_that_waits_is_not_written_over(tmp_path: Path) -> None:
 
 
 def test_a_change_after_the_restoration_waits_again(tmp_path: Path) -> None:
-    journal = written(tmp_path / "j.jsonl", [Change(LIMIT, b"\x01", b"\x02")])
+    journal = written(tmp_path / "j.jsonl", [ObjectWrite(LIMIT, b"\x01", b"\x02")])
     journal.note_restored()
     assert read_journal(journal.path).restored
-    journal.note(Change(LIMIT, b"\x01", b"\x02"))
+    journal.note(ObjectWrite(LIMIT, b"\x01", b"\x02"))
     journal.close()
     assert not read_journal(journal.path).restored
 
@@ -131,7 +131,7 @@ def test_what_is_no_journal_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_spoilt_line_in_the_middle_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
-    written(path, [Change(LIMIT, b"\x01", b"\x02"), Change(HEARTBEAT, b"\x01", b"\x02")]).close()
+    written(path, [ObjectWrite(LIMIT, b"\x01", b"\x02"), ObjectWrite(HEARTBEAT, b"\x01", b"\x02")]).close()
     path.write_text(path.read_text().replace('"6072:00"', '"sixty"'))
     with pytest.raises(BadInput, match="line 2"):
         read_journal(path)

@@ -5,11 +5,11 @@ import pytest
 from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.configuration.config import Loop
+from hil.configuration.config import LoopConfig
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
-from hil.verdict.verdict import Outcome
-from virtual_bus.faults.fault_log import KINDS, Entry
+from hil.verdict.verdict import VerdictKind
+from virtual_bus.faults.fault_log import KINDS, FaultEntry
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
 from virtual_bus.faults.replay import RecordedFaults
@@ -75,7 +75,7 @@ def test_an_encoder_s_loss_is_told_when_it_is_noticed() -> None:
 def test_a_recorded_fault_names_its_own_emcy() -> None:
     place = list(DriveFailure).index(DriveFailure.ENCODER_LOSS)
     after = 200 * NS_PER_MS
-    entry = Entry(NS_PER_S, place, after, 0, 0, 0, KINDS.index("drive_fault"), 1)
+    entry = FaultEntry(NS_PER_S, place, after, 0, 0, 0, KINDS.index("drive_fault"), 1)
     recorded = RecordedFaults((entry,))
     assert [explained(recorded, at_ms, 0x7305) for at_ms in (1150, 1200, 1299, 1300)] == [
         False,
@@ -87,7 +87,7 @@ def test_a_recorded_fault_names_its_own_emcy() -> None:
     assert not explained(RecordedFaults(()), 1201)
 
 
-SETTINGS = Loop(period_us=1000, decide_after_us=700, deadline_us=2000, horizon_periods=20)
+SETTINGS = LoopConfig(period_us=1000, decide_after_us=700, deadline_us=2000, horizon_periods=20)
 
 
 @pytest.mark.parametrize(("late_ms", "completed"), [(0.2, True), (20.9, True), (21.1, False), (4000, False)])
@@ -114,4 +114,4 @@ def test_a_run_of_which_no_end_was_told_was_ended_by_a_defect() -> None:
     assert not conclusion.outcome.completed
     conclusion.failed(BadInput("bench.toml", "", 1, "2"))
     causes.append(conclusion.outcome.cause)
-    assert causes == [Outcome.DEFECT, Outcome.DEFECT, Outcome.BAD_INPUT]
+    assert causes == [VerdictKind.DEFECT, VerdictKind.DEFECT, VerdictKind.BAD_INPUT]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import BenchError
-from drivers.instruments.dynamometer import LoadReading, Tally
+from drivers.instruments.dynamometer import LineCounts, LoadReading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
 from hil.configuration.bench_file import load_bench
 from hil.load.instrument import InstrumentLoadMachine, Wait
@@ -75,7 +75,7 @@ class FakeDynamometer:
     identity = "FAKE"
 
     def __init__(self) -> None:
-        self.tally = Tally()
+        self.tally = LineCounts()
         self.readings: list[LoadReading] = []
         self.asked: list[float] = []
 

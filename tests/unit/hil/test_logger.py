@@ -18,7 +18,7 @@ from hil.recording.ring import RingWriter
 from hil.rows.records import ROW, row_of
 from hil.rows.side_rows import EVENT, FRAME, TextEvent, event_row, frame_row
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -83,7 +83,7 @@ def test_a_run_with_a_row_twice_and_another_missing_has_not_passed(
 ) -> None:
     """As many rows as were planned: only their numbers tell."""
     verdict = run_logger(tmp_path, rings, OUTCOME, doubled=doubled).verdict
-    assert verdict.outcome is Outcome.CUT_SHORT
+    assert verdict.outcome is VerdictKind.CUT_SHORT
     assert not verdict.completed
     assert verdict.reason == f"rows are missing or double behind cycle {doubled}"
 
@@ -138,7 +138,7 @@ def test_refused_rows_make_the_run_incomplete(tmp_path: Path, rings: Rings) -> N
     summary = run_logger(tmp_path, rings, OUTCOME)
     assert summary.cycles == 512
     assert summary.recording_faults == ("3 cycle records lost, the logger was too slow",)
-    assert summary.verdict.outcome is Outcome.NOT_RECORDED
+    assert summary.verdict.outcome is VerdictKind.NOT_RECORDED
     assert not summary.verdict.completed
 
 

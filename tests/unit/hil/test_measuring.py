@@ -17,7 +17,7 @@ from hil.loop.samples import CommandFate
 from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN
 from hil.measuring.network import network_of
-from hil.measuring.probe import Change, acting
+from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
 from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
 
@@ -74,8 +74,8 @@ def sent(cycle: int, raw: int, *, on_bus: bool = True) -> SentCommand:
     return command
 
 
-def change(raw: int, at_ns: float, error_ns: int = 1000) -> Change:
-    return Change(raw, Instant(round(at_ns)), error_ns)
+def change(raw: int, at_ns: float, error_ns: int = 1000) -> TimedDemandChange:
+    return TimedDemandChange(raw, Instant(round(at_ns)), error_ns)
 
 
 def test_a_change_is_that_of_the_newest_command_of_its_value() -> None:

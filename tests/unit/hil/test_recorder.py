@@ -19,7 +19,7 @@ from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, star
 from hil.rows.records import record_of
 from hil.rows.records_file import read_records
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import Outcome
+from hil.verdict.verdict import VerdictKind
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
 
@@ -116,7 +116,7 @@ def test_real_time_counts_what_a_stopped_logger_costs(tmp_path: Path) -> None:
     lost = 3 * ROWS_CAPACITY - summary.cycles
     fault = f"{lost} cycle records lost, the logger was too slow"
     assert summary.recording_faults == (fault,)
-    assert summary.verdict.outcome is Outcome.NOT_RECORDED
+    assert summary.verdict.outcome is VerdictKind.NOT_RECORDED
     assert summary.verdict.reason == fault
 
 

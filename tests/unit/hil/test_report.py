@@ -11,7 +11,7 @@ from hil.configuration.bench_file import load_bench
 from hil.machine.progress import LINE_WIDTH, TerminalProgress, bar_line
 from hil.terminal.report import print_run, recording_lines, viewer_command
 from hil.verdict.summary import DropoutCounts, Percentiles, SpeedError, Summary
-from hil.verdict.verdict import CycleCount, Finding, Outcome, RunOutcome, VerdictLimits, judge
+from hil.verdict.verdict import CycleCount, Finding, RunOutcome, VerdictKind, VerdictLimits, judge
 from tests.unit.hil.recording_tools import whole_outcome
 from tests.unit.hil.test_summary import timing
 
@@ -112,7 +112,7 @@ def test_three_axes_and_their_clocks_fit_one_screen() -> None:
 
 
 def test_a_run_that_is_not_trusted_says_why() -> None:
-    found = summary().also(Finding(Outcome.NOT_TRUSTWORTHY, "axis1: 3 readings came before their SYNC"))
+    found = summary().also(Finding(VerdictKind.NOT_TRUSTWORTHY, "axis1: 3 readings came before their SYNC"))
     assert "ling2012: NOT TRUSTWORTHY" in printed(found)
     assert "Not trustworthy: axis1: 3 readings came" in printed(found)
 

@@ -7,9 +7,9 @@ from drivers.cia402.readings import NEVER_TOLD
 from hil.rows.records import FATE_MISSED
 from hil.rows.row_states import (
     LINK_WINDOW_CYCLES,
-    Change,
     DriveStates,
     HostStates,
+    LabelChange,
     LinkStates,
     drive_label,
 )
@@ -24,9 +24,9 @@ def test_drive_states_change_with_the_statusword_and_only_with_its_state_bits() 
     rows["status_told_at"] = rows["due_at"] + 300_000
     rows["status_told_at"][4] = NEVER_TOLD
     assert DriveStates().changes(rows) == [
-        Change(300_000, "Ready to switch on"),
-        Change(2_300_000, "Operation enabled"),
-        Change(4_000_000, "Fault"),
+        LabelChange(300_000, "Ready to switch on"),
+        LabelChange(2_300_000, "Operation enabled"),
+        LabelChange(4_000_000, "Fault"),
     ]
 
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
+from drivers.canopen.nmt_states import UNCONFIGURED
 from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.execution.simulated_drives import ids_on_the_bus, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
 from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.nmt_state import UNCONFIGURED
 from virtual_bus.device.parameter_store import FileStore
 
 

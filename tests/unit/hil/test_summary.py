@@ -20,7 +20,7 @@ from hil.verdict.summary import (
     summary_without_run,
 )
 from hil.verdict.timing_text import timing_lines
-from hil.verdict.verdict import Check, LimitResult, Outcome, RunOutcome, Verdict, VerdictLimits
+from hil.verdict.verdict import Check, LimitResult, RunOutcome, RunVerdict, VerdictKind, VerdictLimits
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
 FIGURES = Figures(
@@ -60,7 +60,7 @@ def test_each_limit_is_held_against_its_figure(key: str, value: float) -> None:
     assert check.result is LimitResult.BROKEN
 
 
-def judged(limits: VerdictLimits) -> Verdict:
+def judged(limits: VerdictLimits) -> RunVerdict:
     return summarise(FIGURES, whole_outcome(FIGURES.cycles), limits, "", 1).verdict
 
 
@@ -92,7 +92,7 @@ def test_json_has_the_promised_keys() -> None:
 
 
 def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> None:
-    summary = summary_without_run(Outcome.BAD_INPUT, "no such file")
+    summary = summary_without_run(VerdictKind.BAD_INPUT, "no such file")
     assert set(summary.as_json()) == set(summary_with().as_json())
     assert Summary.from_json(json.loads(json.dumps(summary.as_json()))) == summary
     assert (summary.verdict.exit_status, summary.verdict.reason) == (2, "no such file")

@@ -13,7 +13,7 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import load_bench
 from hil.execution.sync_source import check_sync_source, kernel_sync
 from tests.unit.hil.test_config import BENCH, edited, load
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.timeline import Timeline
 
@@ -25,7 +25,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.timeline = Timeline()
-        segment = Segment(self.timeline, 1_000_000)
+        segment = CanSegment(self.timeline, 1_000_000)
         self.bus = SimulatedBus(segment=segment)
         self.ends: list[Instant] = []
         segment.add_monitor(lambda frame, at: self.ends.append(at) if frame.can_id == 0x080 else None)
@@ -67,7 +67,7 @@ class Refusing(SimulatedBus):
 
 def test_a_bus_that_cannot_is_named() -> None:
     with (
-        Refusing(segment=Segment(Timeline(), 1_000_000)) as bus,
+        Refusing(segment=CanSegment(Timeline(), 1_000_000)) as bus,
         pytest.raises(BusDown, match="used by one thread"),
         kernel_sync(bus, PERIOD),
     ):

@@ -10,7 +10,7 @@ from hil.rows.recording_plan import PlannedSetPoint
 from hil.rows.records import NOTHING, ROW_DTYPE, Rows
 from hil.rows.set_points import SetPointTeller
 from hil.rows.side_rows import TextEvent
-from virtual_bus.faults.fault_log import KIND_CODES, NONE, Entry
+from virtual_bus.faults.fault_log import KIND_CODES, NONE, FaultEntry
 
 ZERO = Instant(7 * NS_PER_S)
 PLANNED = (
@@ -58,8 +58,8 @@ def test_what_the_run_did_not_come_to_is_never_told() -> None:
     assert "d" not in [text for _, text in told(teller.take(rows_of(range(9), 0), ZERO))]
 
 
-def entry(kind: str, at_ms: float, a: int = 0, link: int = 1, c: int = 0) -> Entry:
-    return Entry(round(at_ms * NS_PER_MS), a, 0, c, 0x181, 0, KIND_CODES[kind], link)
+def entry(kind: str, at_ms: float, a: int = 0, link: int = 1, c: int = 0) -> FaultEntry:
+    return FaultEntry(round(at_ms * NS_PER_MS), a, 0, c, 0x181, 0, KIND_CODES[kind], link)
 
 
 def test_what_befalls_a_node_is_told_at_its_instant() -> None:

@@ -13,9 +13,9 @@ from hil.verdict.verdict import (
     ExitStatus,
     Finding,
     LimitResult,
-    Outcome,
     RunOutcome,
-    Verdict,
+    RunVerdict,
+    VerdictKind,
     VerdictLimits,
     judge,
     not_run,
@@ -38,7 +38,7 @@ def two_axes(other: DriveEnd) -> RunOutcome:
 
 def test_a_run_that_keeps_all_is_passed() -> None:
     verdict = judge(WHOLE, COUNT, KEPT, LIMITS)
-    assert (verdict.outcome, verdict.exit_status, verdict.reason) == (Outcome.PASSED, 0, "")
+    assert (verdict.outcome, verdict.exit_status, verdict.reason) == (VerdictKind.PASSED, 0, "")
     assert verdict.passed
     assert verdict.completed
     assert verdict.findings == ()
@@ -52,36 +52,36 @@ def test_a_run_without_limits_is_completed_and_not_passed() -> None:
 
 
 ONE_BY_ONE = {
-    "a cycle without a row": (WHOLE, CycleCount(199, 199, 0), KEPT, "", Outcome.CUT_SHORT),
-    "a row too many": (WHOLE, CycleCount(200, 201, 0), KEPT, "", Outcome.CUT_SHORT),
-    "a cycle of one axis of two": (two_axes(RESTING), CycleCount(199, 399, 0), KEPT, "", Outcome.CUT_SHORT),
-    "a cycle twice, and another not at all": (WHOLE, CycleCount(99, 200, 0), KEPT, "", Outcome.CUT_SHORT),
-    "no plan": (replace(WHOLE, cycles_planned=None), COUNT, KEPT, "", Outcome.CUT_SHORT),
-    "no drive looked at": (replace(WHOLE, drives=()), COUNT, KEPT, "", Outcome.CUT_SHORT),
+    "a cycle without a row": (WHOLE, CycleCount(199, 199, 0), KEPT, "", VerdictKind.CUT_SHORT),
+    "a row too many": (WHOLE, CycleCount(200, 201, 0), KEPT, "", VerdictKind.CUT_SHORT),
+    "one axis lacks a cycle": (two_axes(RESTING), CycleCount(199, 399, 0), KEPT, "", VerdictKind.CUT_SHORT),
+    "a cycle twice, and another not at all": (WHOLE, CycleCount(99, 200, 0), KEPT, "", VerdictKind.CUT_SHORT),
+    "no plan": (replace(WHOLE, cycles_planned=None), COUNT, KEPT, "", VerdictKind.CUT_SHORT),
+    "no drive looked at": (replace(WHOLE, drives=()), COUNT, KEPT, "", VerdictKind.CUT_SHORT),
     "one drive not looked at": (
         two_axes(replace(RESTING, after_last_cycle=None)), CycleCount(200, 400, 0), KEPT, "",
-        Outcome.CUT_SHORT,
+        VerdictKind.CUT_SHORT,
     ),
     "not at rest": (
-        replace(WHOLE, drives=(replace(RESTING, at_rest=False),)), COUNT, KEPT, "", Outcome.PEER_FAULT
+        replace(WHOLE, drives=(replace(RESTING, at_rest=False),)), COUNT, KEPT, "", VerdictKind.PEER_FAULT
     ),
     "rest not asked": (
-        replace(WHOLE, drives=(replace(RESTING, at_rest=None),)), COUNT, KEPT, "", Outcome.PEER_FAULT
+        replace(WHOLE, drives=(replace(RESTING, at_rest=None),)), COUNT, KEPT, "", VerdictKind.PEER_FAULT
     ),
-    "an EMCY": (replace(WHOLE, emergencies=("EMCY 8130h",)), COUNT, KEPT, "", Outcome.PEER_FAULT),
-    "timing": (replace(WHOLE, distrust=("two stamps",)), COUNT, KEPT, "", Outcome.NOT_TRUSTWORTHY),
-    "recording": (WHOLE, COUNT, KEPT, "a full disk", Outcome.NOT_RECORDED),
-    "cut short": (replace(WHOLE, completed=False, reason="away"), COUNT, KEPT, "", Outcome.CUT_SHORT),
+    "an EMCY": (replace(WHOLE, emergencies=("EMCY 8130h",)), COUNT, KEPT, "", VerdictKind.PEER_FAULT),
+    "timing": (replace(WHOLE, distrust=("two stamps",)), COUNT, KEPT, "", VerdictKind.NOT_TRUSTWORTHY),
+    "recording": (WHOLE, COUNT, KEPT, "a full disk", VerdictKind.NOT_RECORDED),
+    "cut short": (replace(WHOLE, completed=False, reason="away"), COUNT, KEPT, "", VerdictKind.CUT_SHORT),
     "a signal": (
-        replace(WHOLE, completed=False, reason="SIGINT", cause=Outcome.INTERRUPTED), COUNT, KEPT, "",
-        Outcome.INTERRUPTED,
+        replace(WHOLE, completed=False, reason="SIGINT", cause=VerdictKind.INTERRUPTED), COUNT, KEPT, "",
+        VerdictKind.INTERRUPTED,
     ),
     "an error": (
-        replace(WHOLE, completed=False, reason="lost", cause=Outcome.PEER_FAULT), COUNT, KEPT, "",
-        Outcome.PEER_FAULT,
+        replace(WHOLE, completed=False, reason="lost", cause=VerdictKind.PEER_FAULT), COUNT, KEPT, "",
+        VerdictKind.PEER_FAULT,
     ),
-    "a limit broken": (WHOLE, COUNT, BROKEN, "", Outcome.NOT_PASSED),
-    "a limit not measured": (WHOLE, COUNT, UNMEASURED, "", Outcome.NOT_MEASURED),
+    "a limit broken": (WHOLE, COUNT, BROKEN, "", VerdictKind.NOT_PASSED),
+    "a limit not measured": (WHOLE, COUNT, UNMEASURED, "", VerdictKind.NOT_MEASURED),
 }  # fmt: skip
 
 
@@ -94,10 +94,10 @@ def test_each_condition_alone_keeps_a_run_from_passing(what: str) -> None:
     assert not verdict.passed
     assert verdict.reason
     assert len(verdict.findings) == 1
-    assert Verdict.from_json(json.loads(json.dumps(asdict(verdict)))) == verdict
+    assert RunVerdict.from_json(json.loads(json.dumps(asdict(verdict)))) == verdict
 
 
-OF_LIMITS = (Outcome.NOT_PASSED, Outcome.NOT_MEASURED)
+OF_LIMITS = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 
 
 @pytest.mark.parametrize("what", [name for name, case in ONE_BY_ONE.items() if case[4] not in OF_LIMITS])
@@ -110,7 +110,7 @@ def test_missed_cycles_are_accounted_for_where_limits_judge_them_and_not_without
     missed = CycleCount(CYCLES, CYCLES, 1)
     assert judge(WHOLE, missed, KEPT, LIMITS).passed
     verdict = judge(WHOLE, missed, KEPT, VerdictLimits())
-    assert (verdict.outcome, verdict.exit_status) == (Outcome.NOT_MEASURED, 6)
+    assert (verdict.outcome, verdict.exit_status) == (VerdictKind.NOT_MEASURED, 6)
     assert "1 cycles went without SYNC" in verdict.reason
 
 
@@ -126,14 +126,14 @@ STATUSES_BY_GRAVITY = (70, 3, 130, 4, 5, 6, 1)
 
 
 def test_the_order_of_gravity_is_that_of_the_statuses() -> None:
-    told = [outcome.exit_status for outcome in Outcome if outcome is not Outcome.BAD_INPUT]
+    told = [outcome.exit_status for outcome in VerdictKind if outcome is not VerdictKind.BAD_INPUT]
     assert [status for status, _ in itertools.groupby(told)] == [*STATUSES_BY_GRAVITY, 0]
     assert {status.value for status in ExitStatus} == {0, 1, 2, 3, 4, 5, 6, 70, 130}
 
 
 def found_with(status: int, outcome: RunOutcome) -> RunOutcome:
     """``outcome`` with what alone gives ``status``; 70 and 130 exclude each other as ends of a run."""
-    causes = {70: Outcome.DEFECT, 130: Outcome.INTERRUPTED, 6: Outcome.CUT_SHORT}
+    causes = {70: VerdictKind.DEFECT, 130: VerdictKind.INTERRUPTED, 6: VerdictKind.CUT_SHORT}
     if status in causes and outcome.completed:
         return replace(outcome, completed=False, reason="ended", cause=causes[status])
     if status == 3:
@@ -155,26 +155,31 @@ def test_of_two_the_graver_is_told(pair: tuple[int, int]) -> None:
 
 def test_whatever_is_found_the_gravest_is_told_and_nothing_is_dropped() -> None:
     draw = random.Random(12)
-    kinds = [outcome for outcome in Outcome if outcome.exit_status]
+    kinds = [outcome for outcome in VerdictKind if outcome.exit_status]
     for _ in range(200):
         found = [Finding(draw.choice(kinds), str(number)) for number in range(draw.randint(1, 6))]
         verdict = not_run(found[0].outcome, found[0].text)
         for finding in found[1:]:
             verdict = verdict.also(finding)
-        gravest = min(found, key=lambda finding: list(Outcome).index(finding.outcome))
+        gravest = min(found, key=lambda finding: list(VerdictKind).index(finding.outcome))
         assert verdict.outcome is gravest.outcome
         assert sorted(each.text for each in verdict.findings) == sorted(each.text for each in found)
         assert not verdict.passed
 
 
 def test_an_error_comes_to_what_its_status_says() -> None:
-    for outcome in (Outcome.PEER_FAULT, Outcome.BAD_INPUT, Outcome.INTERRUPTED, Outcome.NOT_RECORDED):
+    for outcome in (
+        VerdictKind.PEER_FAULT,
+        VerdictKind.BAD_INPUT,
+        VerdictKind.INTERRUPTED,
+        VerdictKind.NOT_RECORDED,
+    ):
         assert outcome_of_status(outcome.exit_status) is outcome
-    assert outcome_of_status(70) is outcome_of_status(-9) is Outcome.DEFECT
+    assert outcome_of_status(70) is outcome_of_status(-9) is VerdictKind.DEFECT
 
 
 def test_an_outcome_survives_the_way_to_the_logger() -> None:
-    outcome = replace(WHOLE, cause=Outcome.PEER_FAULT, emergencies=("EMCY",), distrust=("two stamps",))
+    outcome = replace(WHOLE, cause=VerdictKind.PEER_FAULT, emergencies=("EMCY",), distrust=("two stamps",))
     there = RunOutcome.from_json(json.loads(json.dumps(asdict(outcome))))
     assert judge(there, COUNT, KEPT, LIMITS) == judge(outcome, COUNT, KEPT, LIMITS)
     assert there.drives == outcome.drives

@@ -7,7 +7,7 @@ from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bit
 from virtual_bus.bus.disturbance import BusError, Disturbance
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.port import Port
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
@@ -32,7 +32,7 @@ class Bench:
 
     def __init__(self, nodes: int, *, acknowledged: bool = True, bitrate: int = 1_000_000) -> None:
         self.timeline = Timeline()
-        self.segment = Segment(self.timeline, bitrate, acknowledged)
+        self.segment = CanSegment(self.timeline, bitrate, acknowledged)
         self.errors: list[BusError] = []
         self.segment.add_error_monitor(self.errors.append)
         self.nodes = [self._node(chr(ord("a") + number)) for number in range(nodes)]

@@ -12,7 +12,7 @@ from hil.configuration.background import load_background
 from hil.configuration.bench_file import load_bench
 from hil.configuration.config_errors import BadInputs
 from tests.unit.virtual_bus.can_reference import wire_bits
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
@@ -73,7 +73,7 @@ def test_what_a_late_wake_up_cannot_make_good_is_skipped_and_counted() -> None:
 
 def test_the_load_is_that_of_the_frames() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     bits = 0
 
     def count(frame: Frame, _at: Instant) -> None:

@@ -2,10 +2,10 @@
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from tests.unit.virtual_bus.device_bench import RecordingApplication
-from virtual_bus.bus.segment import Segment
-from virtual_bus.device.application import NmtState
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
 from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
@@ -232,7 +232,7 @@ def test_stored_bit_rate_is_that_of_the_next_power_on() -> None:
 
 def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     made = CanopenDevice(5, RecordingApplication(), DeviceOptions(IDENTITY))
     attached = attach_to_segment(made, segment, timeline)
     master = segment.attach("master", lambda _frame, _at: None)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from tests.unit.virtual_bus.device_bench import (
     LEVEL,
     NODE,
@@ -14,7 +15,6 @@ from tests.unit.virtual_bus.device_bench import (
     Bench,
     operational,
 )
-from virtual_bus.device.application import NmtState
 from virtual_bus.frame import Frame
 
 BOOT_UP = Frame(0x700 + NODE, b"\x00")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.errors import BadInput
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.device_bench import (
@@ -16,7 +17,7 @@ from tests.unit.virtual_bus.device_bench import (
     SdoRefused,
     operational,
 )
-from virtual_bus.device.application import CommunicationLoss, NmtState
+from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.parameter_store import FileStore, MemoryStore
 from virtual_bus.device.sdo_abort import AbortCode

@@ -5,7 +5,7 @@ from scipy import stats
 
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.fault_plan import (
@@ -85,7 +85,7 @@ def test_a_replay_disturbs_the_same_attempts() -> None:
 
 def test_a_disturbed_frame_is_repeated_until_it_comes_through() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     got: list[tuple[Frame, Instant]] = []
     sender = segment.attach("drive", lambda frame, at: None)
     segment.attach("host", lambda frame, at: got.append((frame, at)))

@@ -8,7 +8,7 @@ import pytest
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_plan import FaultPlan
@@ -28,7 +28,7 @@ class TappedDrive:
 
     def __init__(self, *faults: NodeFault, drift_ppm: float = 0.0) -> None:
         self.timeline = Timeline()
-        segment = Segment(self.timeline)
+        segment = CanSegment(self.timeline)
         segment.add_monitor(self._see)
         self.master = segment.attach("master", lambda _frame, _at: None)
         self.errors_us: list[tuple[Instant, float]] = []

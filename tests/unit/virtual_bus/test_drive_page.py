@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from tests.unit.virtual_bus.servo_bench import ServoBench
-from virtual_bus.device.data_types import DataType
 from virtual_bus.drive.homing_methods import HOMING_METHODS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulated-drive.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.motors import LING
 from virtual_bus.bus.host_port import HELD_MAX
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -78,7 +78,7 @@ def run(
     """SYNCs at 1 kHz to drives 1 .. ``nodes``, all of them with clocks of 1 us and no offset."""
     plan = faults if isinstance(faults, FaultPlan | RecordedFaults) else FaultPlan(tuple(faults))
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     seen, log = Tapped(), FaultLog()
     injection = Injection(plan, seed, log, error_frames=True)
     host = SimulatedBus("host", segment=segment, receive_own_messages=True)

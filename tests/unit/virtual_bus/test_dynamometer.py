@@ -6,7 +6,7 @@ from drivers.instruments.dynamometer import Dynamometer, DynamometerSettings
 from drivers.instruments.magtrol import dialect
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.motor_file import LING2012
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.instruments.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
@@ -167,7 +167,7 @@ def test_a_bad_line_costs_readings_and_the_same_ones_every_time() -> None:
 
 def test_the_brake_holds_the_shaft_of_a_simulated_drive_like_friction() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     servo = SimulatedServo(1, LING2012.parameters)
     attach_to_segment(servo, segment, timeline)
     timeline.run_until(Instant(NS_PER_MS))

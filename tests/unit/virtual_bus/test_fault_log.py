@@ -18,7 +18,7 @@ from virtual_bus.faults.fault_log import (
     KIND_CODES,
     KINDS,
     NONE,
-    Entry,
+    FaultEntry,
     FaultLog,
     entries_of,
     entry_line,
@@ -86,7 +86,7 @@ def test_a_line_is_read_and_written_the_same(line: str, kind: str) -> None:
 
 
 def test_the_numbers_of_an_entry_stand_where_the_log_says() -> None:
-    assert read_line(ENTRIES[1][0], "f", 1) == Entry(
+    assert read_line(ENTRIES[1][0], "f", 1) == FaultEntry(
         5, 7, 0, 0, 74565 | EXTENDED_FLAG, 2, KIND_CODES["delay"], 0
     )
     assert read_line(ENTRIES[5][0], "f", 1).a == NONE

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.faults.fault_injector import DROPPED, PASSED, Fate, FaultInjector
+from virtual_bus.faults.fault_injector import DROPPED, PASSED, FaultInjector, FrameFate
 from virtual_bus.faults.fault_plan import (
     Blackout,
     BurstLoss,
@@ -40,7 +40,7 @@ def started(*faults: Fault, seed: int = 7) -> FaultInjector:
 
 def fates(
     injector: FaultInjector, count: int, can_id: int = TPDO1, direction: Direction = IN, period: int = MS
-) -> list[Fate]:
+) -> list[FrameFate]:
     return [injector.fate(direction, can_id, Instant(k * period)) for k in range(count)]
 
 
@@ -142,7 +142,7 @@ def test_both_ends_of_a_delay_are_drawn() -> None:
 
 def test_delays_add_up() -> None:
     both = started(uniform(100, 100), uniform(20, 20))
-    assert both.fate(IN, TPDO1, Instant(0)) == Fate(False, Duration(120))
+    assert both.fate(IN, TPDO1, Instant(0)) == FrameFate(False, Duration(120))
 
 
 @settings(derandomize=True, deadline=None)
@@ -219,7 +219,7 @@ def test_a_number_selects_one_cob_id_and_above_7ffh_an_extended_one() -> None:
     assert not injector.fate(IN, 0x12346, Instant(0), extended=True).dropped
 
 
-def interleaved(*faults: Fault) -> dict[tuple[Direction, int], list[Fate]]:
+def interleaved(*faults: Fault) -> dict[tuple[Direction, int], list[FrameFate]]:
     """Fates of three COB-IDs of two nodes, both directions, 500 cycles."""
     injector = started(*faults)
     links = ((OUT, RPDO1), (IN, TPDO1), (IN, TPDO1 + 1))
@@ -328,7 +328,7 @@ def test_fates_do_not_depend_on_the_hash_seed() -> None:
         for hash_seed in ("1", "2")
     }
     assert len(printed) == 1
-    assert "Fate" in printed.pop()
+    assert "FrameFate" in printed.pop()
 
 
 def test_draws_are_those_of_the_recorded_run() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from drivers.timebase import NS_PER_S, Duration, Instant
 from tests.ports import fetched
 from virtual_bus.bus.host_port import HELD_MAX
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_plan import (
@@ -57,7 +57,7 @@ class Rig:
 
     def __init__(self, *faults: Fault, side: Side = "host", outside: bool = False, own: bool = False) -> None:
         self.timeline = Timeline()
-        segment = Segment(self.timeline)
+        segment = CanSegment(self.timeline)
         self.clock = SimulatedClock(self.timeline)
         inner = SimulatedBus(segment=segment, receive_own_messages=own)
         injector = FaultInjector(FaultPlan(faults), 3)

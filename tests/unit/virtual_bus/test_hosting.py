@@ -9,14 +9,15 @@ from typing import ClassVar
 import can
 import pytest
 
+from drivers.canopen.nmt_states import NmtState
 from drivers.errors import BusDown
 from drivers.timebase import Instant
 from drivers.wire.frame_port import FramePort
 from tests.motors import LING
 from tests.unit.virtual_bus.device_bench import LEVEL, NODE, START, RecordingApplication
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.device.application import CommunicationLoss, NmtState
+from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.drive.servo import SimulatedServo
@@ -39,7 +40,7 @@ def loss_of_heartbeat(watcher: CanopenDevice) -> list[tuple[object, object]]:
 
 def test_timers_of_an_attached_device_follow_the_timeline() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     seen: list[tuple[int, int]] = []
     segment.add_monitor(lambda frame, at: seen.append((frame.can_id, at // MS)))
     attach_to_segment(device(heartbeat_ms=10), segment, timeline)
@@ -49,7 +50,7 @@ def test_timers_of_an_attached_device_follow_the_timeline() -> None:
 
 def test_deadline_that_is_put_off_does_not_fire_early() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     master = segment.attach("master", lambda _frame, _at: None)
     node = device()
     attach_to_segment(node, segment, timeline)
@@ -66,7 +67,7 @@ def test_deadline_that_is_put_off_does_not_fire_early() -> None:
 
 def test_two_devices_hear_each_other() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     watcher, watched = device(1), device(2, heartbeat_ms=10)
     attach_to_segment(watcher, segment, timeline)
     plugged = attach_to_segment(watched, segment, timeline)
@@ -80,7 +81,7 @@ def test_two_devices_hear_each_other() -> None:
 
 def test_device_that_is_plugged_in_again_boots_up_anew() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     seen: list[tuple[int, bytes]] = []
     segment.add_monitor(lambda frame, at: seen.append((at // MS, frame.data)))
     node = device(heartbeat_ms=10)
@@ -96,7 +97,7 @@ def test_device_that_is_plugged_in_again_boots_up_anew() -> None:
 
 def test_full_queue_loses_frames_and_counts_them() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     node = device()
     attached = attach_to_segment(node, segment, timeline)
     for _ in range(300):

@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Instant
-from virtual_bus.bus.inbox import Arrival, Inbox
+from virtual_bus.bus.inbox import Inbox, ReceivedFrame
 from virtual_bus.frame import Frame
 
 
-def arrival(number: int) -> Arrival:
-    return Arrival(Frame(number), Instant(number), False)
+def arrival(number: int) -> ReceivedFrame:
+    return ReceivedFrame(Frame(number), Instant(number), False)
 
 
 @settings(derandomize=True, deadline=None)

@@ -10,7 +10,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_log import Entry, FaultLog
+from virtual_bus.faults.fault_log import FaultEntry, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.node_fault_plan import (
     BusOff,
@@ -307,7 +307,7 @@ def test_a_slow_boot_holds_the_boot_up_and_hears_nothing_meanwhile() -> None:
     assert not device.receive(Frame(0x000, b"\x81\x02"), Instant(1500 * MS))
     assert run_to(device, 2000 * MS) == []
     assert log.entries() == [
-        Entry(begin * MS, 300 * MS, 0, 0, 0, n, log.entries()[0].code, 1)
+        FaultEntry(begin * MS, 300 * MS, 0, 0, 0, n, log.entries()[0].code, 1)
         for n, begin in enumerate((0, 500, 900))
     ]
 

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
 from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, TARGET, Bench
-from virtual_bus.device.data_types import BITS, SIGNED, DataType, decode, encode
 from virtual_bus.device.eds_export import export_eds
+from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
@@ -21,7 +22,7 @@ INTEGERS = sorted(set(BITS) - {DataType.REAL32, DataType.REAL64, DataType.BOOLEA
 @given(data=st.data(), data_type=st.sampled_from(INTEGERS))
 @EXAMPLES
 def test_integers_of_every_length(data: st.DataObject, data_type: DataType) -> None:
-    bits, signed = BITS[data_type], data_type in SIGNED
+    bits, signed = BITS[data_type], data_type in SIGNED_BITS
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     value = data.draw(st.integers(low, high))
     raw = encode(data_type, value)

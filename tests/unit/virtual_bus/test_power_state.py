@@ -10,11 +10,11 @@ from drivers.cia402.profile import (
     TRANSITION_OF,
     Control,
     DriveCommand,
-    Event,
+    DriveEvent,
     State,
     command_path,
 )
-from virtual_bus.drive.power_state import Motion, PowerStateMachine
+from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 
 STANDARD_OPTIONS = {
     Object.QUICK_STOP_OPTION: 2,
@@ -30,7 +30,7 @@ def machine_in(state: State, options: dict[Object, int] | None = None) -> PowerS
     machine = PowerStateMachine(lambda index: options[index])
     if state in (State.FAULT, State.FAULT_REACTION):
         walk(machine, State.OPERATION_ENABLED)
-        machine.signal(Event.FAULT_DETECTED)
+        machine.signal(DriveEvent.FAULT_DETECTED)
         if state is State.FAULT:
             machine.rested()
     else:
@@ -73,32 +73,32 @@ def test_every_command_in_every_state_follows_the_table_or_changes_nothing(
 def test_power_on_leads_to_switch_on_disabled_without_torque() -> None:
     machine = PowerStateMachine(lambda index: STANDARD_OPTIONS[index])
     assert machine.state is State.SWITCH_ON_DISABLED
-    assert machine.motion is Motion.OFF
+    assert machine.motion is MotorAction.OFF
 
 
 def test_torque_flows_in_operation_enabled_and_nowhere_before() -> None:
     for state in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON):
-        assert machine_in(state).motion is Motion.OFF
-    assert machine_in(State.OPERATION_ENABLED).motion is Motion.FOLLOW
+        assert machine_in(state).motion is MotorAction.OFF
+    assert machine_in(State.OPERATION_ENABLED).motion is MotorAction.FOLLOW
 
 
 @pytest.mark.parametrize(
     ("code", "motion"),
     [
-        (1, Motion.SLOW_DOWN_RAMP),
-        (2, Motion.QUICK_STOP_RAMP),
-        (3, Motion.CURRENT_LIMIT),
-        (4, Motion.CURRENT_LIMIT),
+        (1, MotorAction.SLOW_DOWN_RAMP),
+        (2, MotorAction.QUICK_STOP_RAMP),
+        (3, MotorAction.CURRENT_LIMIT),
+        (4, MotorAction.CURRENT_LIMIT),
     ],
 )
-def test_quick_stop_rests_then_switches_on_disabled(code: int, motion: Motion) -> None:
+def test_quick_stop_rests_then_switches_on_disabled(code: int, motion: MotorAction) -> None:
     machine = machine_in(State.OPERATION_ENABLED, {Object.QUICK_STOP_OPTION: code})
     machine.receive(CONTROLWORDS[DriveCommand.QUICK_STOP])
     assert (machine.state, machine.motion, machine.stopping) == (State.QUICK_STOP, motion, True)
     machine.receive(CONTROLWORDS[DriveCommand.ENABLE_OPERATION])
     assert machine.state is State.QUICK_STOP, "arrow 16 is closed for 605Ah = 1..4"
     machine.rested()
-    assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, Motion.OFF)
+    assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, MotorAction.OFF)
 
 
 @pytest.mark.parametrize("code", [5, 6, 7, 8])
@@ -109,15 +109,15 @@ def test_quick_stop_that_stays_holds_the_shaft_and_can_resume(code: int) -> None
     assert machine.state is State.QUICK_STOP
     assert machine.at_rest
     assert not machine.stopping
-    assert machine.motion is not Motion.OFF
+    assert machine.motion is not MotorAction.OFF
     machine.receive(CONTROLWORDS[DriveCommand.ENABLE_OPERATION])
-    assert (machine.state, machine.motion) == (State.OPERATION_ENABLED, Motion.FOLLOW)
+    assert (machine.state, machine.motion) == (State.OPERATION_ENABLED, MotorAction.FOLLOW)
 
 
 def test_quick_stop_option_0_switches_off_at_once() -> None:
     machine = machine_in(State.OPERATION_ENABLED, {Object.QUICK_STOP_OPTION: 0})
     machine.receive(CONTROLWORDS[DriveCommand.QUICK_STOP])
-    assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, Motion.OFF)
+    assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, MotorAction.OFF)
 
 
 @pytest.mark.parametrize(
@@ -131,9 +131,9 @@ def test_disabling_by_ramp_waits_for_rest(command: DriveCommand, option: Object,
     machine = machine_in(State.OPERATION_ENABLED, {option: 1})
     for _ in range(3):  # a cyclic master repeats the word
         machine.receive(CONTROLWORDS[command])
-        assert (machine.state, machine.motion) == (State.OPERATION_ENABLED, Motion.SLOW_DOWN_RAMP)
+        assert (machine.state, machine.motion) == (State.OPERATION_ENABLED, MotorAction.SLOW_DOWN_RAMP)
     machine.rested()
-    assert (machine.state, machine.motion) == (target, Motion.OFF)
+    assert (machine.state, machine.motion) == (target, MotorAction.OFF)
 
 
 def test_enable_operation_calls_a_waiting_stop_off() -> None:
@@ -143,7 +143,7 @@ def test_enable_operation_calls_a_waiting_stop_off() -> None:
     machine.receive(CONTROLWORDS[DriveCommand.ENABLE_OPERATION])
     assert (machine.state, machine.motion, machine.stopping) == (
         State.OPERATION_ENABLED,
-        Motion.FOLLOW,
+        MotorAction.FOLLOW,
         False,
     )
 
@@ -153,27 +153,27 @@ def test_disable_voltage_overrides_a_stop_under_way() -> None:
         machine = machine_in(State.OPERATION_ENABLED)
         machine.receive(CONTROLWORDS[command])
         machine.receive(CONTROLWORDS[DriveCommand.DISABLE_VOLTAGE])
-        assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, Motion.OFF)
+        assert (machine.state, machine.motion) == (State.SWITCH_ON_DISABLED, MotorAction.OFF)
 
 
 def test_fault_reaction_runs_to_rest_and_ends_in_fault() -> None:
     machine = machine_in(State.FAULT_REACTION)
-    assert machine.motion is Motion.QUICK_STOP_RAMP
+    assert machine.motion is MotorAction.QUICK_STOP_RAMP
     machine.rested()
-    assert (machine.state, machine.motion) == (State.FAULT, Motion.OFF)
+    assert (machine.state, machine.motion) == (State.FAULT, MotorAction.OFF)
 
 
 def test_a_fault_without_motion_is_a_fault_at_once() -> None:
     for state in (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON):
         machine = machine_in(state)
-        machine.signal(Event.FAULT_DETECTED)
+        machine.signal(DriveEvent.FAULT_DETECTED)
         assert machine.state is State.FAULT
 
 
 def test_fault_reset_acts_on_the_rising_edge_only() -> None:
     machine = machine_in(State.OPERATION_ENABLED)
     machine.receive(Control.FAULT_RESET | CONTROLWORDS[DriveCommand.ENABLE_OPERATION])
-    machine.signal(Event.FAULT_DETECTED)
+    machine.signal(DriveEvent.FAULT_DETECTED)
     machine.rested()
     states = []
     for word in (Control.FAULT_RESET, 0, Control.FAULT_RESET):
@@ -206,13 +206,13 @@ def test_any_sequence_keeps_to_the_table(
     for word in words:
         before = machine.revision, machine.state, machine.motion, machine.at_rest
         if word == -2:
-            machine.signal(Event.FAULT_DETECTED)
+            machine.signal(DriveEvent.FAULT_DETECTED)
         elif word >= 0:
             machine.receive(word)
         elif machine.stopping:
             machine.rested()
         live = machine.state in (State.OPERATION_ENABLED, State.QUICK_STOP, State.FAULT_REACTION)
-        assert live == (machine.motion is not Motion.OFF)
+        assert live == (machine.motion is not MotorAction.OFF)
         assert not machine.at_rest or machine.state is State.QUICK_STOP
         changed = before[1:] != (machine.state, machine.motion, machine.at_rest)
         assert not changed or machine.revision != before[0]

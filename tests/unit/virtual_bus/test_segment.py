@@ -13,7 +13,7 @@ from tests.unit.virtual_bus.can_reference import random_frame, unstuffed_fields
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
 from virtual_bus.bus.listener import OnFrame, listener_of
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
 
@@ -34,7 +34,7 @@ def sender_of(send: Callable[[Frame], None], frame: Frame) -> Callable[[Instant]
 def run(submissions: list[Submission], ports: int, bitrate: int = 1_000_000) -> list[tuple[int, Frame]]:
     """Every frame with its end of frame, as a monitor sees them."""
     timeline = Timeline()
-    segment = Segment(timeline, bitrate)
+    segment = CanSegment(timeline, bitrate)
     attached = [segment.attach(f"port{number}", ignore) for number in range(ports)]
     seen: list[tuple[int, Frame]] = []
     segment.add_monitor(lambda frame, at: seen.append((at, frame)))
@@ -141,7 +141,7 @@ def test_port_keeps_its_own_order() -> None:
 
 def test_every_port_but_the_sender_gets_the_frame_at_its_end() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     seen: list[tuple[str, Frame, int]] = []
 
     def note(name: str) -> OnFrame:
@@ -158,7 +158,7 @@ def test_every_port_but_the_sender_gets_the_frame_at_its_end() -> None:
 
 def test_answers_sent_on_delivery_are_arbitrated_after_the_intermission() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     order: list[int] = []
     for node in (3, 1, 2):
         port = segment.attach(f"node{node}", ignore)
@@ -178,7 +178,7 @@ def test_answers_sent_on_delivery_are_arbitrated_after_the_intermission() -> Non
 
 def test_full_queue_refuses_one_frame_more_and_loses_none() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     port = segment.attach("babbler", ignore)
     for _ in range(TRANSMIT_QUEUE_MAX):
         port.send(Frame(0x100))
@@ -190,7 +190,7 @@ def test_full_queue_refuses_one_frame_more_and_loses_none() -> None:
 
 def test_detached_port_sends_what_it_has_and_hears_nothing() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     heard: list[Frame] = []
     sent: list[Frame] = []
     leaving = segment.attach("leaving", lambda frame, _at: heard.append(frame))
@@ -210,7 +210,7 @@ def test_detached_port_sends_what_it_has_and_hears_nothing() -> None:
 
 def test_monitor_sees_every_frame_until_it_is_removed() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     seen: list[Frame] = []
     remove = segment.add_monitor(lambda frame, _at: seen.append(frame))
     port = segment.attach("port", ignore)
@@ -224,7 +224,7 @@ def test_monitor_sees_every_frame_until_it_is_removed() -> None:
 
 def test_failing_callback_does_not_stop_the_bus() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
 
     def fail(_frame: Frame, _at: Instant) -> None:
         raise ZeroDivisionError
@@ -244,7 +244,7 @@ def test_failing_callback_does_not_stop_the_bus() -> None:
 def test_load_of_a_periodic_bus_is_its_closed_form(bitrate: int) -> None:
     """n frames of b bits and 3 bits of intermission each period: n (b + 3) / (bitrate * period)."""
     timeline = Timeline()
-    segment = Segment(timeline, bitrate)
+    segment = CanSegment(timeline, bitrate)
     port = segment.attach("port", ignore)
     frames = [Frame(0x080), Frame(0x181, b"\x12\x34\x56\x78\x9a\xbc\xde\xf0"), Frame(0x201, b"\x55")]
     period_ns, periods = 10_000_000, 200
@@ -263,7 +263,7 @@ def test_load_of_a_periodic_bus_is_its_closed_form(bitrate: int) -> None:
 
 def test_saturated_bus_has_full_load_and_an_empty_interval_none() -> None:
     timeline = Timeline()
-    segment = Segment(timeline)
+    segment = CanSegment(timeline)
     port = segment.attach("port", ignore)
 
     def refill(_frame: Frame, _at: Instant) -> None:
@@ -278,4 +278,4 @@ def test_saturated_bus_has_full_load_and_an_empty_interval_none() -> None:
 
 def test_bit_rate_must_be_positive() -> None:
     with pytest.raises(ValueError, match="bitrate 0"):
-        Segment(Timeline(), 0)
+        CanSegment(Timeline(), 0)

@@ -11,7 +11,7 @@ from tests.unit.virtual_bus.can_reference import wire_bits
 from virtual_bus.bus.cyclic_task import TimelineCyclicTask
 from virtual_bus.bus.host_port import RECEIVE_QUEUE_MAX
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
@@ -43,7 +43,7 @@ def test_is_found_by_its_name_and_makes_its_own_segment() -> None:
 
 
 def test_shares_a_given_segment() -> None:
-    segment = Segment(Timeline())
+    segment = CanSegment(Timeline())
     with can.Bus(interface="simulated", segment=segment, ignore_config=True) as bus:
         assert isinstance(bus, SimulatedBus)
         assert bus.segment is segment

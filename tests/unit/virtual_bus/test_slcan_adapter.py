@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.timebase import NS_PER_MS, Instant
-from drivers.wire.slcan_protocol import BITRATE_CODES, Status
+from drivers.wire.slcan_protocol import BITRATE_CODES, SlcanStatus
 from virtual_bus.frame import Frame
 from virtual_bus.instruments.slcan.acceptance import AcceptanceFilter
 from virtual_bus.instruments.slcan.adapter import POLLED_FRAMES_MAX, SlcanAdapter
@@ -19,7 +19,7 @@ class Controller:
         self.opened: tuple[int, bool] | None = None
         self.sent: list[Frame] = []
         self.room = True
-        self.own_flags = Status(0)
+        self.own_flags = SlcanStatus(0)
 
     def open(self, bitrate_bit_s: int, listen_only: bool) -> None:
         self.opened = bitrate_bit_s, listen_only
@@ -32,7 +32,7 @@ class Controller:
             self.sent.append(frame)
         return self.room
 
-    def flags(self) -> Status:
+    def flags(self) -> SlcanStatus:
         return self.own_flags
 
 
@@ -120,7 +120,7 @@ def test_full_queue_is_refused_and_told_once(adapter: SlcanAdapter, controller: 
     assert ask(adapter, b"t1000") == b"\a"
     assert ask(adapter, b"F") == b"F02\r"
     assert ask(adapter, b"F") == b"F00\r"
-    controller.own_flags = Status.BUS_ERROR
+    controller.own_flags = SlcanStatus.BUS_ERROR
     assert ask(adapter, b"F") == b"F80\r"
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 from drivers.timebase import Duration, Instant
 from drivers.wire.message import message_of
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, TPDO1, fates, started, uniform
-from virtual_bus.bus.segment import Segment
+from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fault_injector import DROPPED, PASSED, FaultInjector
 from virtual_bus.faults.fault_plan import (
@@ -183,7 +183,7 @@ class TwoEnds:
 
     def __init__(self, *faults: Fault) -> None:
         timeline = Timeline()
-        segment = Segment(timeline)
+        segment = CanSegment(timeline)
         clock = SimulatedClock(timeline)
         self.peer = SimulatedBus("peer", segment=segment)
         self.host = FaultyBus(SimulatedBus("host", segment=segment), started(*faults), clock, "host")

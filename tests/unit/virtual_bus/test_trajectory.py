@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from virtual_bus.drive.trajectory import MoveLimits, Profile, plan_move, plan_speed, plan_stop
+from virtual_bus.drive.trajectory import MoveLimits, Trajectory, plan_move, plan_speed, plan_stop
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=300)
 POSITIONS = st.floats(-1e6, 1e6)
@@ -15,7 +15,7 @@ RATES = st.floats(0.1, 1e4)
 SPEEDS = st.floats(-1e3, 1e3)
 
 
-def samples(profile: Profile, pieces: int = 400) -> list[tuple[float, float, float]]:
+def samples(profile: Trajectory, pieces: int = 400) -> list[tuple[float, float, float]]:
     """Time, position and speed, evenly over the profile."""
     times = [profile.duration_s * k / pieces for k in range(pieces + 1)]
     return [(t, motion.position, motion.speed) for t in times for motion in (profile.at(t),)]

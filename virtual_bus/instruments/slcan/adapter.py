@@ -23,7 +23,7 @@ from drivers.wire.slcan_protocol import (
     CR,
     STAMP_PERIOD_MS,
     LineSplitter,
-    Status,
+    SlcanStatus,
     decode_frame,
     encode_frame,
 )
@@ -53,7 +53,7 @@ class CanSide(Protocol):
         """Queue a frame; False if there is no room."""
         ...
 
-    def flags(self) -> Status:
+    def flags(self) -> SlcanStatus:
         """What has happened since the last call."""
         ...
 
@@ -72,7 +72,7 @@ class SlcanAdapter:
         self._can = can_side
         self._refuse = refuse
         self._lines = LineSplitter()
-        self._flags = Status(0)
+        self._flags = SlcanStatus(0)
         self._filter = AcceptanceFilter()
         self._stamped = False
         self._auto_poll = True
@@ -108,12 +108,12 @@ class SlcanAdapter:
         if self._auto_poll:
             return line
         if len(self._polled) >= POLLED_FRAMES_MAX:
-            self._flags |= Status.RECEIVE_FIFO_FULL
+            self._flags |= SlcanStatus.RECEIVE_FIFO_FULL
         else:
             self._polled.append(line)
         return None
 
-    def raise_flags(self, flags: Status) -> None:
+    def raise_flags(self, flags: SlcanStatus) -> None:
         """Something happened that the next status is to tell."""
         self._flags |= flags
 
@@ -148,7 +148,7 @@ class SlcanAdapter:
         if self.is_open or self.bitrate_bit_s is None or len(text) != 1:
             return None
         self.is_open, self.listen_only = True, listen_only
-        self._flags = Status(0)
+        self._flags = SlcanStatus(0)
         self._polled.clear()
         self._can.open(self.bitrate_bit_s, listen_only)
         return b""
@@ -163,7 +163,7 @@ class SlcanAdapter:
     def _tell_status(self, text: bytes) -> bytes | None:
         if not self.is_open or len(text) != 1:
             return None
-        flags, self._flags = self._flags | self._can.flags(), Status(0)
+        flags, self._flags = self._flags | self._can.flags(), SlcanStatus(0)
         return b"F%02X" % flags
 
     def _poll(self, text: bytes, at_most: int) -> bytes | None:
@@ -214,7 +214,7 @@ class SlcanAdapter:
         if not self.is_open or self.listen_only or frame is None:
             return None
         if self._refuse() or not self._can.send(frame):
-            self._flags |= Status.TRANSMIT_FIFO_FULL
+            self._flags |= SlcanStatus.TRANSMIT_FIFO_FULL
             return None
         self.frames_sent += 1
         if not self._auto_poll:

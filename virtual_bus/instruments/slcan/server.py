@@ -10,7 +10,7 @@ from drivers.errors import BusDown
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
 from drivers.wire.adapters import BusSpec, open_bus
 from drivers.wire.message import frame_of, message_of
-from drivers.wire.slcan_protocol import Status
+from drivers.wire.slcan_protocol import SlcanStatus
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
 from virtual_bus.instruments.serial_line.device_line import DeviceLine
@@ -23,7 +23,7 @@ TRANSMIT_FIFO = 64
 POLL_NS = 50 * NS_PER_MS
 """Longest wait, so that ``stop`` is noticed."""
 _FRAMES_A_TURN = 256
-NO_FLAGS = Status(0)
+NO_FLAGS = SlcanStatus(0)
 
 
 class BusCan:
@@ -33,7 +33,7 @@ class BusCan:
     frame is acknowledged; that it sends nothing is seen to by the adapter's firmware.
     """
 
-    def __init__(self, bus: can.BusABC, bitrate_bit_s: int, told: Status = NO_FLAGS) -> None:
+    def __init__(self, bus: can.BusABC, bitrate_bit_s: int, told: SlcanStatus = NO_FLAGS) -> None:
         """``bitrate_bit_s``: at which the bus runs. ``told``: flags that are always up."""
         self._told = told
         self.right_rate = True
@@ -42,12 +42,12 @@ class BusCan:
         self._bitrate_bit_s = bitrate_bit_s
         self._counts_sent = isinstance(bus, HubBus)
         self._under_way = 0
-        self._flags = Status(0)
+        self._flags = SlcanStatus(0)
 
     def open(self, bitrate_bit_s: int, listen_only: bool) -> None:  # noqa: ARG002
         self.right_rate = bitrate_bit_s == self._bitrate_bit_s
         self._under_way = 0
-        self._flags = Status(0)
+        self._flags = SlcanStatus(0)
 
     def close(self) -> None:
         self._under_way = 0
@@ -58,7 +58,7 @@ class BusCan:
         if not self.right_rate:
             # No frame of another rate ever ends well; after 16 attempts the controller is error passive.
             self._under_way += 1
-            self._flags |= Status.BUS_ERROR | Status.ERROR_WARNING | Status.ERROR_PASSIVE
+            self._flags |= SlcanStatus.BUS_ERROR | SlcanStatus.ERROR_WARNING | SlcanStatus.ERROR_PASSIVE
             return True
         try:
             self._bus.send(message_of(frame, Instant(0)))
@@ -71,8 +71,8 @@ class BusCan:
         """A frame of its own has ended on the bus."""
         self._under_way = max(0, self._under_way - 1)
 
-    def flags(self) -> Status:
-        flags, self._flags = self._flags | self._told, Status(0)
+    def flags(self) -> SlcanStatus:
+        flags, self._flags = self._flags | self._told, SlcanStatus(0)
         return flags
 
 
@@ -91,7 +91,7 @@ class AdapterServer:
         faults = faults or LineFaults()
         self.line = DeviceLine(terminal, faults, seed)
         self._bus = bus
-        self._can = BusCan(bus, bitrate_bit_s, Status(faults.status))
+        self._can = BusCan(bus, bitrate_bit_s, SlcanStatus(faults.status))
         self._clock = clock
         self._terminal = terminal
         self.adapter = SlcanAdapter(self._can, lambda: self.line.spoiler.strikes("refuse"))
@@ -120,13 +120,13 @@ class AdapterServer:
 
     def _hear(self, message: can.Message, now: Instant) -> None:
         if message.is_error_frame or (self.adapter.is_open and not self._can.right_rate):
-            self.adapter.raise_flags(Status.BUS_ERROR)
+            self.adapter.raise_flags(SlcanStatus.BUS_ERROR)
         elif not message.is_rx and isinstance(self._bus, HubBus):
             self._can.sent()
         elif not message.is_fd:
             line = self.adapter.hear(frame_of(message), now)
             if line is not None and not self.line.send(line, now):
-                self.adapter.raise_flags(Status.RECEIVE_FIFO_FULL)
+                self.adapter.raise_flags(SlcanStatus.RECEIVE_FIFO_FULL)
 
     def _wait(self, now: Instant) -> None:
         due = self.line.due_at()

@@ -1,0 +1,51 @@
+"""Options that several commands have, each declared once; what a function takes differs by command."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def bus_option(text: str) -> Any:
+    """``--bus``; ``text``: which buses."""
+    return typer.Option("--bus", metavar="SPEC", help=text)
+
+
+def bitrate_option(text: str) -> Any:
+    """``--bitrate``, bit/s."""
+    return typer.Option("--bitrate", min=10_000, help=text)
+
+
+def seed_option(text: str, most: int | None = 2**63 - 1) -> Any:
+    """``--seed``; ``text``: of what."""
+    return typer.Option("--seed", min=0, max=most, help=text)
+
+
+def faults_option(side: str) -> Any:
+    """``--faults``; ``side``: whose side of the bus they strike at."""
+    return typer.Option("--faults", metavar="FAULTS.toml", help=f"Fault plan, at the {side}'s side.")
+
+
+def gamma_option(least: float) -> Any:
+    """``--gamma`` of an H-infinity design."""
+    return typer.Option("--gamma", min=least, help="The norm to stay below.")
+
+
+def controller_out_option(metavar: str) -> Any:
+    """``--out`` of a design."""
+    return typer.Option("--out", metavar=metavar, help="The controller, for a bench file.")
+
+
+EVERY_STREAM = seed_option("Seed of every random stream.")
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
+]
+DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
+DriveNodeOption = Annotated[
+    int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")
+]
+BitrateOption = Annotated[int, bitrate_option("Bit rate of the bus, bit/s.")]
+SeedOption = Annotated[int | None, EVERY_STREAM]
+DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
+ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
