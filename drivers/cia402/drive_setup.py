@@ -27,7 +27,7 @@ from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, RAD_S_PER_RPM, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from drivers.vendors.quirks import quirks_for
+from drivers.vendors.families import quirks_for
 
 DEVICE_TYPE = 0x1000
 COMMUNICATION_CYCLE_PERIOD = 0x1006

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import RAD_PER_REVOLUTION, RAD_S_PER_RPM, ScaleOverride
-from drivers.vendors.quirks import Quirk
+from drivers.vendors.families import Quirk
 
 Values = dict[tuple[int, int], int | None]
 
