@@ -1,6 +1,6 @@
 """Error codes of EMCY and of 0x603F in words: CiA 301 table 26, CiA 402-1 (error codes), makers' tables."""
 
-from drivers.vendors.faults import codes_of
+from drivers.vendors.families import codes_of
 
 _PHASES = {1: "L1", 2: "L2", 3: "L3"}
 _WINDINGS = {1: "U", 2: "V", 3: "W"}

@@ -28,7 +28,7 @@ from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scali
 from drivers.errors import PeerFault, TransferAborted
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
-from drivers.vendors.quirks import quirks_for
+from drivers.vendors.families import quirks_for
 
 DEVICE_TYPE = 0x1000
 COMMUNICATION_CYCLE_PERIOD = 0x1006

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import ScaleOverride
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
-from drivers.vendors.quirks import Quirk
+from drivers.vendors.families import Quirk
 
 Values = dict[tuple[int, int], int | None]
 

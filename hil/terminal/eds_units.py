@@ -8,7 +8,7 @@ from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scali
 from drivers.errors import PeerFault
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.fitness import Fitness, held
-from drivers.vendors.quirks import quirks_for
+from drivers.vendors.families import quirks_for
 
 
 class UnitLine(NamedTuple):

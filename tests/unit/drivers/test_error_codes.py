@@ -12,7 +12,7 @@ from drivers.canopen.error_codes import (
 from drivers.canopen.nmt import Emergency
 from drivers.errors import BadInput
 from drivers.timebase import Instant
-from drivers.vendors.faults import read_vendor_codes, vendor_tables
+from drivers.vendors.families import known_families, read_family
 
 MAXON = 0xFB
 
@@ -65,25 +65,23 @@ def test_a_vendors_words_go_first(code: int, text: str) -> None:
     assert fault_text(code, MAXON, "EPOS2") == error_text(code)
 
 
-def test_every_table_has_a_source_and_codes() -> None:
-    tables = vendor_tables()
-    assert tables
-    for table in tables:
-        assert len(table.source) > 40
-        assert table.texts or table.numbers
+def test_every_code_of_a_maker_has_a_source() -> None:
+    families = [family for family in known_families() if family.texts or family.numbers]
+    assert len(families) >= 3
+    assert all(len(family.source) > 40 for family in families)
 
 
 @pytest.mark.parametrize(
     ("text", "key"),
     [
-        ("source = 'x'", "vendor"),
-        ("vendor = 1", "source"),
+        ("source = 'x'\n[codes]\n7380 = 'a'", "vendor"),
+        ("vendor = 1\n[codes]\n7380 = 'a'", "source"),
         ("vendor = 1\nsource = 'x'\n[codes]\nxyz = 'a'", "codes.xyz"),
     ],
 )
 def test_bad_tables_are_named(text: str, key: str) -> None:
     with pytest.raises(BadInput) as caught:
-        read_vendor_codes(text, "bad.toml")
+        read_family(text, "bad.toml")
     assert caught.value.key == key
 
 

@@ -10,13 +10,7 @@ from drivers.cia402.drive_setup import read_scaling
 from drivers.cia402.quirky_units import Applied, apply_quirks
 from drivers.cia402.scaling import ScaleOverride, scaling_from
 from drivers.errors import BadInput
-from drivers.vendors.quirks import (
-    Quirk,
-    QuirkFile,
-    known_quirks,
-    quirks_for,
-    read_quirks,
-)
+from drivers.vendors.families import Family, Quirk, known_families, quirks_for, read_family
 from tests.unit.drivers.fake_bus import FakeServo, make_network
 
 MAXON, TECHNOSOFT, NANOTEC = 0xFB, 0x1A3, 0x26C
@@ -31,11 +25,9 @@ def applied(
 
 
 def test_every_entry_has_a_source() -> None:
-    known = known_quirks()
-    assert {file.vendor for file in known} >= {MAXON, TECHNOSOFT, NANOTEC}
-    for file in known:
-        assert file.entries
-        assert all(len(entry.source) > 40 for entry in file.entries)
+    known = [family for family in known_families() if family.quirks]
+    assert {family.vendor for family in known} >= {MAXON, TECHNOSOFT, NANOTEC}
+    assert all(len(quirk.source) > 40 for family in known for quirk in family.quirks)
 
 
 def test_epos4_has_its_rated_torque_in_micro_newton_metres_and_its_resolution_elsewhere() -> None:
@@ -83,7 +75,13 @@ def test_notes_are_passed_on() -> None:
 def test_a_family_is_known_by_vendor_product_and_name(
     vendor: int, product: int, name: str, fits: bool
 ) -> None:
-    family = QuirkFile("x.toml", 7, frozenset({1, 2}), "Drive", (Quirk(source="here"),))
+    family = Family(
+        name="x.toml",
+        vendor=7,
+        products=frozenset({1, 2}),
+        device_name="Drive",
+        quirks=(Quirk(source="here"),),
+    )
     assert bool(quirks_for(vendor, product, name, [family])) == fits
 
 
@@ -98,7 +96,7 @@ def test_a_family_is_known_by_vendor_product_and_name(
 )
 def test_bad_files_are_named(text: str, key: str) -> None:
     with pytest.raises(BadInput) as caught:
-        read_quirks(text, "bad.toml")
+        read_family(text, "bad.toml")
     assert caught.value.key == key
 
 

@@ -1,0 +1,146 @@
+"""What is known of families of drives beside their objects and the standard, each fact with its source.
+
+One TOML file a family: ``vendor`` (1018h:1), optionally ``products`` (1018h:2) and ``device_name`` (how 1008h
+begins). ``[codes]`` has the maker's texts for error codes or ranges of them, ``[numbers]`` what it puts into
+the upper octet of 1003h, both from the file's ``source``. An ``[[entry]]`` tells where an object means
+something else than CiA 402 says, with a ``source`` of its own; what the user says goes first.
+"""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from drivers.errors import BadInput
+
+_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quirk:
+    """One entry; None for what it leaves to the drive's objects."""
+
+    source: str
+    rated_torque_nm: float | None = None
+    """N m of one unit of 6076h."""
+    increments_index: int | None = None
+    """Object that holds the encoder's increments per motor turn, for want of 608Fh."""
+    increments_sub: int = 0
+    position_increments: float | None = None
+    """Encoder increments of one raw position unit."""
+    velocity_increments_s: float | None = None
+    """Encoder increments per second of one raw velocity unit, for want of 60A9h."""
+    velocity_rpm: float | None = None
+    """Revolutions per minute of one raw velocity unit, for want of 60A9h."""
+    note: str = ""
+    """What the user has to know."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """What is known of one family of drives."""
+
+    name: str
+    """Of its file."""
+    vendor: int
+    products: frozenset[int] = frozenset()
+    device_name: str = ""
+    source: str = ""
+    """Of codes and numbers."""
+    texts: Mapping[range, str] = field(default_factory=dict)
+    numbers: Mapping[int, str] = field(default_factory=dict)
+    """Bits 24 to 31 of an entry of 0x1003, for makers that tell the cause there."""
+    quirks: tuple[Quirk, ...] = ()
+
+    def text(self, code: int) -> str | None:
+        """The maker's text; None for a code that it does not tell of."""
+        return next((text for codes, text in self.texts.items() if code in codes), None)
+
+    def fits(self, vendor: int, product: int, device_name: str) -> bool:
+        """The drive is one of the family; a drive that does not tell its name may be."""
+        if vendor != self.vendor or (self.products and product not in self.products):
+            return False
+        return not device_name or self.is_named_by(device_name)
+
+    def is_named_by(self, device_name: str) -> bool:
+        """A drive of this name is one of its maker's family."""
+        return device_name.upper().startswith(self.device_name.upper())
+
+
+@cache
+def known_families() -> tuple[Family, ...]:
+    """All files of this folder, by name."""
+    found = sorted(files(__package__).iterdir(), key=lambda path: path.name)
+    return tuple(
+        read_family(path.read_text(encoding="utf-8"), path.name)
+        for path in found
+        if path.name.endswith(".toml")
+    )
+
+
+def read_family(text: str, name: str) -> Family:
+    """A file's content. Raises BadInput for a key that is not known, and for a fact without a source."""
+    tables = tomllib.loads(text)
+    if unknown := sorted(set(tables) - _KEYS):
+        raise BadInput(name, unknown[0], tables[unknown[0]], f"one of {', '.join(sorted(_KEYS))}")
+    if not isinstance(tables.get("vendor"), int):
+        raise BadInput(name, "vendor", tables.get("vendor"), "the vendor-ID of 1018h:1")
+    source = _one_line(tables.get("source"))
+    if not source and ("codes" in tables or "numbers" in tables):
+        raise BadInput(name, "source", tables.get("source"), "where the codes stand")
+    return Family(
+        name=name,
+        vendor=tables["vendor"],
+        products=frozenset(tables.get("products", ())),
+        device_name=str(tables.get("device_name", "")),
+        source=source,
+        texts={_codes(key, name): str(value) for key, value in tables.get("codes", {}).items()},
+        numbers={int(key): str(value) for key, value in tables.get("numbers", {}).items()},
+        quirks=tuple(_quirk(entry, name, number) for number, entry in enumerate(tables.get("entry", ()))),
+    )
+
+
+def _codes(key: str, name: str) -> range:
+    """``7380`` or ``6180-61F0``, hexadecimal."""
+    first, _, last = key.partition("-")
+    try:
+        return range(int(first, 16), int(last or first, 16) + 1)
+    except ValueError:
+        raise BadInput(name, f"codes.{key}", key, "a hexadecimal code, or two with - between") from None
+
+
+def _quirk(table: Mapping[str, Any], name: str, number: int) -> Quirk:
+    known = set(Quirk.__dataclass_fields__)
+    for key in table:
+        if key not in known:
+            raise BadInput(name, f"entry.{number}.{key}", table[key], f"one of {', '.join(sorted(known))}")
+    source = _one_line(table.get("source"))
+    if not source:
+        raise BadInput(name, f"entry.{number}.source", table.get("source"), "where the fact stands")
+    return Quirk(**{**table, "source": source})
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text or "").split())
+
+
+def codes_of(vendor: int, device_name: str) -> list[Family]:
+    """The families that a drive of this name is one of: their codes say nothing of others."""
+    return [
+        family for family in known_families() if family.vendor == vendor and family.is_named_by(device_name)
+    ]
+
+
+def quirks_for(
+    vendor: int, product: int, device_name: str, known: Iterable[Family] | None = None
+) -> tuple[tuple[str, Quirk], ...]:
+    """File and entry of everything that is known of a drive."""
+    every = known_families() if known is None else known
+    return tuple(
+        (family.name, quirk)
+        for family in every
+        if family.fits(vendor, product, device_name)
+        for quirk in family.quirks
+    )
