@@ -26,7 +26,7 @@ from hil.commissioning.plots import draw_current, draw_mechanics
 from hil.commissioning.session import Session, held_s
 from hil.commissioning.step import Step
 from hil.loop.scenario import Ramp, Segment
-from hil.loop.scenario import Step as SpeedStep
+from hil.loop.scenario import SpeedStep
 
 _SPEED_SHARE: Final = 0.9
 _TORQUE_SHARE: Final = 0.6

@@ -19,7 +19,7 @@ from hil.configuration.toml_text import toml_text
 NETWORK_FILE = "network.toml"
 
 
-class Delays(Section):
+class DelayFigures(Section):
     """A distribution of delays, us."""
 
     p50: float = Field(ge=0)
@@ -96,13 +96,13 @@ class Network(Section):
     loss_percent: float = Field(default=0.0, ge=0, le=100)
     losses_in_a_row: Annotated[tuple[int, ...], Field(strict=False)] = ()
     """How often exactly 1, 2, ... readings were missing in a row."""
-    reading_delay_us: Delays | None = None
+    reading_delay_us: DelayFigures | None = None
     """From sample to host, of every reading that came."""
-    action_delay_us: Delays | None = None
+    action_delay_us: DelayFigures | None = None
     """From sample to the actuation that can first rest on it: the most that it may be."""
-    action_delay_least_us: Delays | None = None
+    action_delay_least_us: DelayFigures | None = None
     """The least that it may be."""
-    command_delay_us: Delays | None = None
+    command_delay_us: DelayFigures | None = None
     """From handing a command over until its end on the bus, by its echo."""
     commands_acting: int = Field(default=0, ge=0)
     """Commands that the drive was seen to follow."""

@@ -28,7 +28,7 @@ from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, Step
+from hil.loop.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, SpeedStep
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
@@ -119,7 +119,7 @@ def speed_profile(segments: tuple[Reference, ...]) -> SpeedProfile:
 
 def _segment(segment: Reference) -> Segment:
     if isinstance(segment, StepReference):
-        return Step(segment.at_s, segment.speed_rad_s)
+        return SpeedStep(segment.at_s, segment.speed_rad_s)
     if isinstance(segment, RampReference):
         return Ramp(segment.at_s, segment.speed_rad_s, segment.over_s)
     return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)

@@ -21,7 +21,7 @@ class Segment(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SpeedStep:
     """Jump to a speed and stay."""
 
     at_s: float

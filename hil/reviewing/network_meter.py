@@ -13,7 +13,7 @@ from hil.configuration.network_file import (
     NETWORK_FILE,
     ClockHealth,
     DelayHistogram,
-    Delays,
+    DelayFigures,
     Network,
     network_text,
 )
@@ -208,14 +208,14 @@ def clocks_of(summary: Summary) -> dict[str, ClockHealth]:
     return clocks
 
 
-def delays_of(times: TimeHistogram) -> Delays | None:
+def delays_of(times: TimeHistogram) -> DelayFigures | None:
     """Quantiles, us; None of no times."""
     quantiles = [times.quantile_ns(share) for share in (0.5, 0.99, 0.999)]
     p50, p99, p999 = (None if value is None else value / NS_PER_US for value in quantiles)
     largest = times.largest_ns
     if p50 is None or p99 is None or p999 is None or largest is None:
         return None
-    return Delays(p50=p50, p99=p99, p999=p999, max=largest / NS_PER_US)
+    return DelayFigures(p50=p50, p99=p99, p999=p999, max=largest / NS_PER_US)
 
 
 def histogram_of(times: TimeHistogram) -> DelayHistogram | None:

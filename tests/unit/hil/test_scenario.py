@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.loop.scenario import LoadProfile, Ramp, Sine, SpeedProfile, Step, sine_of_turns
+from hil.loop.scenario import LoadProfile, Ramp, Sine, SpeedProfile, SpeedStep, sine_of_turns
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:
     assert SpeedProfile([]).value(3.0) == 0.0
-    assert SpeedProfile([Step(1.0, 5.0)]).value(0.999) == 0.0
+    assert SpeedProfile([SpeedStep(1.0, 5.0)]).value(0.999) == 0.0
 
 
 def test_segments_follow_each_other_in_time_whatever_their_order() -> None:
-    profile = SpeedProfile([Ramp(2.0, 20.0, 1.0), Step(1.0, 10.0), Sine(4.0, 3.0, 0.5)])
+    profile = SpeedProfile([Ramp(2.0, 20.0, 1.0), SpeedStep(1.0, 10.0), Sine(4.0, 3.0, 0.5)])
     assert profile.value(1.0) == 10.0
     assert profile.value(2.25) == pytest.approx(12.5)
     assert profile.value(3.5) == 20.0
