@@ -39,7 +39,7 @@ class Quirk:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Family:
+class DriveFamily:
     """What is known of one family of drives."""
 
     name: str
@@ -70,7 +70,7 @@ class Family:
 
 
 @cache
-def known_families() -> tuple[Family, ...]:
+def known_families() -> tuple[DriveFamily, ...]:
     """All files of this folder, by name."""
     found = sorted(files(__package__).iterdir(), key=lambda path: path.name)
     return tuple(
@@ -80,7 +80,7 @@ def known_families() -> tuple[Family, ...]:
     )
 
 
-def read_family(text: str, name: str) -> Family:
+def read_family(text: str, name: str) -> DriveFamily:
     """A file's content. Raises BadInput for a key that is not known, and for a fact without a source."""
     tables = tomllib.loads(text)
     if unknown := sorted(set(tables) - _KEYS):
@@ -90,7 +90,7 @@ def read_family(text: str, name: str) -> Family:
     source = _one_line(tables.get("source"))
     if not source and ("codes" in tables or "numbers" in tables):
         raise BadInput(name, "source", tables.get("source"), "where the codes stand")
-    return Family(
+    return DriveFamily(
         name=name,
         vendor=tables["vendor"],
         products=frozenset(tables.get("products", ())),
@@ -126,7 +126,7 @@ def _one_line(text: object) -> str:
     return " ".join(str(text or "").split())
 
 
-def codes_of(vendor: int, device_name: str) -> list[Family]:
+def codes_of(vendor: int, device_name: str) -> list[DriveFamily]:
     """The families that a drive of this name is one of: their codes say nothing of others."""
     return [
         family for family in known_families() if family.vendor == vendor and family.is_named_by(device_name)
@@ -134,7 +134,7 @@ def codes_of(vendor: int, device_name: str) -> list[Family]:
 
 
 def quirks_for(
-    vendor: int, product: int, device_name: str, known: Iterable[Family] | None = None
+    vendor: int, product: int, device_name: str, known: Iterable[DriveFamily] | None = None
 ) -> tuple[tuple[str, Quirk], ...]:
     """File and entry of everything that is known of a drive."""
     every = known_families() if known is None else known

@@ -18,8 +18,7 @@ from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
 from hil.commissioning.session import Session
 from hil.commissioning.step import Step
-from hil.configuration.network_file import DelayFigures
-from hil.configuration.network_file import Network
+from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
 
 Array = NDArray[np.float64]

@@ -25,8 +25,7 @@ from hil.commissioning.outcome import Outcome, StepFailed
 from hil.commissioning.plots import draw_current, draw_mechanics
 from hil.commissioning.session import Session, held_s
 from hil.commissioning.step import Step
-from hil.loop.scenario import Ramp, Segment
-from hil.loop.scenario import SpeedStep
+from hil.loop.scenario import Ramp, Segment, SpeedStep
 
 _SPEED_SHARE: Final = 0.9
 _TORQUE_SHARE: Final = 0.6

@@ -12,8 +12,8 @@ from drivers.timebase import NS_PER_US
 from hil.configuration.network_file import (
     NETWORK_FILE,
     ClockHealth,
-    DelayHistogram,
     DelayFigures,
+    DelayHistogram,
     Network,
     network_text,
 )

@@ -10,7 +10,7 @@ from drivers.cia402.drive_setup import read_scaling
 from drivers.cia402.quirky_units import Applied, apply_quirks
 from drivers.cia402.scaling import ScaleOverride, scaling_from
 from drivers.errors import BadInput
-from drivers.vendors.families import Family, Quirk, known_families, quirks_for, read_family
+from drivers.vendors.families import DriveFamily, Quirk, known_families, quirks_for, read_family
 from tests.unit.drivers.fake_bus import FakeServo, make_network
 
 MAXON, TECHNOSOFT, NANOTEC = 0xFB, 0x1A3, 0x26C
@@ -75,7 +75,7 @@ def test_notes_are_passed_on() -> None:
 def test_a_family_is_known_by_vendor_product_and_name(
     vendor: int, product: int, name: str, fits: bool
 ) -> None:
-    family = Family(
+    family = DriveFamily(
         name="x.toml",
         vendor=7,
         products=frozenset({1, 2}),
