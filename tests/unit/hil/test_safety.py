@@ -48,3 +48,9 @@ def test_consecutive_dropouts_are_counted_from_the_last_fresh_sample() -> None:
     reasons = [checked.check_cycle(False, 0.0, AT_REST) for _ in range(3)]
     assert reasons[:2] == [None, None]
     assert reasons[2] is not None
+
+
+def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said() -> None:
+    checked = SafetyGuard(SafetyLimits(5.0, 100.0), 0.001)
+    assert [checked.miss_cycle() for _ in range(100)] == [None] * 100
+    assert "101 cycles (limit 100)" in str(checked.miss_cycle())
