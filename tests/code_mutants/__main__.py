@@ -44,6 +44,7 @@ def _hold_safety(shop: Workshop, only: str) -> bool:
     done = argued = 0
     for guarded, mutants in chosen:
         shop.check(_there(guarded))
+        print(f"{guarded.file} {', '.join(guarded.functions)}: {len(mutants)} mutants", flush=True)
         for mutant in mutants:
             done += 1
             if shop.fate_of(mutant, _there(guarded)) is Fate.KILLED:
