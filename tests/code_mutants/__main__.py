@@ -43,11 +43,11 @@ def _hold_safety(shop: Workshop, only: str) -> bool:
     survivors: list[Mutant] = []
     done = argued = 0
     for guarded, mutants in chosen:
-        shop.check(_there(guarded))
+        timeout_s = shop.check(_there(guarded))
         print(f"{guarded.file} {', '.join(guarded.functions)}: {len(mutants)} mutants", flush=True)
         for mutant in mutants:
             done += 1
-            if shop.fate_of(mutant, _there(guarded)) is Fate.KILLED:
+            if shop.fate_of(mutant, _there(guarded), timeout_s) is Fate.KILLED:
                 continue
             if arguments.holds(mutant.place):
                 argued += 1

@@ -91,7 +91,13 @@ SAFETY: Final = (
         _SERVO,
     ),
     Guarded("hil/commissioning/exercise.py", ("Watched.*", "EnergyMeter.*"), _LIMITS),
-    Guarded("hil/commissioning/exercise.py", ("Exerciser.run", "Exerciser._axis", MODULE), _EXERCISE),
+    Guarded("hil/commissioning/exercise.py", ("Exerciser.run",), _EXERCISE),
+    Guarded(
+        "hil/commissioning/exercise.py",
+        ("Exerciser._axis", MODULE),
+        _EXERCISE,
+        words=("torque", "speed", "dropouts", "BLIND", "OVERSPEED"),
+    ),
     Guarded("hil/commissioning/request.py", ("motion_limits", "PlateLimits"), _LIMITS),
     Guarded("hil/commissioning/request.py", ("CommissionRequest.heartbeat_ms",), _LIMITS),
     Guarded(

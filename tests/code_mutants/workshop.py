@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+from drivers.timebase import NS_PER_S, MonotonicClock
 from tests.code_mutants.mutations import Mutant
 
 ROOT: Final = Path(__file__).parents[2]
@@ -19,6 +20,8 @@ _LEFT_OUT: Final = shutil.ignore_patterns(
     ".*", "__pycache__", "*.so", "compiled.json", "build", "dist", "runs", "recordings", "*.egg-info"
 )  # without its compiled modules the copy is interpreted
 TIMEOUT_S: Final = 120.0
+SHORTEST_S: Final = 10.0
+"""A machine with other work keeps a process waiting for seconds."""
 
 
 class Fate(Enum):
@@ -51,10 +54,16 @@ class Workshop:
         """The output of the last run."""
         return (self.folder / "said.txt").read_text(encoding="utf-8", errors="replace")
 
-    def check(self, tests: Sequence[str]) -> None:
-        """Raises RuntimeError if these tests fail without a mutant: then they could not judge one."""
+    def check(self, tests: Sequence[str]) -> float:
+        """How long a mutant of these tests may take, s: ten times as long as they take without one.
+
+        Raises RuntimeError if they fail without a mutant: then they could not judge one.
+        """
+        clock = MonotonicClock()
+        began = clock.now()
         if self.run(["-x", *tests]) != 0:
             raise RuntimeError(f"without a mutant these fail: {' '.join(tests)}\n{self.said()}")
+        return max(SHORTEST_S, 10.0 * (clock.now() - began) / NS_PER_S)
 
     def fate_of(self, mutant: Mutant, tests: Sequence[str], timeout_s: float = TIMEOUT_S) -> Fate:
         """Whether these tests see the mutant; a mutant that ends no more, or cannot be imported, is seen."""

@@ -238,3 +238,11 @@ def test_a_drive_is_missed_only_once(bench: Bench) -> None:
             run_cycles(bench, 300)
         assert not drive.enabled
         drive.check()
+
+
+def test_a_statusword_of_zero_is_a_state_too(bench: Bench) -> None:
+    _, _, network, drive = bench
+    enabled(bench)
+    drive._watch._told.take(0, network.clock.now())
+    with pytest.raises(DriveInFault, match="fell out of operation into 'not ready to switch on'"):
+        drive.check()

@@ -1,11 +1,16 @@
 """When a shaft counts as at rest."""
 
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects import RemoteObjects
+from drivers.cia402 import rest
 from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.readings import ReadingAssembler
 from drivers.cia402.rest import REST_FOR, REST_RAD_S, resting_since, slow
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, PeerFault
@@ -43,6 +48,13 @@ def test_a_shaft_is_slow_below_one_radian_a_second_either_way(bench: Bench) -> N
         for sign in (1.0, -1.0):
             turn(bench, sign * speed)
             assert slow(drive.objects, drive.assembler) is is_slow, sign * speed
+
+
+def test_a_radian_a_second_is_not_slow() -> None:
+    """Of a drive that counts in rad/s."""
+    objects = cast(RemoteObjects, SimpleNamespace(read=lambda *_: 1))
+    scaling = SimpleNamespace(velocity_rad_s=1.0)
+    assert not slow(objects, cast(ReadingAssembler, SimpleNamespace(scaling=scaling)))
 
 
 def test_a_drive_that_was_never_configured_was_never_moved(bench: Bench) -> None:
@@ -89,6 +101,23 @@ def test_a_shaft_that_turns_at_the_deadline_is_told_then(bench: Bench) -> None:
     with pytest.raises(DriveInFault, match="did not stay at rest in time"):
         rested_since(bench, Duration(300 * NS_PER_MS))
     assert 0 <= network.clock.now() - began - 300 * NS_PER_MS < 30 * NS_PER_MS
+
+
+def test_the_deadline_itself_is_too_late(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that answers as soon as it is asked is asked at the very instant."""
+    _, _, network, drive = bench
+    turn(bench, 2.0)
+    asked = []
+
+    def turning(_objects: object, _assembler: object) -> bool:
+        asked.append(network.clock.now())
+        return False
+
+    began = network.clock.now()
+    monkeypatch.setattr(rest, "slow", turning)
+    with pytest.raises(DriveInFault):
+        resting_since(drive.control, drive.assembler, Instant(began + 20 * NS_PER_MS))
+    assert asked == [began, began + 10 * NS_PER_MS, began + 20 * NS_PER_MS]
 
 
 def test_rest_that_has_begun_is_waited_for_beyond_the_deadline(bench: Bench) -> None:

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import pytest
 
+from drivers.errors import LimitExceeded
 from drivers.exchange import Command, SentCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import EchoBasis
@@ -183,6 +184,13 @@ def test_a_reference_reaches_the_controller(bench: Bench) -> None:
     assert controller.references[:9] == [0.0] * 9
     assert controller.references[-9:] == [3.0] * 9
     assert len(controller.references) == 20
+
+
+def test_the_speed_is_guarded_unless_its_unit_is_unknown(bench: Bench) -> None:
+    bench.port.velocity_rad_s = 2.0 * LIMITS.speed_rad_s
+    bench.exerciser.run(Asked(), 0.01, guard_speed=False)
+    with pytest.raises(LimitExceeded, match="speed"):
+        bench.exerciser.run(Asked(), 0.01)
 
 
 def test_it_ends_when_its_controller_is_done(bench: Bench) -> None:

@@ -102,6 +102,9 @@ def test_following_error() -> None:
     drive_along(watched(commanded_rad=1.0), [0.55, 0.56])
     with pytest.raises(LimitExceeded, match="following error"):
         drive_along(watched(commanded_rad=1.0), [0.45, 0.46])
+    for position in (0.25, 1.75):
+        with pytest.raises(LimitExceeded, match=r"following error: 0\.1194 turns .* limit of 0\.07958 turns"):
+            drive_along(watched(commanded_rad=1.0), [position])
 
 
 def test_the_inner_controller_is_asked_and_told() -> None:
@@ -168,7 +171,7 @@ def test_a_small_path_is_no_speed() -> None:
 
 def test_samples_without_time_between_them_are_no_speed_and_no_power() -> None:
     for passed_ns in (0, -1000):
-        moved(1.0, passed_ns, 1.0, LIMITS)
+        moved(1.0, passed_ns, 1.0, replace(LIMITS, power_w=0.5))
     with pytest.raises(LimitExceeded, match="speed by position"):
         moved(1.0, 1, 0.0, LIMITS)
 
