@@ -51,6 +51,11 @@ def test_the_same_pulse_found_again_is_no_turn(monkeypatch: pytest.MonkeyPatch) 
     assert turn_by(monkeypatch, (1.0, -0.1), (0.0, -0.1), (TURN, 0.1)) == (TURN, 3)
 
 
+def test_a_turn_may_be_worth_less_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the unit that the drive tells is ten times too small."""
+    assert turn_by(monkeypatch, (1.0, 0.1), (0.628, 0.1)) == (0.628, 2)
+
+
 def test_no_pulse_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     assert turn_by(monkeypatch, None) == (None, 1)
     assert turn_by(monkeypatch, (1.0, 0.1), None) == (None, 2)
