@@ -8,6 +8,8 @@
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, and mutated files
 #                    against their loaders, for at most SECONDS each
+#   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
+#                    most SECONDS drawn ones anywhere; the tests must see them
 #   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
 #   make compile     compile the hot modules; demo, test and bench do it by themselves
@@ -29,7 +31,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure demo check format test test-vcan truth swarm exits bench lock clean
+.PHONY: help setup compile pure demo check format test test-vcan truth swarm mutate exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -96,6 +98,10 @@ truth: $(TOOLS) compile
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
 	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
+
+# Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
+mutate: $(TOOLS)
+	@$(BIN)/python -m tests.code_mutants --seconds $(SECONDS)
 
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)

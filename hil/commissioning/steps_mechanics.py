@@ -101,8 +101,14 @@ def top_speed(session: Session) -> float:
     speed = _SPEED_SHARE * limits.speed_rad_s
     if limits.travel_rad is not None:
         path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
-        speed = min(speed, 0.8 * limits.travel_rad / path_s)
+        speed = min(speed, 0.8 * limits.travel_rad / (path_s * _slower(session)))
     return speed
+
+
+def _slower(session: Session) -> float:
+    """How much longer everything lasts: a drive that takes speeds runs its own speed loop, whose torque
+    swings."""
+    return 1.0 if session.torque_mode() is not None else _SLOWER
 
 
 def _guide_mechanics(session: Session) -> Mechanics:
@@ -122,13 +128,12 @@ def _ramp_time(session: Session, change: float) -> float:
 def _ramps(session: Session, speed: float) -> list[Recording]:
     """Up by plateaus and down again, both ways.
 
-    A drive that takes speeds runs its own speed loop, whose torque swings: there everything lasts longer. One
-    that plans its own ramps is given steps, lest it plan one for each cycle.
+    A drive that plans its own ramps is given steps, lest it plan one for each cycle.
     """
     port = session.port
     assert port is not None
     own_ramps = port.mode is Mode.PROFILE_VELOCITY
-    slower = 1.0 if port.quantity is Quantity.TORQUE else _SLOWER
+    slower = _slower(session)
     if own_ramps:
         _write_ramps(session, speed / (slower * _RAMP_S))
     recordings = []

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from drivers.cia402.command_watch import CommandWatch
+from drivers.cia402.command_watch import ACTUAL_MARGIN_RAW, DEMAND_MARGIN_RAW, CommandWatch
 
 CYCLES, HALF = 20, 10
 
@@ -81,3 +81,31 @@ def test_a_drive_that_tells_seldom_is_judged_by_the_commands_that_went_by() -> N
 def test_a_single_cycle_is_no_watch() -> None:
     with pytest.raises(ValueError, match="at least two"):
         CommandWatch(1, 0)
+
+
+def test_two_cycles_are_a_watch() -> None:
+    watch = CommandWatch(2, 0)
+    watch.sent(1)
+    watch.told(2)
+    assert not watch.follows
+
+
+def test_the_first_command_counts() -> None:
+    """A drive that hears nothing from the beginning is noticed after half of the cycles: none was recent."""
+    watch = CommandWatch(CYCLES, 0)
+    for command in range(1, HALF + 1):
+        assert watch.follows
+        watch.sent(command)
+        watch.told(5000)
+    assert not watch.follows
+
+
+def test_the_margins_are_to_either_side() -> None:
+    """In thousandths of the rated torque: a demand is rounded, a torque is measured."""
+    for margin, borne in ((DEMAND_MARGIN_RAW, 2), (ACTUAL_MARGIN_RAW, 100)):
+        for sign in (1, -1):
+            for error, follows in ((borne, True), (borne + 1, False)):
+                watch = CommandWatch(2, margin)
+                watch.sent(300)
+                watch.told(300 + sign * error)
+                assert watch.follows is follows, (margin, sign * error)

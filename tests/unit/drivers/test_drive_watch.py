@@ -1,12 +1,15 @@
 """What ends a run from the drive's side."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, NoAnswer
@@ -141,3 +144,105 @@ def test_a_warning_by_emergency_ends_nothing(bench: Bench) -> None:
     assert len(bus.sent_to(0x601)) == asked + 1
     drive.check()
     assert len(bus.sent_to(0x601)) == asked + 1, "asked for once"
+
+
+def test_nothing_is_judged_before_the_drive_is_enabled(bench: Bench) -> None:
+    _, servo, network, drive = bench
+    assert not drive.enabled
+    drive.connect(network.deadline_after(Duration(NS_PER_S)))
+    drive.configure(SETTINGS)
+    servo.fault(0x2310)
+    cycle(bench)
+    drive.check()
+    assert not drive.enabled
+
+
+def test_what_came_before_it_was_enabled_ends_nothing(bench: Bench) -> None:
+    bus, servo, network, drive = bench
+    servo.boot()
+    network.pump(network.deadline_after(PERIOD))
+    drive.connect(network.deadline_after(Duration(NS_PER_S)))
+    drive.configure(SETTINGS)
+    assert drive.status.boot_ups == 1
+    bus.deliver(0x81, bytes.fromhex("1042010000000000"))
+    network.pump(network.deadline_after(PERIOD))
+    drive.enable(network.deadline_after(Duration(NS_PER_S)))
+    asked = len(bus.sent_to(0x601))
+    run_cycles(bench, 100)
+    assert len(bus.sent_to(0x601)) == asked, "no statusword is asked for after an old EMCY"
+
+
+def test_a_drive_without_heartbeat_is_not_missed_by_its_nmt_state(bench: Bench) -> None:
+    _, servo, network, drive = bench
+    del servo.types[0x1017, 0]
+    drive.connect(network.deadline_after(Duration(NS_PER_S)))
+    drive.configure(replace(SETTINGS, unwatched=True))
+    drive.enable(network.deadline_after(Duration(NS_PER_S)))
+    run_cycles(bench, 300)
+    assert drive.enabled
+
+
+def test_a_statusword_that_nothing_repeats_may_be_silent(bench: Bench) -> None:
+    """By a plan that has none, one without event timer, or one that comes with the SYNC."""
+    _, servo, _, drive = bench
+    enabled(bench)
+    assert drive.plan is not None
+    plan = drive.plan
+    told = plan.tpdo_with(Object.STATUSWORD)
+    assert told is not None
+    assert not told.synchronous
+    unrepeated, synchronous = replace(told, event_timer_ms=0), replace(told, transmission_type=1)
+    servo.lost_tpdos.add(3)
+    for tpdos in ((), (unrepeated,), (synchronous,)):
+        drive._watch.configure(True, PdoPlan(tpdos, ()), 150)
+        run_cycles(bench, 200)
+    assert drive.enabled
+    drive._watch.configure(True, PdoPlan((told,), ()), 150)
+    with pytest.raises(NoAnswer, match="the statusword has not been told"):
+        drive.check()
+
+
+@pytest.mark.parametrize(("timer_ms", "silence_ms", "borne_ms"), [(25, 150, 150), (100, 150, 200)])
+def test_two_event_timers_at_least_are_borne(
+    bench: Bench, timer_ms: int, silence_ms: int, borne_ms: int
+) -> None:
+    _, servo, network, drive = bench
+    enabled(bench)
+    assert drive.plan is not None
+    told = drive.plan.tpdo_with(Object.STATUSWORD)
+    assert told is not None
+    drive._watch.configure(True, PdoPlan((replace(told, event_timer_ms=timer_ms),), ()), silence_ms)
+    servo.lost_tpdos.add(3)
+    began = network.clock.now()
+    with pytest.raises(NoAnswer, match=f"has not been told for {borne_ms} ms"):
+        run_cycles(bench, 300)
+    assert borne_ms - 26 <= (network.clock.now() - began) / NS_PER_MS <= borne_ms + 1
+
+
+def test_a_drive_is_missed_only_once(bench: Bench) -> None:
+    """What ended it is told by one error; from then on the drive is not enabled, and may be what it likes."""
+    _, servo, _, drive = bench
+    for end in ("fault", "boot", "nmt", "silence"):
+        servo.lost_tpdos.clear()
+        servo.state = State.SWITCH_ON_DISABLED
+        enabled(bench)
+        if end == "fault":
+            servo.fault(0x2310)
+        elif end == "boot":
+            servo.boot()
+        elif end == "nmt":
+            servo.nmt_state = 0x7F
+        else:
+            servo.lost_tpdos.add(3)
+        with pytest.raises((DriveInFault, NoAnswer)):
+            run_cycles(bench, 300)
+        assert not drive.enabled
+        drive.check()
+
+
+def test_a_statusword_of_zero_is_a_state_too(bench: Bench) -> None:
+    _, _, network, drive = bench
+    enabled(bench)
+    drive._watch._told.take(0, network.clock.now())
+    with pytest.raises(DriveInFault, match="fell out of operation into 'not ready to switch on'"):
+        drive.check()

@@ -133,3 +133,41 @@ def test_nobody_looks_after_speeds_that_a_drive_without_event_timer_is_sent(rig:
     del rig.servo.types[0x1400, 5]
     assert rig.enable(replace(SETTINGS, mode=Mode.CYCLIC_SYNCHRONOUS_VELOCITY)).startswith("nobody: ")
     rig.drive.disable(rig.soon())
+
+
+def test_nobody_looks_before_the_first_command_and_after_the_last(rig: Rig) -> None:
+    supervision = rig.drive.supervision
+    assert not supervision.active
+    rig.enable()
+    assert supervision.active
+    supervision.end()
+    assert not supervision.active
+
+
+def test_nobody_looks_after_a_drive_that_is_configured_anew(rig: Rig) -> None:
+    for timer in ("the drive's", "missing"):
+        if timer == "missing":
+            del rig.servo.types[0x1400, 5]
+        supervision = rig.drive.supervision
+        rig.enable()
+        assert supervision.active
+        assert rig.drive.plan is not None
+        supervision.configure(SETTINGS, rig.drive.plan, rig.drive.assembler)
+        assert not supervision.active
+
+
+def test_the_host_needs_two_cycles_to_judge_by(rig: Rig) -> None:
+    del rig.servo.types[0x1400, 5]
+    assert ", after 2 cycles (1 ms)" in rig.enable(replace(SETTINGS, command_timeout_ms=1))
+
+
+def test_nobody_looks_after_a_set_point_that_no_rpdo_carries(rig: Rig) -> None:
+    rig.enable()
+    assert rig.drive.supervision.begin(Mode.CYCLIC_SYNCHRONOUS_POSITION).startswith("nobody: ")
+
+
+def test_without_speed_or_deceleration_no_time_to_rest_is_promised(rig: Rig) -> None:
+    own = ", then by the drive's own quick stop"
+    assert rig.enable(replace(SETTINGS, speed_max_rad_s=None)).endswith(own)
+    rig.drive.disable(rig.soon())
+    assert rig.enable(replace(SETTINGS, quick_stop_deceleration_rad_s2=None)).endswith(own)

@@ -10,12 +10,18 @@ import pytest
 
 from drivers.errors import BadInput, BenchError, LimitExceeded
 from drivers.exchange import Command
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import DrivePort
 from hil.commissioning.excitation import Profile, Pulse, SpeedGuide
 from hil.commissioning.exercise import BLIND_MAX_S, EnergyMeter, Watched, speed_limits, torque_limits
 from hil.commissioning.identify import Mechanics
-from hil.commissioning.request import MotionLimits, Nameplate, load_nameplate, motion_limits
+from hil.commissioning.request import (
+    CommissionRequest,
+    MotionLimits,
+    Nameplate,
+    load_nameplate,
+    motion_limits,
+)
 from hil.loop.samples import StateEstimate
 
 PERIOD_NS = 1_000_000
@@ -96,6 +102,87 @@ def test_following_error() -> None:
     drive_along(watched(commanded_rad=1.0), [0.55, 0.56])
     with pytest.raises(LimitExceeded, match="following error"):
         drive_along(watched(commanded_rad=1.0), [0.45, 0.46])
+    for position in (0.25, 1.75):
+        with pytest.raises(LimitExceeded, match=r"following error: 0\.1194 turns .* limit of 0\.07958 turns"):
+            drive_along(watched(commanded_rad=1.0), [position])
+
+
+def test_the_inner_controller_is_asked_and_told() -> None:
+    told = []
+
+    class Noted(Still):
+        def output(self, estimate: StateEstimate, reference: float) -> float:
+            return estimate.position_rad + reference
+
+        def update(self, _estimate: StateEstimate, command: Command) -> None:
+            told.append(command.torque_nm)
+
+    watch = Watched(Noted(), LIMITS, cast(DrivePort, Port()), EnergyMeter())
+    assert watch.output(estimate(1, 0.25), 0.5) == 0.75
+    watch.update(estimate(1, 0.25), sent(0.125))
+    assert told == [0.125]
+
+
+def test_what_is_just_at_a_limit_is_allowed() -> None:
+    """In binary fractions, that the limits are met exactly."""
+    exact = replace(LIMITS, travel_rad=8.0, following_rad=0.5, energy_j=2.0, power_w=1e9)
+    moved(8.0, NS_PER_S, 0.0, exact)
+    with pytest.raises(LimitExceeded, match="turned"):
+        moved(8.0078125, NS_PER_S, 0.0, exact)
+    with pytest.raises(LimitExceeded, match="following"):
+        drive_along(watched(exact, commanded_rad=1.0), [0.5, 0.4990234375])
+    for position in (0.5, 1.5):
+        drive_along(watched(exact, commanded_rad=1.0), [position])
+    drive_along(watched(exact), [0.03125 * k for k in range(65)], torque_nm=1.0)
+    with pytest.raises(LimitExceeded, match="work"):
+        drive_along(watched(exact), [0.03125 * k for k in range(66)], torque_nm=1.0)
+
+
+def moved(path_rad: float, passed_ns: int, torque_nm: float, limits: MotionLimits) -> None:
+    """One move between two samples."""
+    watch = watched(limits)
+    watch.output(StateEstimate(0.0, 0.0, torque_nm, Instant(1), 1), 0.0)
+    watch.output(StateEstimate(path_rad, 0.0, torque_nm, Instant(1 + passed_ns), 2), 0.0)
+
+
+def test_power_and_speed_have_their_margins() -> None:
+    """Of 1.3 for the power, and of 1.5 on top for the speed, whose positions are rounded."""
+    limits = replace(LIMITS, energy_j=1e9, power_w=100.0, speed_rad_s=100.0, travel_rad=None)
+    second = NS_PER_S
+    for sign in (1.0, -1.0):
+        moved(sign * 130.0, second, 1.0, limits)
+        with pytest.raises(LimitExceeded, match="power"):
+            moved(sign * 130.1, second, 1.0, limits)
+        with pytest.raises(LimitExceeded, match="power"):
+            moved(130.1, second, sign * 1.0, limits)
+        moved(sign * 194.9, second, 0.0, limits)
+        with pytest.raises(LimitExceeded, match="speed by position"):
+            moved(sign * 195.1, second, 0.0, limits)
+    edge = 1.5 * 1.3 * 100.0
+    moved(edge, second, 0.0, limits)
+
+
+def test_a_small_path_is_no_speed() -> None:
+    """A count or two of a coarse encoder in a microsecond."""
+    moved(0.05, 1000, 0.0, LIMITS)
+    with pytest.raises(LimitExceeded, match="speed by position"):
+        moved(-0.051, 1000, 0.0, LIMITS)
+
+
+def test_samples_without_time_between_them_are_no_speed_and_no_power() -> None:
+    for passed_ns in (0, -1000):
+        moved(1.0, passed_ns, 1.0, replace(LIMITS, power_w=0.5))
+    with pytest.raises(LimitExceeded, match="speed by position"):
+        moved(1.0, 1, 0.0, LIMITS)
+
+
+def test_a_sample_is_counted_once() -> None:
+    """A cycle without a new reading is estimated by the last one."""
+    energy = EnergyMeter()
+    watch = watched(replace(LIMITS, power_w=1e9), energy=energy)
+    for cycle, position in ((1, 0.0), (2, 0.03125), (2, 0.5), (3, 0.5625)):
+        watch.output(estimate(cycle, position, 1.0), 0.0)
+    assert energy.spent_j == 0.03125 + 0.0625
 
 
 def test_nothing_is_judged_before_the_first_sample() -> None:
@@ -116,6 +203,56 @@ def test_limits_come_from_the_nameplate_and_are_cautious_without_one() -> None:
     assert found.speed_rad_s == pytest.approx(500.0 * math.tau / 60.0)
     assert found.torque_nm == pytest.approx(0.2)
     assert found.travel_rad == pytest.approx(2.0 * math.tau)
+
+
+def test_every_limit_that_the_nameplate_sets_and_each_default() -> None:
+    found = motion_limits(Nameplate(), 2.0, 3000.0)
+    speed = 0.5 * 3000.0 * math.tau / 60.0
+    assert found.torque_slew_nm_s == pytest.approx(100.0), "the rated torque in 20 ms"
+    assert found.power_w == pytest.approx(2.0 * speed)
+    assert found.energy_j == pytest.approx(3.0 * 2.0 * speed)
+    assert found.following_rad == pytest.approx(math.pi)
+    assert Nameplate().limits.temperature_max_c == 80.0
+    limits = {
+        "speed_max_rpm": 60.0,
+        "power_max_w": 7.0,
+        "energy_max_j": 8.0,
+        "following_error_max_turns": 2.0,
+    }
+    found = motion_limits(Nameplate.model_validate({"limits": limits}), 2.0, None)
+    assert found.speed_rad_s == pytest.approx(math.tau)
+    assert (found.power_w, found.energy_j) == (7.0, 8.0)
+    assert found.following_rad == pytest.approx(2.0 * math.tau)
+
+
+def test_the_nameplate_s_speed_comes_before_the_drive_s_and_1000_rpm_before_none() -> None:
+    told = Nameplate.model_validate({"rating": {"speed_rpm": 600.0}})
+    assert motion_limits(told, 2.0, 3000.0).speed_rad_s == pytest.approx(10.0 * math.pi)
+    assert motion_limits(Nameplate(), 2.0, None).speed_rad_s == pytest.approx(500.0 * math.tau / 60.0)
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["torque_max_percent", "power_max_w", "energy_max_j", "turns_max", "following_error_max_turns",
+     "temperature_max_c"],
+)  # fmt: skip
+def test_a_limit_of_nothing_or_less_is_refused(key: str) -> None:
+    for value in (0.0, -1.0):
+        with pytest.raises(ValueError, match=key):
+            Nameplate.model_validate({"limits": {key: value}})
+    assert Nameplate.model_validate({"limits": {key: 0.5}})
+
+
+def test_three_times_the_rated_torque_is_the_most() -> None:
+    assert Nameplate.model_validate({"limits": {"torque_max_percent": 300.0}})
+    with pytest.raises(ValueError, match="torque_max_percent"):
+        Nameplate.model_validate({"limits": {"torque_max_percent": 301.0}})
+
+
+@pytest.mark.parametrize(("timeout_ms", "heartbeat_ms"), [(150, 50), (3, 1), (1, 1), (100, 33)])
+def test_three_heartbeats_fit_into_their_time_out(timeout_ms: int, heartbeat_ms: int) -> None:
+    request = CommissionRequest("hub:x", 1, Path("out"), heartbeat_timeout_ms=timeout_ms)
+    assert request.heartbeat_ms == heartbeat_ms
 
 
 def test_a_nameplate_with_a_wrong_key_is_refused_with_its_name(tmp_path: Path) -> None:

@@ -293,6 +293,21 @@ def test_a_stop_request_ends_the_run_between_cycles() -> None:
     assert outcome.cycles == len(records) == 12
 
 
+def test_a_stop_request_is_not_kept_waiting_for_readings() -> None:
+    for stop, waits in ((True, Duration(0)), (False, TIMING.settle)):
+        drive = FakeDrive(lambda sequence: 250_000)
+        bus = FakeBus([drive])
+        loop = make_loop(bus, [make_axis(drive, [])])
+        loop.calibrate()
+        outcome = loop.run(Duration(5 * PERIOD), lambda: stop, lambda at: None, lambda done: None)  # noqa: B023
+        assert bus.now() - outcome.ended_at == waits
+
+
+def test_a_command_expires_a_period_after_it_acts() -> None:
+    _, _, drive = run(lambda cycle: 300_000, 5)
+    assert {command.expires_at - command.effective_at for command in drive.commands} == {PERIOD}
+
+
 def test_too_many_dropouts_in_a_row_stop_the_run() -> None:
     limits = TorqueLimits(5.0, 200.0, dropouts_consecutive_max=8)
     with pytest.raises(LimitExceeded, match="no usable reading for 9 cycles"):

@@ -52,6 +52,12 @@ def test_consecutive_dropouts_are_counted_from_the_last_fresh_sample() -> None:
     assert reasons[2] is not None
 
 
+def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said() -> None:
+    checked = SafetyGuard(TorqueLimits(5.0, 100.0), 0.001)
+    assert [checked.miss_cycle() for _ in range(100)] == [None] * 100
+    assert "101 cycles (limit 100)" in str(checked.miss_cycle())
+
+
 # ---- an axis that is given speeds -------------------------------------------------------------------------
 
 AT, UNTIL = Instant(10), Instant(20)

@@ -1,0 +1,101 @@
+"""Runs tests in a copy of the tree, a process each, from one that has imported what others have made.
+
+Started in the copy as ``python tests/code_mutants/server.py``. A line of JSON in is a run: ``arguments`` of
+pytest, ``timeout_s``, and ``calls``, where to write which functions were called, or "". A line out is its
+exit status: that of pytest, or "timeout". Nothing of the product is imported before a process is forked off,
+so it is the copy's of that time.
+"""
+
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final
+
+PRELOADED: Final = (
+    "can", "canopen", "hypothesis", "numpy", "pydantic", "pytest", "scipy.linalg", "scipy.signal",
+    "scipy.stats", "scipy.optimize", "typer", "rich.console",
+)  # fmt: skip
+ROOMS: Final = ("design", "drivers", "hil", "virtual_bus")
+QUIET: Final = ("-p", "no:cacheprovider", "-W", "ignore:Module already imported", "--no-header", "--tb=line")
+
+
+def main() -> None:
+    """Serve until the end of the input."""
+    sys.path.insert(0, str(Path.cwd()))
+    sys.dont_write_bytecode = "write" not in sys.argv[1:]
+    for name in PRELOADED:
+        importlib.import_module(name)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    for line in sys.stdin:
+        run = json.loads(line)
+        print(json.dumps(_run(run["arguments"], run["timeout_s"], run["calls"])), flush=True)
+
+
+def _run(arguments: list[str], timeout_s: float, calls: str) -> int | str:
+    child = os.fork()
+    if child == 0:
+        _be_pytest(arguments, calls)
+    try:
+        while True:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                return os.waitstatus_to_exitcode(status)
+            if signal.sigtimedwait({signal.SIGCHLD}, timeout_s) is None:
+                return "timeout"
+    finally:
+        _end_group(child)
+
+
+def _end_group(leader: int) -> None:
+    """The run, if it still goes on, and what its tests have started and left."""
+    with suppress(ProcessLookupError):
+        os.killpg(leader, signal.SIGKILL)
+    with suppress(ChildProcessError):
+        os.waitpid(leader, 0)
+
+
+def _be_pytest(arguments: list[str], calls: str) -> None:
+    os.setsid()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
+    null = os.open(os.devnull, os.O_RDWR)
+    said = os.open("said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(null, 0)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    import pytest
+
+    called: set[tuple[str, int]] = set()
+    if calls:
+        _note_calls(called)
+    status = int(pytest.main([*QUIET, *arguments]))
+    if calls:
+        sys.settrace(None)
+        Path(calls).write_text(json.dumps(sorted(called)), encoding="utf-8")
+    sys.stdout.flush()
+    os._exit(status)
+
+
+def _note_calls(called: set[tuple[str, int]]) -> None:
+    here = f"{Path.cwd()}/"
+    rooms = tuple(here + room for room in ROOMS)
+
+    def trace(frame: FrameType, _event: str, _value: Any) -> None:
+        code = frame.f_code
+        if code.co_filename.startswith(rooms):
+            first = 0 if code.co_name == "<module>" else code.co_firstlineno
+            called.add((code.co_filename.removeprefix(here), first))
+
+    threading.settrace(trace)
+    sys.settrace(trace)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Which of several homings show one turn of the motor, and not none or several."""
+
+from typing import cast
+
+import pytest
+
+from hil.commissioning import turn
+from hil.commissioning.session import Session
+
+TURN = 6.25
+"""What a turn is worth, in the wrong unit."""
+
+
+def turn_by(
+    monkeypatch: pytest.MonkeyPatch, *searches: tuple[float, float] | None
+) -> tuple[float | None, int]:
+    """What is taken for a turn after homings with these jumps and overshoots, and how many it took."""
+    left = iter(searches)
+    asked = []
+
+    def search(_session: Session, limit_s: float) -> turn._Found | None:
+        asked.append(limit_s)
+        each = next(left)
+        return None if each is None else turn._Found(*each)
+
+    monkeypatch.setattr(turn, "_search", search)
+    return turn._by_searches(cast(Session, None)), len(asked)
+
+
+def test_the_second_homing_shows_a_turn_whichever_way_the_position_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for sign in (1.0, -1.0):
+        assert turn_by(monkeypatch, (1.0, 0.1), (sign * TURN, 0.1)) == (TURN, 2)
+
+
+def test_a_shaft_that_may_have_run_over_a_further_pulse_shows_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Behind half a turn it could be two: four tenths are allowed, of what would be the turn."""
+    assert turn_by(monkeypatch, (1.0, 2.49), (TURN, 9.0)) == (TURN, 2)
+    assert turn_by(monkeypatch, (1.0, 2.5), (TURN, 9.0), (TURN, 9.0), (TURN, 9.0)) == (None, 4)
+    assert turn_by(monkeypatch, (1.0, 2.51), (2.0 * TURN, 1.0), (TURN, 1.0)) == (2.0 * TURN, 2)
+
+
+def test_the_overshoot_of_the_homing_before_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert turn_by(monkeypatch, (1.0, 9.0), (TURN, 0.1), (TURN, 9.0)) == (TURN, 3)
+
+
+def test_the_same_pulse_found_again_is_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert turn_by(monkeypatch, (1.0, -0.1), (0.0, -0.1), (TURN, 0.1)) == (TURN, 3)
+
+
+def test_a_turn_may_be_worth_less_than_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the unit that the drive tells is ten times too small."""
+    assert turn_by(monkeypatch, (1.0, 0.1), (0.628, 0.1)) == (0.628, 2)
+
+
+def test_no_pulse_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert turn_by(monkeypatch, None) == (None, 1)
+    assert turn_by(monkeypatch, (1.0, 0.1), None) == (None, 2)
+
+
+def test_four_homings_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert turn_by(monkeypatch, *[(1.0, 9.0)] * 5) == (None, 4)
