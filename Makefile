@@ -4,6 +4,7 @@
 #   make demo        run the example bench on the simulated drive
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
+#   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, and mutated files
@@ -31,7 +32,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure demo check format test test-vcan truth swarm mutate exits bench lock clean
+.PHONY: help setup compile pure demo check format test unit test-vcan truth swarm mutate exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -86,6 +87,11 @@ format: $(TOOLS)
 
 test: $(TOOLS) compile
 	$(BIN)/pytest --numprocesses=2 --dist=loadgroup --ignore=tests/vcan
+
+ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
+
+unit: $(TOOLS)
+	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup tests/unit/$(ROOM)
 
 test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan
