@@ -50,7 +50,8 @@ class Judgement:
     fates: Counter[int] = field(default_factory=Counter)
     uncertain: int = 0
     uncertain_far: int = 0
-    """Of them, those with neither a clock step nor the begin of the run in the cycles before."""
+    """Of them, those with neither a clock step nor the begin of the run in the cycles before, and not lost
+    within the horizon of its end."""
     uncertain_last: int = 0
     """Of them, how many cycles after a step, or after the begin, the last one came."""
     uncertain_wrong: int = 0
@@ -125,7 +126,7 @@ class _Judge:
             result.fates[fate] += 1
             wrong = self._wrong(row, fate)
             if not row["certain"]:
-                self._count_uncertain(int(row["sequence"]), bool(wrong))
+                self._count_uncertain(int(row["sequence"]), fate, bool(wrong))
                 continue
             if wrong:
                 result.misjudged[wrong] += 1
@@ -254,11 +255,14 @@ class _Judge:
         if told != NO_INSTANT and (place is None or self._truth.syncs[place].on_bus_at != told):
             self._result.echo_wrong += 1
 
-    def _count_uncertain(self, cycle: int, wrong: bool) -> None:
-        """A step may also put readings in doubt that were on their way when it came; so may the begin."""
+    def _count_uncertain(self, cycle: int, fate: int, wrong: bool) -> None:
+        """A step may also put readings in doubt that were on their way when it came; so may the begin. What
+        has not come when the run ends may have been on its way too."""
         result = self._result
         result.uncertain += 1
         result.uncertain_wrong += wrong
+        if fate == LOST and cycle > int(self._told["sequence"][-1]) - self._timing.horizon:
+            return
         begin_and_steps = [1, *self._steps]
         if _is_near(cycle, begin_and_steps, before=self._timing.horizon):
             since = cycle - max(step for step in begin_and_steps if step <= cycle)

@@ -138,6 +138,15 @@ def test_a_wrong_row_that_is_uncertain_is_counted_apart() -> None:
     assert (found.uncertain_last, found.uncertain_far) == (ROW, 1)
 
 
+@pytest.mark.parametrize(("fate", "far"), [(LOST, 0), (STALE, 1)])
+def test_what_has_not_come_at_the_end_of_a_run_may_be_uncertain(fate: int, far: int) -> None:
+    def change(told: Told) -> None:
+        told["fate"][CYCLES - 1], told["certain"][CYCLES - 1] = fate, 0
+
+    found = judged(change)
+    assert (found.uncertain, found.uncertain_far) == (1, far)
+
+
 def test_after_a_step_of_the_clock_rows_may_be_uncertain_and_delays_off() -> None:
     axis = truth()
     told = told_rightly(axis)
