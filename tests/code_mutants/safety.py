@@ -33,7 +33,13 @@ _UNIT: Final = "tests/unit/drivers/"
 _SUPERVISION: Final = (_UNIT + "test_supervision.py", _UNIT + "test_servo.py")
 _WATCH: Final = (_UNIT + "test_drive_watch.py",)
 _STATES: Final = (_UNIT + "test_state_control.py", _UNIT + "test_drive_watch.py", _UNIT + "test_servo.py")
-_SERVO: Final = (_UNIT + "test_servo.py", _UNIT + "test_drive_watch.py", _UNIT + "test_supervision.py")
+_SERVO: Final = (
+    _UNIT + "test_servo.py",
+    _UNIT + "test_servo_enabling.py",
+    _UNIT + "test_servo_stopping.py",
+    _UNIT + "test_drive_watch.py",
+    _UNIT + "test_supervision.py",
+)
 _LIMITS: Final = ("tests/unit/hil/test_commissioning_limits.py",)
 _EXERCISE: Final = ("tests/unit/hil/test_commissioning_exercise.py",)
 _SESSION: Final = ("tests/unit/hil/test_commissioning_session.py",)

@@ -120,6 +120,14 @@ def test_the_deadline_itself_is_too_late(bench: Bench, monkeypatch: pytest.Monke
     assert asked == [began, began + 10 * NS_PER_MS, began + 20 * NS_PER_MS]
 
 
+def test_rest_is_reached_at_the_end_of_its_time_itself(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, network, _ = bench
+    monkeypatch.setattr(rest, "slow", lambda _objects, _assembler: True)
+    began = network.clock.now()
+    assert rested_since(bench, Duration(NS_PER_S)) == began
+    assert network.clock.now() == began + REST_FOR
+
+
 def test_rest_that_has_begun_is_waited_for_beyond_the_deadline(bench: Bench) -> None:
     _, _, network, _ = bench
     began = network.clock.now()

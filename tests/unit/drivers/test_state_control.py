@@ -12,7 +12,8 @@ from drivers.cia402.servo import ServoDrive
 from drivers.cia402.state_control import NONE_SENT
 from drivers.errors import DriveInFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
+from tests.unit.drivers import fake_bus
+from tests.unit.drivers.fake_bus import ANSWER_AFTER_NS, FakeBus, FakeServo, make_network
 
 SETTINGS = DriveSettings(Duration(NS_PER_MS), torque_max_nm=5.0, speed_max_rad_s=250.0)
 Bench = tuple[FakeBus, FakeServo, CanopenNetwork, ServoDrive]
@@ -33,8 +34,14 @@ def soon(bench: Bench, milliseconds: int = 1000) -> Instant:
     return bench[2].deadline_after(Duration(milliseconds * NS_PER_MS))
 
 
-def wait(bench: Bench, milliseconds: int) -> None:
-    bench[2].pump(soon(bench, milliseconds))
+def wait(bench: Bench, milliseconds: float) -> None:
+    bench[2].pump(bench[2].deadline_after(Duration(round(milliseconds * NS_PER_MS))))
+
+
+def asked_for(bus: FakeBus, index: int) -> int:
+    """How often an object was read by SDO."""
+    request = b"\x40" + index.to_bytes(2, "little")
+    return sum(data.startswith(request) for data in bus.sent_to(SDO))
 
 
 def words_by_sdo(bus: FakeBus) -> list[int]:
@@ -54,6 +61,43 @@ def test_a_command_without_effect_is_repeated_every_50_ms(bench: Bench) -> None:
         drive.control.walk(State.OPERATION_ENABLED, soon(bench, 230))
     assert words_by_sdo(bus) == [6] * 5
     assert 230 <= (bus.now() - began) / NS_PER_MS < 235
+
+
+def test_it_is_repeated_at_the_very_end_of_that_time(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a drive that takes 1 ms for an answer, so that it is asked at that instant."""
+    bus, servo, _, drive = bench
+    monkeypatch.setattr(fake_bus, "ANSWER_AFTER_NS", NS_PER_MS)
+    servo._control = lambda word: None  # type: ignore[method-assign]
+    bus.sent.clear()
+    with pytest.raises(DriveInFault):
+        drive.control.walk(State.OPERATION_ENABLED, soon(bench, 120))
+    first, second, third = [at for at, frame in bus.sent if frame.can_id == RPDO]
+    assert second - first == third - second == 50 * NS_PER_MS
+
+
+def test_a_command_without_effect_is_looked_after_once_a_millisecond(bench: Bench) -> None:
+    bus, servo, _, drive = bench
+    servo._control = lambda word: None  # type: ignore[method-assign]
+    asked = asked_for(bus, 0x6041)
+    with pytest.raises(DriveInFault):
+        drive.control.walk(State.OPERATION_ENABLED, soon(bench, 100))
+    assert 80 <= asked_for(bus, 0x6041) - asked <= 105
+
+
+def test_no_command_goes_out_at_the_deadline(bench: Bench) -> None:
+    """The first statusword comes at that very instant."""
+    bus, _, _, drive = bench
+    with pytest.raises(DriveInFault, match="did not reach 'operation enabled' in time"):
+        drive.control.walk(State.OPERATION_ENABLED, Instant(bus.now() + ANSWER_AFTER_NS))
+    assert words_by_sdo(bus) == []
+
+
+def test_no_state_is_asked_for_after_the_deadline_but_as_evidence(bench: Bench) -> None:
+    bus, _, _, drive = bench
+    asked = asked_for(bus, 0x6041)
+    with pytest.raises(DriveInFault, match="did not go on in time"):
+        drive.control.await_state(lambda state: False, Instant(bus.now() + ANSWER_AFTER_NS), "go on")
+    assert asked_for(bus, 0x6041) - asked == 2
 
 
 def test_each_state_gets_its_command_at_once(bench: Bench) -> None:
@@ -164,14 +208,26 @@ def test_what_an_emergency_meant_is_asked_once_and_briefly(bench: Bench) -> None
     assert len(requests) == 1
 
 
-@pytest.mark.parametrize(("before_ms", "by_emergency"), [(0, True), (98, True), (110, False)])
+def test_a_statusword_of_more_octets_than_two_is_borne(bench: Bench) -> None:
+    _, servo, _, drive = bench
+    servo.lost_tpdos.add(3)
+    servo.types[0x6041, 0] = "I"
+    servo.mode_status = 0xABCD << 16
+    drive.control.ask_after_emergency()
+    assert drive.control._told.statusword == 0x0240
+
+
+@pytest.mark.parametrize(
+    ("before_ms", "by_emergency"), [(0, True), (98, True), (99.9, True), (100, False), (110, False)]
+)
 def test_a_fault_is_seen_by_the_emergency_that_goes_with_it(
-    bench: Bench, before_ms: int, by_emergency: bool
+    bench: Bench, before_ms: float, by_emergency: bool
 ) -> None:
+    """Up to 100 ms before the statusword, which takes 0.1 ms to be asked for."""
     _, servo, _, drive = bench
     servo.fault(0x2310)
     servo.lost_tpdos.add(3)
-    wait(bench, 1)
+    bench[2].pump_one(soon(bench))
     came = drive.control.emergencies[-1].at
     wait(bench, before_ms)
     drive.control.read_status()

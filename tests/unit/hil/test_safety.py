@@ -52,8 +52,11 @@ def test_consecutive_dropouts_are_counted_from_the_last_fresh_sample() -> None:
     assert reasons[2] is not None
 
 
-def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said() -> None:
-    checked = SafetyGuard(TorqueLimits(5.0, 100.0), 0.001)
+@pytest.mark.parametrize("limits", [TorqueLimits(5.0, 100.0), SpeedLimits(30.0, 40.0)])
+def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said(
+    limits: TorqueLimits | SpeedLimits,
+) -> None:
+    checked = SafetyGuard(limits, 0.001)
     assert [checked.miss_cycle() for _ in range(100)] == [None] * 100
     assert "101 cycles (limit 100)" in str(checked.miss_cycle())
 
