@@ -22,10 +22,10 @@ from tests.truth.truth import SPEED, AxisTruth, CommandTruth, Reading, SyncTruth
 from virtual_bus.frame import Frame
 
 _SYNC: Final = Frame(SYNC_ID)
+_ENABLED: Final = b"\x0f\0"
+"""The controlword that stands before the set-point."""
 ON_BUS_WITHIN: Final = Duration(100 * NS_PER_MS)
 """Longer no process waits for a core, even on a machine that others use too."""
-COMMAND_WITHIN_CYCLES: Final = 80
-"""No command takes longer than so many cycles to the drive: the longest standstill, and its backlog."""
 
 Instants = NDArray[np.int64]
 
@@ -107,38 +107,58 @@ def sync_spacings(truth: AxisTruth, told: Told, period: Duration) -> Spacings:
 def _command_truths(
     layout: PdoLayout, frames: FrameTable, heard: FrameTable, told: Told
 ) -> dict[int, CommandTruth]:
-    """By content: a command is known by its set-point if none of its neighbours has the same.
+    """By their set-points, in the order of handing over, which a hub keeps. What that leaves open is left
+    out.
 
-    Synchronous commands are left out: which SYNC the drive's process heard first is not known here.
+    Synchronous commands are left out too: which SYNC the drive's process heard first is not known here.
     """
     if layout.command_is_synchronous:
         return {}
     sent = told[told["command_handed_at"] != NO_INSTANT]
-    on_bus, acting = (
-        _by_content(table[table["can_id"] == layout.command_id], sent) for table in (frames, heard)
-    )
-    raw = sent["command_raw"]
     known = np.ones(sent.size, bool)
-    for apart in range(1, COMMAND_WITHIN_CYCLES + 1):
-        known[apart:] &= raw[apart:] != raw[:-apart]
-        known[:-apart] &= raw[:-apart] != raw[apart:]
+    on_bus, acting = (
+        _in_order(table[table["can_id"] == layout.command_id], sent, known) for table in (frames, heard)
+    )
     return {
         at: CommandTruth(Instant(at), on_bus.get(at), acting.get(at))
         for at in sent["command_handed_at"][known].tolist()
     }
 
 
-def _by_content(table: FrameTable, sent: Told) -> dict[int, Instant]:
-    """Instant of a hand-over -> that at which a frame with the same set-point followed."""
-    handed_at, raw = sent["command_handed_at"], sent["command_raw"]
-    found: dict[int, Instant] = {}
+def _in_order(table: FrameTable, sent: Told, known: NDArray[np.bool_]) -> dict[int, Instant]:
+    """Instant of a hand-over -> that of its frame.
+
+    Of a frame the first and the last command are sought that it may be, if all frames before it and all
+    behind it are to have one too. Where these differ, the commands from the one to the other are not known.
+    What is sent to enable the drive before, and to stop it after, is no command of a cycle. Raises OutOfOrder
+    if another frame is none of them.
+    """
+    raws, handed = sent["command_raw"].tolist(), sent["command_handed_at"].tolist()
+    if not handed:
+        return {}
+    instants, set_points = [], []
     for row in table:
-        set_point = int.from_bytes(bytes(row["data"]).ljust(8, b"\0")[2:4], "little", signed=True)
-        until = int(np.searchsorted(handed_at, row["at"], side="right"))
-        for place in range(until - 1, max(-1, until - 1 - COMMAND_WITHIN_CYCLES), -1):
-            if raw[place] == set_point:
-                found.setdefault(int(handed_at[place]), Instant(int(row["at"])))
-                break
+        data = _frame(row).data
+        if data[:2] == _ENABLED and row["at"] >= handed[0]:
+            instants.append(int(row["at"]))
+            set_points.append(int.from_bytes(data[2:4], "little", signed=True))
+    firsts, place = [], -1
+    for set_point in set_points:
+        place = next((at for at in range(place + 1, len(raws)) if raws[at] == set_point), len(raws))
+        firsts.append(place)
+    found: dict[int, Instant] = {}
+    place = len(raws)
+    for first, set_point, instant in zip(
+        reversed(firsts), reversed(set_points), reversed(instants), strict=True
+    ):
+        fitting = (at for at in range(place - 1, -1, -1) if raws[at] == set_point and handed[at] <= instant)
+        place = next(fitting, -1)
+        if not first <= place:
+            raise OutOfOrder(f"a set-point of {set_point} at {instant} was heard, and not handed over before")
+        if first == place:
+            found[handed[place]] = Instant(instant)
+        else:
+            known[first : place + 1] = False
     return found
 
 

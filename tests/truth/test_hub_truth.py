@@ -94,13 +94,26 @@ def test_an_order_that_does_not_tell_is_refused() -> None:
         )
 
 
-def test_commands_are_known_by_their_set_points() -> None:
+@pytest.mark.parametrize(
+    ("last_us", "later"),
+    [(2684, {2000: 2684 * NS_PER_US, 3000: None}), (3684, {})],
+    ids=["the last was not handed over then", "either of two that are alike"],
+)
+def test_commands_are_known_by_their_set_points(last_us: int, later: dict[int, int | None]) -> None:
     rows = told(0, 1000, 2000, 3000)
     rows["command_raw"][3] = rows["command_raw"][2]
-    heard = np.array(
-        [(at * NS_PER_US, 0x201, 4, bytes((0, 0, raw))) for at, raw in ((84, 0), (2684, 2))], FRAME_DTYPE
-    )
+    heard = commands((84, 0), (last_us, 2))
     truth = hub_truth(frames(50, 1050, 2050, 3050), rows, PLAN, heard)
 
     acts_at = {at // NS_PER_US: command.acts_at for at, command in truth.commands.items()}
-    assert acts_at == {0: 84 * NS_PER_US, 1000: None}  # the third and the fourth are alike
+    assert acts_at == {0: 84 * NS_PER_US, 1000: None, **later}
+
+
+def test_a_command_that_nobody_sent_is_refused() -> None:
+    with pytest.raises(OutOfOrder, match="a set-point of 7"):
+        hub_truth(frames(50, 1050), told(0, 1000), PLAN, commands((84, 0), (1084, 7)))
+
+
+def commands(*heard: tuple[int, int]) -> FrameTable:
+    """RPDOs of an enabled drive, each an instant in us and a set-point."""
+    return np.array([(at * NS_PER_US, 0x201, 4, bytes((0x0F, 0, raw))) for at, raw in heard], FRAME_DTYPE)
