@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, SentCommand
+from drivers.exchange import Command, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.commissioning import exercise
@@ -50,6 +50,7 @@ class Port(FakeDrive):
         self.drive = SimpleNamespace(name="drive")
         self.quantity = quantity
         self.commanded_rad: float | None = None
+        self.speeds: list[float] = []
         self._notes = notes
 
     def begin(self) -> None:
@@ -61,6 +62,9 @@ class Port(FakeDrive):
 
     def write(self, command: Command) -> SentCommand | None:
         self._notes.append("command")
+        if isinstance(command, SpeedCommand):
+            self.speeds.append(command.speed_rad_s)
+            return None
         return super().write(command)
 
 
@@ -159,6 +163,14 @@ def test_the_clock_of_the_drive_is_learnt_before_the_first_command(bench: Bench)
     assert recording.tally.cycles == 20
     sent = [command.torque_nm for command in bench.port.commands]
     assert sent[:6] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.5])
+
+
+def test_speeds_follow_their_reference_for_the_whole_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, Quantity.SPEED)
+    recording = bench.exerciser.run_speeds(0.02, [SpeedStep(0.01, 0.5)])
+    assert recording.tally.cycles == 20
+    assert (bench.port.speeds[:9], bench.port.speeds[-9:]) == ([0.0] * 9, [0.5] * 9)
+    assert bench.port.commands == [], "and no torque"
 
 
 def test_a_reference_reaches_the_controller(bench: Bench) -> None:

@@ -1,11 +1,12 @@
 """The guided sequence: asking, doing, repeating, skipping with a reason; and the keys that stop it."""
 
 import os
+import select
 import termios
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import pytest
 
@@ -226,6 +227,61 @@ def test_any_key_stops_only_while_armed_and_the_terminal_is_as_before() -> None:
     finally:
         os.close(keyboard)
         os.close(line)
+
+
+def test_a_key_is_taken_from_the_terminal_and_counts_until_it_is_armed_again() -> None:
+    """What is hit after the shaft has come to rest belongs to the next question."""
+    keyboard, line = os.openpty()
+    try:
+        with open(line, "rb", buffering=0, closefd=False) as source:
+            stop = EmergencyStop(None, source)
+            with stop.armed():
+                assert not stop()
+                os.write(keyboard, b"abc")
+                select.select([line], [], [], 5.0)
+                assert stop()
+                assert not select.select([line], [], [], 0.0)[0], "the keys are gone"
+            assert stop(), "who asks later is told too"
+            with stop.armed():
+                assert not stop.key
+                assert not stop()
+            os.write(keyboard, b"y\n")
+            select.select([line], [], [], 5.0)
+            assert not stop(), "an answer is no emergency"
+            assert source.readline() == b"y\n"
+    finally:
+        os.close(keyboard)
+        os.close(line)
+
+
+def test_the_standard_input_is_a_keyboard_and_no_cycle_waits_for_a_key(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waits: list[float] = []
+    cleared: list[int] = []
+
+    def select_nothing(_read: list[int], _write: list[int], _odd: list[int], wait_s: float) -> Any:
+        waits.append(wait_s)
+        return [], [], []
+
+    monkeypatch.setattr("select.select", select_nothing)
+    monkeypatch.setattr("termios.tcgetattr", lambda _descriptor: ["as before"])
+    monkeypatch.setattr("termios.tcsetattr", lambda *_: None)
+    monkeypatch.setattr("tty.setcbreak", lambda descriptor, _when: cleared.append(descriptor))
+    stop = EmergencyStop(None, cast(IO[Any], SimpleNamespace(fileno=lambda: 0, isatty=lambda: True)))
+    with stop.armed():
+        assert not stop()
+    assert (cleared, waits) == ([0], [0.0])
+
+
+def test_who_asked_for_the_end_is_told() -> None:
+    asked = StopRequest()
+    stop = EmergencyStop(asked)
+    assert stop.asked_by == ""
+    asked.ask("a test")
+    assert stop()
+    assert stop.asked_by == "a test"
+    assert EmergencyStop().asked_by == ""
 
 
 def test_the_terminal_is_as_before_after_an_error() -> None:
