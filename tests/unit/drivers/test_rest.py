@@ -6,29 +6,19 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.objects import RemoteObjects
 from drivers.cia402 import rest
-from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.readings import ReadingAssembler
 from drivers.cia402.rest import REST_FOR, REST_RAD_S, resting_since, slow
-from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
-
-SETTINGS = DriveSettings(Duration(NS_PER_MS), torque_max_nm=5.0, speed_max_rad_s=250.0)
-Bench = tuple[FakeBus, FakeServo, CanopenNetwork, ServoDrive]
+from tests.unit.drivers.drive_bench import Bench, configured_drive
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    bus, network = make_network()
-    servo, drive = FakeServo(bus), ServoDrive(network, 1, "axis1")
-    drive.connect(network.deadline_after(Duration(NS_PER_S)))
-    drive.configure(SETTINGS)
-    yield bus, servo, network, drive
-    bus.shutdown()
+    with configured_drive() as bench:
+        yield bench
 
 
 def turn(bench: Bench, speed_rad_s: float) -> None:

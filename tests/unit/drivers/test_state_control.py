@@ -5,29 +5,22 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.network import CanopenNetwork
-from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.profile import DriveCommand, State
 from drivers.cia402.servo import ServoDrive
 from drivers.cia402.state_control import NONE_SENT
 from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_MS, Duration, Instant
 from tests.unit.drivers import fake_bus
+from tests.unit.drivers.drive_bench import Bench, configured_drive
 from tests.unit.drivers.fake_bus import ANSWER_AFTER_NS, FakeBus, FakeServo, make_network
 
-SETTINGS = DriveSettings(Duration(NS_PER_MS), torque_max_nm=5.0, speed_max_rad_s=250.0)
-Bench = tuple[FakeBus, FakeServo, CanopenNetwork, ServoDrive]
 RPDO, SDO = 0x201, 0x601
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    bus, network = make_network()
-    servo, drive = FakeServo(bus), ServoDrive(network, 1, "axis1")
-    drive.connect(network.deadline_after(Duration(NS_PER_S)))
-    drive.configure(SETTINGS)
-    yield bus, servo, network, drive
-    bus.shutdown()
+    with configured_drive() as bench:
+        yield bench
 
 
 def soon(bench: Bench, milliseconds: int = 1000) -> Instant:
