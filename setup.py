@@ -30,8 +30,10 @@ HOT_MODULES = [
     *_below("drivers/cia402", "command_watch drive_watch readings servo setpoint supervision"),
     *_below("drivers/wire", "frame_port link message_port"),
     *_below("hil/control", "compensation controllers"),
-    *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter delay loop"),
-    *_below("hil/loop", "order_attribution pace safety samples scenario stamp_attribution syncs ticker"),
+    *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
+    *_below(
+        "hil/loop", "delay loop order_attribution pace safety samples scenario stamp_attribution syncs ticker"
+    ),
     *_below("hil/recording", "ring row_writer"),
     *_below("hil/rows", "records side_rows"),
     *_below("virtual_bus", "event_heap frame pacing timeline"),

@@ -24,7 +24,7 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.rest import resting_since, slow
-from drivers.cia402.setpoint import SetPoint
+from drivers.cia402.setpoint import SetPointFrames
 from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
@@ -113,7 +113,7 @@ class ServoDrive(Drive):
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
-        self.control.set_point = SetPoint(
+        self.control.set_point = SetPointFrames(
             network, plan, scaling, settings.torque_max_nm, settings.speed_max_rad_s
         )
         self.control.controlword = NONE_SENT
@@ -366,7 +366,7 @@ class ServoDrive(Drive):
             raise RuntimeError(f"{self.name} was not configured")
         return self.motion
 
-    def _configured(self) -> SetPoint:
+    def _configured(self) -> SetPointFrames:
         if self.control.set_point is None:
             raise RuntimeError(f"{self.name} was not configured")
         return self.control.set_point

@@ -84,7 +84,7 @@ class _Place:
         self.place = place
 
 
-class SetPoint:
+class SetPointFrames:
     """What the drive is told each cycle. Every RPDO carries the one controlword that is in force.
 
     So a set-point never repeats an old controlword, in whatever number of RPDOs 0x6040 is mapped; and since

@@ -17,7 +17,7 @@ from drivers.cia402.profile import (
     state_of,
 )
 from drivers.cia402.readings import NEVER_TOLD, LastStatusword
-from drivers.cia402.setpoint import SetPoint
+from drivers.cia402.setpoint import SetPointFrames
 from drivers.errors import DriveInFault, PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
@@ -46,7 +46,7 @@ class StateControl:
         self.network = objects.network
         self.title = f"{name} (node {objects.node_id} on {objects.network.link.name})"
         """How an error names the drive."""
-        self.set_point: SetPoint | None = None
+        self.set_point: SetPointFrames | None = None
         """What carries the controlword by RPDO; None before the PDOs are mapped."""
         self.controlword = NONE_SENT
         """What is in force: the last one sent."""

@@ -8,31 +8,32 @@ import numpy as np
 
 from drivers.exchange import Command
 from hil.commissioning.identify import Mechanics
-from hil.loop.samples import StateEstimate
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 
 _BANDWIDTH_RAD_S: Final = 40.0
 """Of the speed loop that only guides an exercise: slow enough for any delay that a bench has."""
 _INTEGRAL_PART: Final = 0.2
 
 
-class Profile:
-    """A set-point as a function of time."""
+class Profile(Controller):
+    """A torque as a function of time."""
 
     def __init__(self, value: Callable[[float], float], period_s: float) -> None:
         self._value = value
         self._period_s = period_s
         self._cycle = 0
 
-    def output(self, _estimate: StateEstimate, _reference: float) -> float:
-        """The set-point of this cycle."""
-        return self._value(self._cycle * self._period_s)
+    def output(self, _context: Context) -> SetPoint:
+        """The torque of this cycle."""
+        return TorqueSetPoint(self._value(self._cycle * self._period_s))
 
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+    def update(self, _context: Context, _command: Command) -> None:
         """One period on."""
         self._cycle += 1
 
 
-class Pulse:
+class Pulse(Controller):
     """Torque that rises until the shaft has moved, holds until it has moved far enough, and falls again.
 
         torque        /-----\\
@@ -61,10 +62,11 @@ class Pulse:
         self.torque_at_start = 0.0
         """Torque at which it did."""
 
-    def output(self, estimate: StateEstimate, _reference: float) -> float:
+    def output(self, context: Context) -> SetPoint:
         """The torque of this cycle."""
+        estimate = context.estimate
         if not estimate.sequence:
-            return 0.0
+            return TorqueSetPoint(0.0)
         position = estimate.position_rad
         if self._start is None:
             self._start = position
@@ -83,17 +85,14 @@ class Pulse:
                 self._torque, self._stage = 0.0, 3
         self._still = self._still + 1 if position == self._last else 0
         self._last = position
-        return self._torque
-
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
-        """Nothing to advance."""
+        return TorqueSetPoint(self._torque)
 
     def done(self) -> bool:
         """The torque is off and the shaft at rest."""
         return self._stage == 3 and self._still >= self._still_cycles
 
 
-class SpeedGuide:
+class SpeedGuide(Controller):
     """Follows a speed reference by torque: feed-forward of what is known, and a slow PI for the rest.
 
     ``free``: while it says so, no torque at all, and the shaft coasts. ``added``: torque on top.
@@ -119,39 +118,37 @@ class SpeedGuide:
         self._error = 0.0
         self._demand = 0.0
 
-    def output(self, estimate: StateEstimate, reference: float) -> float:
+    def output(self, context: Context) -> SetPoint:
         """The torque of this cycle."""
+        reference = context.reference_rad_s
         time = self._cycle * self._period_s
         if self._free(time):
             self._error = self._demand = 0.0
             self._reference = None
-            return 0.0
+            return TorqueSetPoint(0.0)
         last = reference if self._reference is None else self._reference
         self._reference = reference
-        self._error = reference - estimate.velocity_rad_s
+        self._error = reference - context.estimate.velocity_rad_s
         mechanics = self._mechanics
         feed = mechanics.inertia_kg_m2 * (reference - last) / self._period_s + mechanics.friction_nm(
             reference
         )
         self._demand = feed + self._gain * self._error + self._integral + self._added(time)
-        return self._demand
+        return TorqueSetPoint(self._demand)
 
-    def update(self, _estimate: StateEstimate, command: Command) -> None:
+    def update(self, _context: Context, command: Command) -> None:
         """The integral advances unless a limit cut the torque."""
         self._cycle += 1
         if command.torque_nm == self._demand:
             self._integral += self._integral_gain * self._error * self._period_s
 
 
-class SpeedReference:
-    """Passes the reference on, for a drive that takes speeds; what it puts out is no torque."""
+class SpeedReference(Controller):
+    """Passes the reference on, for a drive that takes speeds."""
 
-    def output(self, _estimate: StateEstimate, reference: float) -> float:
+    def output(self, context: Context) -> SetPoint:
         """The speed of this cycle."""
-        return reference
-
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
-        """Nothing to advance."""
+        return SpeedSetPoint(context.reference_rad_s)
 
 
 def multisine(

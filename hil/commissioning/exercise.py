@@ -22,6 +22,7 @@ from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Controller
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
+from hil.loop.context import Context, SetPoint
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import Loop, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
@@ -97,7 +98,7 @@ class EnergyMeter:
         self.spent_j = 0.0
 
 
-class Watched:
+class Watched(Controller):
     """A controller with the host's limits on power, energy and position around it.
 
     Speed, torque, its slope and dropouts are the guard's. Raises LimitExceeded out of ``output``.
@@ -111,15 +112,15 @@ class Watched:
         self._first: StateEstimate | None = None
         self._last: StateEstimate | None = None
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
+    def output(self, context: Context) -> SetPoint:
         """The inner controller's set-point, after the limits were looked at."""
-        if estimate.sequence:
-            self._check(estimate)
-        return self._inner.output(estimate, reference_rad_s)
+        if context.estimate.sequence:
+            self._check(context.estimate)
+        return self._inner.output(context)
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:
+    def update(self, context: Context, command: Command) -> None:
         """As the inner one."""
-        self._inner.update(estimate, command)
+        self._inner.update(context, command)
 
     def _check(self, estimate: StateEstimate) -> None:
         limits = self._limits

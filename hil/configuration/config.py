@@ -131,6 +131,8 @@ class VerdictConfig(Section):
     """Cycles without SYNC, as the host came too late for them."""
     lateness_us_max: float | None = Field(default=None, ge=0)
     """How late the host may wake for a cycle."""
+    compute_us_max: float | None = Field(default=None, gt=0)
+    """How long compensator and controller may take in a cycle; judged on a bus in real time alone."""
     torque_rms_nm_max: float | None = Field(default=None, gt=0)
     """Of the commanded torque about its mean while reference and load stay: a limit cycle breaks it."""
     settling_ms: int = Field(default=250, ge=0, le=3_600_000)

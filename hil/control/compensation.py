@@ -7,13 +7,11 @@ stamp        use the sample that is exactly the agreed delay old when the comman
 """
 
 from collections import deque
-from typing import Final
 
-from drivers.timebase import Duration, Instant
-from hil.loop.samples import Sample, StateEstimate
-
-AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
-"""What is assumed before the first sample: the loop starts with the drive at rest."""
+from drivers.timebase import Duration
+from hil.loop.axis_roles import Compensator
+from hil.loop.context import Context
+from hil.loop.samples import AT_REST, Sample, StateEstimate
 
 
 def _as_estimate(sample: Sample) -> StateEstimate:
@@ -23,7 +21,7 @@ def _as_estimate(sample: Sample) -> StateEstimate:
     )
 
 
-class Arrival:
+class Arrival(Compensator):
     """The newest sample at once; through a dropout the last one is held."""
 
     def __init__(self) -> None:
@@ -33,11 +31,11 @@ class Arrival:
         if sample.sequence > self._held.sequence:
             self._held = _as_estimate(sample)
 
-    def estimate(self, apply_at: Instant) -> StateEstimate:  # noqa: ARG002
+    def estimate(self, context: Context) -> StateEstimate:  # noqa: ARG002
         return self._held
 
 
-class Stamp:
+class Stamp(Compensator):
     """Postponed actuation by time stamps, [Ling2012] 2.3.
 
     A sample taken at t acts at t + delay, whatever it took to arrive, if it took
@@ -65,8 +63,8 @@ class Stamp:
         else:
             waiting.append(estimate)
 
-    def estimate(self, apply_at: Instant) -> StateEstimate:
-        ripe_at = apply_at - self._youngest
+    def estimate(self, context: Context) -> StateEstimate:
+        ripe_at = context.acts_at - self._youngest
         waiting = self._waiting
         while waiting and waiting[0].valid_at <= ripe_at:
             ripe = waiting.popleft()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.samples import StateEstimate
 
 
@@ -25,7 +27,7 @@ class PidGains:
     """Bff: torque per reference speed, usually the viscous friction."""
 
 
-class Pid:
+class Pid(Controller):
     """PID with the derivative on the measurement, filtered, and back-calculation against windup.
 
     The integral advances by backward Euler; the torque that the limits cut off is
@@ -48,8 +50,8 @@ class Pid:
         self._demand_nm = 0.0
         self._last: StateEstimate | None = None
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
-        gains = self._gains
+    def output(self, context: Context) -> SetPoint:
+        gains, estimate, reference_rad_s = self._gains, context.estimate, context.reference_rad_s
         self._error_rad_s = reference_rad_s - estimate.velocity_rad_s
         self._demand_nm = (
             gains.proportional_nm_s_rad * self._error_rad_s
@@ -57,9 +59,10 @@ class Pid:
             + self._next_derivative(estimate)
             + gains.feedforward_nm_s_rad * reference_rad_s
         )
-        return self._demand_nm
+        return TorqueSetPoint(self._demand_nm)
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:
+    def update(self, context: Context, command: Command) -> None:
+        estimate = context.estimate
         self._derivative_nm = self._next_derivative(estimate)
         self._last = estimate
         self._integral_nm += (
@@ -77,7 +80,7 @@ class Pid:
         return (filter_s * self._derivative_nm + change) / (filter_s + step_s)
 
 
-class StateFeedback:
+class StateFeedback(Controller):
     """Static state feedback in error coordinates, [Ling2012] (2.4), (2.6) and (2.14).
 
         x = [i_q* - i_q, omega* - omega]     u = i_qr* - i_qr = K x
@@ -108,20 +111,21 @@ class StateFeedback:
         self._viscous_friction_nm_s = viscous_friction_nm_s
         self._feedforward_load_nm = feedforward_load_nm
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
+    def output(self, context: Context) -> SetPoint:
+        estimate, reference_rad_s = context.estimate, context.reference_rad_s
         constant = self._torque_constant_nm_a
         steady_nm = self._feedforward_load_nm + self._viscous_friction_nm_s * reference_rad_s
         current_error_a = (steady_nm - estimate.torque_nm) / constant
         speed_error_rad_s = reference_rad_s - estimate.velocity_rad_s
         correction_a = self._gain[0] * current_error_a + self._gain[1] * speed_error_rad_s
         if self._integral_gain_a_rad == 0.0:
-            return steady_nm - constant * correction_a
+            return TorqueSetPoint(steady_nm - constant * correction_a)
         correction_a += self._integral_gain_a_rad * self._integral_rad
         self._error_rad_s = speed_error_rad_s
         self._demand_nm = steady_nm - constant * correction_a
-        return self._demand_nm
+        return TorqueSetPoint(self._demand_nm)
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:  # noqa: ARG002
+    def update(self, context: Context, command: Command) -> None:  # noqa: ARG002
         """Advance the integral; without one there is nothing to advance."""
         if self._integral_gain_a_rad != 0.0 and command.torque_nm == self._demand_nm:
             self._integral_rad += self._period_s * self._error_rad_s

@@ -1,16 +1,17 @@
 """One axis of the loop: from its drive's readings to its next command, and the record of both."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
 from drivers.record import replaced
-from drivers.timebase import Duration, Instant
+from drivers.timebase import Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.command_meter import CommandMeter
+from hil.loop.context import Context
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard
@@ -42,7 +43,9 @@ class Decision:
     """What was done in one cycle, while the fates of its reading and of its command may still be open."""
 
     __slots__ = (
+        "channels",
         "command",
+        "compute_ns",
         "estimate",
         "fate",
         "load_torque_nm",
@@ -61,6 +64,8 @@ class Decision:
         self.command: Command | None = None
         self.sent: SentCommand | None = None
         self.fate: Fate | None = None
+        self.compute_ns: int | None = None
+        self.channels: Sequence[float] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +111,12 @@ class Axis:
         self._record = record
         self._acts_later = acts_later
         self._drive = parts.drive
-        self._output = parts.controller.output
-        self._update = parts.controller.update
-        self._receive = parts.compensator.receive
-        self._estimate = parts.compensator.estimate
+        self._controller = parts.controller
+        self._compensator = parts.compensator
+        self._context = Context(period, parts.reference)
+        self._host = MonotonicClock()
+        """For what compensator and controller take, also where time is simulated."""
+        self._channels = len(parts.controller.channels)
         self._by_stamp = parts.by_stamp
         self._by_order = parts.by_order
         self._commands = parts.commands
@@ -123,7 +130,6 @@ class Axis:
         """Of the cycles whose readings' fates are open, the oldest first."""
         self._settled: list[Decision] = []
         """Of those whose commands' fates still are."""
-        self._fresh = False
         self._load_nm = 0.0
         self._readings = 0
         self._kept: list[Reading] = []
@@ -175,6 +181,13 @@ class Axis:
         self._drive.take_readbacks()
         self._drive.take_demand_changes()
 
+    def reset(self) -> None:
+        """The first cycle is about to begin."""
+        compensator: object = self._compensator  # which may be the controller, too
+        self._controller.reset()
+        if compensator is not self._controller:
+            self._compensator.reset()
+
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
         decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
@@ -186,6 +199,7 @@ class Axis:
         """A planned cycle goes without SYNC; why the run must stop after it, or None."""
         self._decisions.append(Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm))
         self.meter.missed(tick.sequence, tick.due_at)
+        self._context.dropouts += 1
         reason = self.parts.guard.miss_cycle()
         return None if reason is None else f"{self.parts.name}: {reason}"
 
@@ -224,23 +238,34 @@ class Axis:
         behind = -(-overdue // self._period) if overdue > 0 else 0
         return self.meter.newest >= sequence - behind
 
-    def decide(self, tick: Tick, apply_at: Instant) -> None:
+    def decide(self, tick: Tick, now: Instant, apply_at: Instant) -> None:
         """Compute, limit and send the command of this cycle."""
-        parts = self.parts
+        parts, context, guard = self.parts, self._context, self.parts.guard
         apply_at = Instant(apply_at + self._acts_later)
         decision = self._decisions[-1]
         self._apply_load(parts.load.value(tick.time_s))
         decision.load_torque_nm = self._load_nm
-        estimate = self._estimate(apply_at)
-        demand = self._output(estimate, decision.reference_rad_s)
-        command = parts.guard.command(tick.sequence, demand, apply_at, Instant(apply_at + self._period))
-        self._check(parts.guard.check_cycle(self._fresh, demand, estimate))
-        self._fresh = False
+        fresh = len(context.samples) > 0
+        context.begin(tick.sequence, tick.time_s, decision.reference_rad_s, now, apply_at)
+        began = self._host.now()
+        context.estimate = estimate = self._compensator.estimate(context)
+        demand = guard.demand(self._controller.output(context))
+        took = self._host.now() - began
+        command = guard.command(tick.sequence, demand, apply_at, Instant(apply_at + self._period))
+        self._check(guard.check_cycle(fresh, demand, estimate))
         self._drive.check()
         sent = self._drive.write(command)
         if sent is not None:
             self._commands.sent(sent)
-        self._update(estimate, command)
+            context.sent = command
+        began = self._host.now()
+        if sent is not None:
+            self._compensator.sent(command)
+        self._controller.update(context, command)
+        if self._channels:
+            decision.channels = self._controller.telemetry()
+        decision.compute_ns = took + self._host.now() - began
+        context.samples.clear()
         decision.estimate = estimate
         decision.command = command
         decision.sent = sent
@@ -291,8 +316,8 @@ class Axis:
         if sample.certain:
             self._placed[place] = (sample.sampled_at, reading.received_at)
         self._check(self.parts.guard.check_speed(reading.velocity_rad_s))
-        self._receive(sample)
-        self._fresh = True
+        self._context.samples.append(sample)
+        self._compensator.receive(sample)
 
     def _take_readback(self, readback: Readback) -> None:
         """The torque demand at a SYNC: it goes with the last reading, if it came within half a period of it.
@@ -350,6 +375,8 @@ class Axis:
                 sending,
                 clock.offset_ns if clock.ready else None,
                 clock.error_ns if clock.ready else None,
+                decision.compute_ns,
+                decision.channels,
             )
         )
 

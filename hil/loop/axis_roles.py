@@ -1,40 +1,66 @@
-"""What an axis asks of its compensator, its controller and its load machine."""
+"""What an axis asks of its compensator, its controller and its load machine.
 
-from typing import Protocol
+The first two are version 1 of the protocol for controllers of one's own, ``docs/control.md``.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar, Protocol
+
+from mypy_extensions import mypyc_attr
 
 from drivers.exchange import Command
-from drivers.timebase import Instant
+from hil.loop.context import Context, SetPoint
 from hil.loop.samples import Sample, StateEstimate
 
+PROTOCOL_VERSION = 1
 
-class Compensator(Protocol):
-    """Turns samples of varying age, some missing, into the state that a command is based on."""
+
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Compensator:
+    """Turns samples of varying age, some missing, into the state that a command is based on.
+
+    Override ``estimate`` and, mostly, ``receive``.
+    """
+
+    def reset(self) -> None:
+        """The first cycle is about to begin."""
 
     def receive(self, sample: Sample) -> None:
         """A usable sample has come; called for each, in order of arrival."""
-        ...
 
-    def estimate(self, apply_at: Instant) -> StateEstimate:
-        """The state to base a command on that will act at ``apply_at``."""
-        ...
+    def estimate(self, context: Context) -> StateEstimate:
+        """The state to base a command on that will act at ``context.acts_at``."""
+        raise NotImplementedError
+
+    def sent(self, command: Command) -> None:
+        """This command, after all limits, was handed to the bus."""
 
 
-class Controller(Protocol):
-    """A speed controller of one axis; of one that is given speeds, what says them.
+@mypyc_attr(allow_interpreted_subclasses=True)
+class Controller:
+    """A controller of one axis. Override ``output``, and what else is needed.
 
     ``output`` is called first and its set-point is sent at once; ``update`` does the
     bookkeeping afterwards, with the command that the safety limits let through.
-    Neither reads a clock: time comes from the estimate and from the loop's period.
+    Neither reads a clock: the context has all instants.
     """
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
-        """The set-point before any limit: torque, N m; of an axis under limits of speed, rad/s. Changes
-        nothing."""
-        ...
+    channels: ClassVar[tuple[str, ...]] = ()
+    """Names of values of its own that are recorded, the unit last: ``load_torque_nm``."""
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:
-        """Advance the controller's states by one period, knowing what was really sent."""
-        ...
+    def reset(self) -> None:
+        """The first cycle is about to begin."""
+
+    def output(self, context: Context) -> SetPoint:
+        """The set-point before any limit. Changes nothing that the next call depends on."""
+        raise NotImplementedError
+
+    def update(self, context: Context, command: Command) -> None:
+        """Advance by one period. ``command``: what this cycle's set-point became by the limits."""
+
+    def telemetry(self) -> Sequence[float]:
+        """The values of its channels in this cycle; asked after ``update``."""
+        return ()
 
 
 class LoadMachine(Protocol):

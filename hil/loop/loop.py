@@ -121,6 +121,8 @@ class Loop:
         progress_every = max(1, PROGRESS_EVERY // self._timing.period)
         self._started_at = self._due_at = self._pace.begin(self._axes)
         on_start(self._started_at)
+        for axis in self._axes:
+            axis.reset()
         interrupted = False
         self._number = self._missed = 0
         try:
@@ -177,7 +179,8 @@ class Loop:
             axis.begin(tick)
         self._await_readings(tick)
         for axis in axes:
-            axis.decide(tick, self._apply_at(due))
+            now = self._now()
+            axis.decide(tick, now, self._apply_at(due, now))
         for axis in axes:
             axis.settle(self._number)
         if self._chore is not None:
@@ -195,11 +198,11 @@ class Loop:
             if ready or not network.pump_one(decide_at):
                 return
 
-    def _apply_at(self, due: Instant) -> Instant:
+    def _apply_at(self, due: Instant, now: Instant) -> Instant:
         timing = self._timing
         if timing.actuation is Actuation.ON_SYNC:
             return Instant(due + timing.period + timing.sync_latency)
-        return Instant(self._now() + timing.command_latency)
+        return Instant(now + timing.command_latency)
 
     def _drain(self, interrupted: bool) -> None:
         """Let the readings that are still on their way come in; not when the drives must stop at once."""

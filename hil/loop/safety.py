@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from drivers.exchange import Command, SpeedCommand
 from drivers.timebase import Instant
+from hil.loop.context import SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
 from hil.loop.samples import StateEstimate
 
 
@@ -51,6 +52,15 @@ class SafetyGuard:
         self._set_point = 0.0
         """The last one, like its limits in N m or rad/s."""
         self._dropouts = 0
+
+    def demand(self, asked: SetPoint) -> float:
+        """A controller's set-point in the unit of the limits. Raises WrongSetPoint for another quantity."""
+        if isinstance(asked, TorqueSetPoint) and not self._speeds:
+            return asked.torque_nm
+        if isinstance(asked, SpeedSetPoint) and self._speeds:
+            return asked.speed_rad_s
+        takes = "a SpeedSetPoint" if self._speeds else "a TorqueSetPoint"
+        raise WrongSetPoint(f"the controller's output is {asked!r}, this axis takes {takes}")
 
     def command(self, sequence: int, demand: float, effective_at: Instant, expires_at: Instant) -> Command:
         """What may be sent for a controller's demand, N m or, under :class:`SpeedLimits`, rad/s."""

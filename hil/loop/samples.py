@@ -1,5 +1,6 @@
 """The stages that one control cycle passes through; each has its own type."""
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
@@ -76,6 +77,10 @@ class StateEstimate(Record):
         """The sample that it rests on; 0 before the first."""
 
 
+AT_REST: Final = StateEstimate(0.0, 0.0, 0.0, Instant(0), 0)
+"""What is assumed before the first sample: the loop starts with the drive at rest."""
+
+
 class CommandFate(Enum):
     """What became of a command behind the bus."""
 
@@ -135,6 +140,8 @@ class CycleRecord(Record):
         "sending",
         "clock_offset_ns",
         "clock_error_ns",
+        "compute_ns",
+        "channels",
     )
     __slots__ = __match_args__
 
@@ -155,6 +162,8 @@ class CycleRecord(Record):
         sending: Sending | None,
         clock_offset_ns: int | None,
         clock_error_ns: int | None,
+        compute_ns: int | None = None,
+        channels: Sequence[float] = (),
     ) -> None:
         self.sequence: Final = sequence
         """The cycle's number on the grid of ticks, from 1."""
@@ -180,3 +189,7 @@ class CycleRecord(Record):
         self.clock_offset_ns: Final = clock_offset_ns
         """Host minus drive, by the map of the drive's clock; None for a drive without one."""
         self.clock_error_ns: Final = clock_error_ns
+        self.compute_ns: Final = compute_ns
+        """What compensator and controller took, on the host's own clock also where time is simulated."""
+        self.channels: Final = channels
+        """What the controller told of its own, by its ``channels``."""

@@ -7,7 +7,8 @@ from typing import Final
 
 from drivers.errors import BadInput
 from drivers.exchange import Command
-from hil.loop.samples import StateEstimate
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
 
 TORQUE_SHARE: Final = 0.03
 """Of the rated torque: thirty steps of 6071h, hardly more than the friction of most motors."""
@@ -37,11 +38,11 @@ def steps_of(torque_max_nm: float | None, rated_torque_nm: float) -> int:
     return steps
 
 
-class Excitation:
+class Excitation(Controller):
     """Torques of 1 to ``steps`` units, no magnitude twice within half as many cycles.
 
     The sign alternates, so that the speed stays where it was; where it has wandered off by more than
-    :data:`CALM_SHARE` of its limit the torque brakes. A :class:`hil.loop.axis_roles.Controller`.
+    :data:`CALM_SHARE` of its limit the torque brakes.
     """
 
     def __init__(self, steps: int, unit_nm: float, speed_max_rad_s: float, seed: int) -> None:
@@ -55,14 +56,14 @@ class Excitation:
         self._magnitude = 0
         self._draw()
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:  # noqa: ARG002
-        """The torque of this cycle, N m."""
-        sign = self._sign
-        if abs(estimate.velocity_rad_s) > self._calm_rad_s:
-            sign = -math.copysign(1.0, estimate.velocity_rad_s)
-        return sign * self._magnitude * self._unit_nm
+    def output(self, context: Context) -> SetPoint:
+        """The torque of this cycle."""
+        sign, speed_rad_s = self._sign, context.estimate.velocity_rad_s
+        if abs(speed_rad_s) > self._calm_rad_s:
+            sign = -math.copysign(1.0, speed_rad_s)
+        return TorqueSetPoint(sign * self._magnitude * self._unit_nm)
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:  # noqa: ARG002
+    def update(self, context: Context, command: Command) -> None:  # noqa: ARG002
         """Draw the next."""
         self._sign = -math.copysign(1.0, command.torque_nm)
         self._draw()

@@ -8,8 +8,10 @@ from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Drive, Readback, Reading, SentCommand
 from drivers.timebase import Clock, Instant
 from hil.control.compensation import Arrival
+from hil.loop.axis_roles import Compensator
 from hil.loop.clock_map import ClockMap
-from hil.loop.samples import StateEstimate
+from hil.loop.context import Context
+from hil.loop.samples import Sample, StateEstimate
 
 BEFORE_NS: Final = 2_000
 """A demand that changed so shortly before its command was on the bus is its own: a stamp of 1013h is rounded
@@ -73,19 +75,22 @@ class ProbedDrive(Drive):
         self.drive.check()
 
 
-class DecisionProbe:
+class DecisionProbe(Compensator):
     """A compensator: the newest sample at once, with a note of when a decision began by asking for it."""
 
     def __init__(self, clock: Clock) -> None:
         self.began_at = Instant(0)
         self._now = clock.now
         self._arrival = Arrival()
-        self.receive = self._arrival.receive
 
-    def estimate(self, apply_at: Instant) -> StateEstimate:
+    def receive(self, sample: Sample) -> None:
+        """As that of :class:`hil.control.compensation.Arrival`."""
+        self._arrival.receive(sample)
+
+    def estimate(self, context: Context) -> StateEstimate:
         """As that of :class:`hil.control.compensation.Arrival`."""
         self.began_at = self._now()
-        return self._arrival.estimate(apply_at)
+        return self._arrival.estimate(context)
 
 
 def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) -> dict[int, TimedDemandChange]:

@@ -39,6 +39,7 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"| dropouts | {lost.total} of {readings} ({share:.1f} %): "
         f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed |",
         f"| wake-up lateness p50 / p99 / max | {_times(summary.lateness_us)} |",
+        f"| computing time p50 / p99 / max | {_times(summary.compute_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
         *_swing(summary),
         *(f"| {title} | {line} |" for title, line in certificate_lines(summary.certificates).items()),

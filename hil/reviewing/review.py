@@ -10,7 +10,7 @@ from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.speed_error import SpeedErrorMeter, largest, worst
 from hil.reviewing.torque_swing import TorqueSwingMeter
 from hil.rows.recording_plan import ReviewPlan
-from hil.rows.records import CAUSES, NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import CAUSES, DIGESTED_BYTES, NOTHING, ROW_DTYPE, Rows
 from hil.rows.side_rows import TextEvent
 from hil.verdict.summary import DropoutCounts, Figures, Percentiles
 
@@ -20,13 +20,14 @@ DIGEST_BYTES = 16
 class Review:
     """Feed it rows in the order of recording; ask for the figures at any time.
 
-    The digest covers every field of every row. In simulated time each of them follows
+    The digest covers the fields of every row before ``compute_ns``. In simulated time each of them follows
     from the bench file and the seed; in real time the digest only names the recording.
     """
 
     def __init__(self, plan: ReviewPlan) -> None:
         self.delay = TimeHistogram()
         self._lateness = TimeHistogram()
+        self._compute = TimeHistogram()
         self._axes = plan.axes
         self._errors = [SpeedErrorMeter(axis, plan.settling) for axis in plan.axes]
         self._swings = [TorqueSwingMeter(axis, plan.settling) for axis in plan.axes]
@@ -50,12 +51,15 @@ class Review:
             raise TypeError(f"rows of {rows.dtype}, expected ROW_DTYPE")
         if not rows.size:
             return
-        self._digest.update(np.ascontiguousarray(rows).data)
+        packed = np.ascontiguousarray(rows).view(np.uint8).reshape(rows.size, ROW_DTYPE.itemsize)
+        self._digest.update(np.ascontiguousarray(packed[:, :DIGESTED_BYTES]).data)
         self._fates += np.bincount(rows["fate"], minlength=self._fates.size)
         delay = rows["delay_ns"]
         self.delay.add(delay[delay != NOTHING])
         woken = rows[rows["woke_at"] != NOTHING]
         self._lateness.add(woken["woke_at"] - woken["due_at"])
+        compute = rows["compute_ns"]
+        self._compute.add(compute[compute != NOTHING])
         for axis, meter in enumerate(self._errors):
             mine = rows if len(self._errors) == 1 else rows[rows["axis"] == axis]
             self._count(axis, mine)
@@ -94,6 +98,7 @@ class Review:
             delay_us=_percentiles_us(self.delay),
             speed_error=worst([meter.figures() for meter in self._errors]),
             lateness_us=_percentiles_us(self._lateness),
+            compute_us=_percentiles_us(self._compute),
             digest=self._digest.hexdigest(),
             torque_rms_nm=largest(meter.rms_nm for meter in self._swings),
             certificates={

@@ -3,9 +3,9 @@
 import json
 from typing import Final, NamedTuple
 
-from hil.rows.records import CAUSES, COMMAND_FATES, NOTHING
+from hil.rows.records import CAUSES, CHANNELS_MAX, COMMAND_FATES, NOTHING
 
-FORMAT: Final = "1"
+FORMAT: Final = "2"
 """Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
 
 
@@ -104,6 +104,11 @@ COLUMNS: Final = (
     _instant("command_acts_by", "the earliest instant known at which it acted"),
     _instant("clock_offset_ns", "run time minus the drive's clock, by the map of that clock"),
     Column("clock_error_ns", "int64", "ns", "error of an instant that this map places"),
+    Column("compute_ns", "int64", "ns", "what compensator and controller took, by the host's own clock"),
+    *(
+        _number(f"channel_{number}", "", f"what the controller told as number {number} of its channels")
+        for number in range(CHANNELS_MAX)
+    ),
 )
 """In the order of :data:`hil.rows.records.LAYOUT`."""
 

@@ -6,6 +6,7 @@ hashes them, the summary is computed from them, and ``records.arrow`` holds them
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +25,9 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
+
+CHANNELS_MAX: Final = 8
+"""Values of its own that a controller may tell in a cycle: each costs 8 bytes of every row of every run."""
 
 LAYOUT: tuple[tuple[str, str], ...] = (
     # CycleRecord
@@ -73,8 +77,14 @@ LAYOUT: tuple[tuple[str, str], ...] = (
     # CycleRecord
     ("clock_offset_ns", "q"),
     ("clock_error_ns", "q"),
+    ("compute_ns", "q"),
+    # of its channels
+    *((f"channel_{number}", "d") for number in range(CHANNELS_MAX)),
 )
 """Name and struct code of each field, in the order in which the records nest."""
+
+DIGESTED_BYTES: Final = 8 * [name for name, _ in LAYOUT].index("compute_ns")
+"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed."""
 
 ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
 _NUMPY: Final = {"q": "<i8", "d": "<f8"}
@@ -123,6 +133,8 @@ def row_of(record: CycleRecord) -> bytes:
     _write_sending(row, record.sending)
     _write(row, record.clock_offset_ns)
     _write(row, record.clock_error_ns)
+    _write(row, record.compute_ns)
+    _write_channels(row, record.channels)
     return row.getvalue()
 
 
@@ -184,6 +196,12 @@ def _write_sending(row: BytesWriter, sending: Sending | None) -> None:
     _write(row, sending.acts_by)
 
 
+def _write_channels(row: BytesWriter, channels: Sequence[float]) -> None:
+    told = len(channels)
+    for place in range(CHANNELS_MAX):
+        write_f64_le(row, channels[place] if place < told else math.nan)
+
+
 def _write_none(row: BytesWriter, codes: str) -> None:
     """Fields that there is nothing for."""
     for code in codes:
@@ -226,6 +244,8 @@ def record_of(row: np.void) -> CycleRecord:
         sending=_sending_of(field),
         clock_offset_ns=_duration(field["clock_offset_ns"]),
         clock_error_ns=_duration(field["clock_error_ns"]),
+        compute_ns=_duration(field["compute_ns"]),
+        channels=_channels_of(field),
     )
 
 
@@ -266,6 +286,13 @@ def _estimate_of(field: dict[str, Any]) -> StateEstimate | None:
         Instant(field["estimate_valid_at"]),
         field["estimate_sequence"],
     )
+
+
+def _channels_of(field: dict[str, Any]) -> tuple[float, ...]:
+    values = [field[f"channel_{number}"] for number in range(CHANNELS_MAX)]
+    while values and math.isnan(values[-1]):
+        values.pop()
+    return tuple(values)
 
 
 def _command_of(field: dict[str, Any]) -> Command | None:

@@ -155,6 +155,9 @@ def _column(values: NDArray[Any], column: Column, zero: Instant) -> pa.Array:
 def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
     rows = np.empty(batch.num_rows, ROW_DTYPE)
     for column in COLUMNS:
+        if column.name not in batch.schema.names:  # of a later format than the file
+            rows[column.name] = np.nan if column.kind == "float64" else NOTHING
+            continue
         found = batch.column(column.name)
         if column.kind != "float64":
             found = found.cast("int64").fill_null(NOTHING)

@@ -67,6 +67,7 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
         else "never steady for long enough to be judged",
         "Delay": _percentiles(found.delay_us),
         "Lateness": _percentiles(found.lateness_us),
+        "Computing": _percentiles(found.compute_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
         **timing_lines(found.timing),

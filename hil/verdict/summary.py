@@ -28,6 +28,7 @@ _METRICS = {
     "bus_load_percent_max": "bus load [%]",
     "missed_percent_max": "cycles without SYNC [%]",
     "lateness_us_max": "lateness, largest [us]",
+    "compute_us_max": "computing time, largest [us]",
     "torque_rms_nm_max": "torque about its mean, rms [N m]",
 }
 
@@ -85,6 +86,8 @@ class Figures:
     speed_error: SpeedError
     lateness_us: Percentiles
     """Woke minus due, of every cycle."""
+    compute_us: Percentiles
+    """What compensator and controller took in a cycle, by the host's clock, over all axes."""
     digest: str
     """BLAKE2b, 128 bit, hex, over the packed rows in order of recording (:mod:`hil.rows.records`)."""
     torque_rms_nm: float | None = None
@@ -118,6 +121,7 @@ class Summary:
     bus_load_percent: float | None
     realtime_factor: float | None
     lateness_us: Percentiles
+    compute_us: Percentiles
     verdict: RunVerdict
     recording: str
     """The folder of the run; empty if nothing was kept."""
@@ -155,6 +159,7 @@ class Summary:
         values["dropouts"] = DropoutCounts(**values["dropouts"])
         values["delay_us"] = Percentiles(**values["delay_us"])
         values["lateness_us"] = Percentiles(**values["lateness_us"])
+        values["compute_us"] = Percentiles(**values["compute_us"])
         values["speed_error"] = SpeedError(**values["speed_error"])
         values["verdict"] = RunVerdict.from_json(values["verdict"])
         values["drives"] = tuple(DriveEnd(**drive) for drive in values["drives"])
@@ -201,6 +206,7 @@ def summary_without_run(outcome: VerdictKind, reason: str) -> Summary:
         bus_load_percent=None,
         realtime_factor=None,
         lateness_us=none,
+        compute_us=none,
         verdict=not_run(outcome, reason),
         recording="",
         seed=None,
@@ -219,5 +225,6 @@ def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | 
         "bus_load_percent_max": outcome.bus_load_percent,
         "missed_percent_max": figures.missed_percent,
         "lateness_us_max": figures.lateness_us.max,
+        "compute_us_max": figures.compute_us.max,
         "torque_rms_nm_max": figures.torque_rms_nm,
     }

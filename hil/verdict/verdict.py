@@ -94,6 +94,7 @@ class VerdictLimits:
     bus_load_percent_max: float | None = None
     missed_percent_max: float | None = None
     lateness_us_max: float | None = None
+    compute_us_max: float | None = None
     torque_rms_nm_max: float | None = None
 
 

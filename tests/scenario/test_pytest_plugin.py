@@ -13,8 +13,7 @@ import pytest
 
 from drivers.cia402.profile import State
 from drivers.errors import DriveInFault
-from drivers.exchange import Command
-from hil.loop.samples import StateEstimate
+from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
 from hil.pytest_plugin import MakeDrive, StartDrive
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES, hub_name, observer, quiet_environment, serving
@@ -208,17 +207,17 @@ def test_the_pdos_of_a_data_sheet_s_plan_are_intended(servo_bench: BenchRunner, 
     run.assert_no_unintended_frame()
 
 
-class Watching:
+class Watching(Controller):
     """A controller that asks for no torque, and notes under which conditions it runs."""
 
     def __init__(self) -> None:
         self.policies: set[int] = set()
         self.locked: set[str] = set()
 
-    def output(self, _estimate: StateEstimate, _reference_rad_s: float) -> float:
-        return 0.0
+    def output(self, _context: Context) -> SetPoint:
+        return TorqueSetPoint(0.0)
 
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+    def update(self, _context: Context, _command: Command) -> None:
         self.policies.add(os.sched_getscheduler(0))
         lines = Path("/proc/self/status").read_text().splitlines()
         self.locked |= {line.split()[1] for line in lines if line.startswith("VmLck")}
@@ -242,7 +241,7 @@ def test_a_bench_in_real_time_asks_nothing_of_the_kernel_for_the_test_process(
 class Impatient(Watching):
     """Its user presses Ctrl-C."""
 
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+    def update(self, _context: Context, _command: Command) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
 

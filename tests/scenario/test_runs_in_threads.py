@@ -11,11 +11,9 @@ from typing import Any
 import pytest
 
 from drivers.cia402.profile import State
-from drivers.exchange import Command
+from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
 from hil.configuration.bench_file import load_bench
 from hil.execution.bench import run_bench
-from hil.loop.axis_roles import Controller
-from hil.loop.samples import StateEstimate
 from hil.machine.progress import Progress, no_progress
 from hil.machine.stopping import StopRequest
 from hil.verdict.summary import Summary
@@ -94,17 +92,17 @@ def test_its_caller_stops_it(tmp_path: Path, phase: str, elapsed_s: float) -> No
     assert_rests(drives[0])
 
 
-class Raising:
+class Raising(Controller):
     """A controller that turns the shaft until it raises."""
 
     def __init__(self, error: type[BaseException]) -> None:
         self._error = error
 
-    def output(self, _estimate: StateEstimate, _reference_rad_s: float) -> float:
-        return 1.0
+    def output(self, _context: Context) -> SetPoint:
+        return TorqueSetPoint(1.0)
 
-    def update(self, estimate: StateEstimate, _command: Command) -> None:
-        if estimate.velocity_rad_s > TURNING_RAD_S:
+    def update(self, context: Context, _command: Command) -> None:
+        if context.estimate.velocity_rad_s > TURNING_RAD_S:
             raise self._error
 
 

@@ -5,10 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from drivers.errors import BadInput, DriveInFault
-from drivers.exchange import Command
+from hil import Command, Context, Controller, SetPoint, TorqueSetPoint
 from hil.configuration.config import BenchConfig
 from hil.execution.simulated_drives import simulated_drives
-from hil.loop.samples import StateEstimate
 from hil.testing.bench_runs import BenchRunner
 from hil.verdict.verdict import LimitResult, VerdictKind
 from tests.scenario.processes import EXAMPLES
@@ -94,14 +93,11 @@ def test_a_drive_that_fails_behind_the_last_cycle_is_found(servo_bench: BenchRun
     assert run.summary.cycles == 600
 
 
-class Still:
+class Still(Controller):
     """A controller that asks for no torque."""
 
-    def output(self, _estimate: StateEstimate, _reference_rad_s: float) -> float:
-        return 0.0
-
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
-        """Nothing to remember."""
+    def output(self, _context: Context) -> SetPoint:
+        return TorqueSetPoint(0.0)
 
 
 class Warned(Still):
@@ -111,7 +107,7 @@ class Warned(Still):
         self._drives = drives
         self._cycles = 0
 
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
+    def update(self, _context: Context, _command: Command) -> None:
         self._cycles += 1
         if self._cycles == 10:
             self._drives[0].raise_error(0x3110, ErrorRegister.VOLTAGE | ErrorRegister.GENERIC)

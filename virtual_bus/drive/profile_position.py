@@ -26,7 +26,7 @@ RELATIVE: Final = Control.MODE_6
 CHANGE_ON_SET_POINT: Final = 1 << 9
 
 
-class PositionSetPoint:
+class PositionTarget:
     """A target, encoder counts, and how to get there, as they were when bit 4 rose."""
 
     def __init__(self, target: float, limits: MoveLimits, cut: bool) -> None:
@@ -52,8 +52,8 @@ class ProfilePosition(OperationMode):
         self._lags = False
         self._passing = False
         self._given_up = False
-        self._under_way: PositionSetPoint | None = None
-        self._waiting: PositionSetPoint | None = None
+        self._under_way: PositionTarget | None = None
+        self._waiting: PositionTarget | None = None
         self._last_target = 0.0
 
     def begin(self, controlword: int) -> None:
@@ -113,7 +113,7 @@ class ProfilePosition(OperationMode):
         if self._passing:
             self._plan_passing()
 
-    def _set_point(self, controlword: int) -> PositionSetPoint:
+    def _set_point(self, controlword: int) -> PositionTarget:
         axis = self.axis
         units, position = axis.units, axis.motion.target_position.value
         axis.limited = False
@@ -123,7 +123,7 @@ class ProfilePosition(OperationMode):
         else:
             target = units.count_of(axis.cut_target(position), axis.count)
         limits = axis.move_limits()
-        return PositionSetPoint(target, limits, axis.limited)
+        return PositionTarget(target, limits, axis.limited)
 
     def _busy(self) -> bool:
         return self._under_way is not None and not self._reached
@@ -132,7 +132,7 @@ class ProfilePosition(OperationMode):
         if not self._word & NEW_SET_POINT and self._waiting is None:
             self._acknowledged = False
 
-    def _start(self, set_point: PositionSetPoint) -> None:
+    def _start(self, set_point: PositionTarget) -> None:
         """From where the present profile is, or the shaft during a halt."""
         start = self._profile.at(self._elapsed_s)
         self._under_way = set_point
@@ -148,7 +148,7 @@ class ProfilePosition(OperationMode):
             return
         limits = under_way.limits
         passing = MoveLimits(limits.speed, limits.acceleration, limits.deceleration, limits.speed)
-        self._start(PositionSetPoint(under_way.target, passing, under_way.cut))
+        self._start(PositionTarget(under_way.target, passing, under_way.cut))
         self._passing = True
 
     def _begin_waiting(self) -> None:

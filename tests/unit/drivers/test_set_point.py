@@ -6,7 +6,7 @@ import pytest
 
 from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.scaling import Scaling
-from drivers.cia402.setpoint import SetPoint
+from drivers.cia402.setpoint import SetPointFrames
 from drivers.exchange import SentCommand
 from drivers.timebase import Instant
 from drivers.wire.frame_port import UNTOLD
@@ -22,7 +22,7 @@ class Rig:
         self.bus: FakeBus
         self.bus, self.network = make_network()
         plan = all_modes_plan(1, device_stamp=True)
-        self.set_point = SetPoint(self.network, plan, Scaling(1.0, 1.0, 1.0, 1.0, 0.001), None)
+        self.set_point = SetPointFrames(self.network, plan, Scaling(1.0, 1.0, 1.0, 1.0, 0.001), None)
         self.frames: list[bytes] = []
 
     def send(self, *torques_raw: int) -> list[SentCommand]:

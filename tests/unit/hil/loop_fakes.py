@@ -11,15 +11,16 @@ from drivers.timebase import NS_PER_MS, Duration, Instant
 from drivers.wire.frame_port import UNTOLD, EchoBasis
 from hil.control.compensation import Arrival
 from hil.loop.axis import Axis, AxisParts
-from hil.loop.axis_roles import Compensator
+from hil.loop.axis_roles import Compensator, Controller
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
+from hil.loop.context import Context, SetPoint, SpeedSetPoint, TorqueSetPoint
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, Loop, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
-from hil.loop.samples import CycleRecord, StateEstimate
+from hil.loop.samples import CycleRecord
 from hil.loop.scenario import LoadProfile, SpeedProfile, SpeedStep
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
@@ -158,14 +159,15 @@ class FakeBus(Master):
         return False
 
 
-class Proportional:
-    """Torque equals speed error: shows what a command was computed from."""
+class Proportional(Controller):
+    """Torque, or speed, equals speed error: shows what a command was computed from."""
 
-    def output(self, estimate: StateEstimate, reference_rad_s: float) -> float:
-        return reference_rad_s - estimate.velocity_rad_s
+    def __init__(self, quantity: Callable[[float], SetPoint] = TorqueSetPoint) -> None:
+        self._quantity = quantity
 
-    def update(self, estimate: StateEstimate, command: Command) -> None:
-        """Static."""
+    def output(self, context: Context) -> SetPoint:
+        error_rad_s = context.reference_rad_s - context.estimate.velocity_rad_s
+        return self._quantity(error_rad_s)
 
 
 def make_axis(
@@ -181,7 +183,7 @@ def make_axis(
     parts = AxisParts(
         name="axis1",
         drive=drive,
-        controller=Proportional(),
+        controller=Proportional(SpeedSetPoint if isinstance(limits, SpeedLimits) else TorqueSetPoint),
         compensator=compensator or Arrival(),
         guard=SafetyGuard(limits or TorqueLimits(5.0, 200.0), 0.001),
         reference=SpeedProfile([SpeedStep(0.01, 2.0)]),

@@ -75,6 +75,8 @@ def synthetic_records(cycles: int, seed: int = 1, origin: int = 0, axis: int = 0
             sending=sending,
             clock_offset_ns=123_456,
             clock_error_ns=1_200,
+            compute_ns=15_000 + cycle % 7,
+            channels=(load, 2.0 * load),
         )
         torque = torque_command
         speed += (torque - load - _FRICTION * speed) / _INERTIA * 1e-3

@@ -15,9 +15,10 @@ from hil.commissioning import exercise
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
 from hil.commissioning.request import Nameplate, motion_limits
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.pace import CALIBRATION_SYNCS
 from hil.loop.safety import SafetyGuard
-from hil.loop.samples import StateEstimate
 from hil.loop.scenario import SpeedStep
 from hil.loop.syncs import SyncLog
 from hil.machine.stopping import Interrupted
@@ -27,19 +28,16 @@ LIMITS = motion_limits(Nameplate(), 2.0, 3000.0)
 """1 N m, which is half of the rated torque; 100 N m/s."""
 
 
-class Asked:
+class Asked(Controller):
     """A controller that asks for the same in each cycle."""
 
     def __init__(self, torque_nm: float = 0.0) -> None:
         self.torque_nm = torque_nm
         self.references: list[float] = []
 
-    def output(self, _estimate: StateEstimate, reference: float) -> float:
-        self.references.append(reference)
-        return self.torque_nm
-
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
-        pass
+    def output(self, context: Context) -> SetPoint:
+        self.references.append(context.reference_rad_s)
+        return TorqueSetPoint(self.torque_nm)
 
 
 class Port(FakeDrive):

@@ -22,7 +22,10 @@ from hil.commissioning.request import (
     load_nameplate,
     motion_limits,
 )
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.samples import StateEstimate
+from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_NS = 1_000_000
 LIMITS = MotionLimits(
@@ -44,14 +47,11 @@ class Port:
         self.commanded_rad = commanded_rad
 
 
-class Still:
+class Still(Controller):
     """A controller that asks for nothing."""
 
-    def output(self, _estimate: StateEstimate, _reference: float) -> float:
-        return 0.0
-
-    def update(self, _estimate: StateEstimate, _command: Command) -> None:
-        pass
+    def output(self, _context: Context) -> SetPoint:
+        return TorqueSetPoint(0.0)
 
 
 def watched(
@@ -66,7 +66,7 @@ def estimate(cycle: int, position_rad: float, torque_nm: float = 0.0) -> StateEs
 
 def drive_along(watch: Watched, positions: list[float], torque_nm: float = 0.0) -> None:
     for cycle, position in enumerate(positions, start=1):
-        watch.output(estimate(cycle, position, torque_nm), 0.0)
+        torque_of(watch, estimate(cycle, position, torque_nm))
 
 
 def test_travel() -> None:
@@ -111,15 +111,15 @@ def test_the_inner_controller_is_asked_and_told() -> None:
     told = []
 
     class Noted(Still):
-        def output(self, estimate: StateEstimate, reference: float) -> float:
-            return estimate.position_rad + reference
+        def output(self, context: Context) -> SetPoint:
+            return TorqueSetPoint(context.estimate.position_rad + context.reference_rad_s)
 
-        def update(self, _estimate: StateEstimate, command: Command) -> None:
+        def update(self, _context: Context, command: Command) -> None:
             told.append(command.torque_nm)
 
     watch = Watched(Noted(), LIMITS, cast(DrivePort, Port()), EnergyMeter())
-    assert watch.output(estimate(1, 0.25), 0.5) == 0.75
-    watch.update(estimate(1, 0.25), sent(0.125))
+    assert torque_of(watch, estimate(1, 0.25), 0.5) == 0.75
+    advance(watch, estimate(1, 0.25), 0.125)
     assert told == [0.125]
 
 
@@ -141,8 +141,8 @@ def test_what_is_just_at_a_limit_is_allowed() -> None:
 def moved(path_rad: float, passed_ns: int, torque_nm: float, limits: MotionLimits) -> None:
     """One move between two samples."""
     watch = watched(limits)
-    watch.output(StateEstimate(0.0, 0.0, torque_nm, Instant(1), 1), 0.0)
-    watch.output(StateEstimate(path_rad, 0.0, torque_nm, Instant(1 + passed_ns), 2), 0.0)
+    torque_of(watch, StateEstimate(0.0, 0.0, torque_nm, Instant(1), 1))
+    torque_of(watch, StateEstimate(path_rad, 0.0, torque_nm, Instant(1 + passed_ns), 2))
 
 
 def test_power_and_speed_have_their_margins() -> None:
@@ -181,13 +181,13 @@ def test_a_sample_is_counted_once() -> None:
     energy = EnergyMeter()
     watch = watched(replace(LIMITS, power_w=1e9), energy=energy)
     for cycle, position in ((1, 0.0), (2, 0.03125), (2, 0.5), (3, 0.5625)):
-        watch.output(estimate(cycle, position, 1.0), 0.0)
+        torque_of(watch, estimate(cycle, position, 1.0))
     assert energy.spent_j == 0.03125 + 0.0625
 
 
 def test_nothing_is_judged_before_the_first_sample() -> None:
     watch = watched()
-    watch.output(StateEstimate(1e9, 0.0, 0.0, Instant(0), 0), 0.0)
+    torque_of(watch, StateEstimate(1e9, 0.0, 0.0, Instant(0), 0))
     drive_along(watch, [5.0, 5.0])
 
 
@@ -280,16 +280,12 @@ def test_each_quantity_has_its_own_limits(guard_speed: bool) -> None:
 # ---- what excites the shaft -------------------------------------------------------------------------------
 
 
-def sent(torque_nm: float) -> Command:
-    return Command(1, torque_nm, Instant(0), Instant(0))
-
-
 def test_a_pulse_rises_slowly_holds_and_ends_at_rest() -> None:
     pulse = Pulse(1.0, 1.0, near_rad=0.02, far_rad=0.3, period_s=1e-3)
     position = speed = 0.0
     torques = []
     for cycle in range(1, 4000):
-        torque = pulse.output(estimate(cycle, position), 0.0)
+        torque = torque_of(pulse, estimate(cycle, position))
         torques.append(torque)
         drive = torque - math.copysign(0.2, speed) if speed else max(0.0, torque - 0.2)
         stops = speed > 0.0 and torque < 0.2 and speed + drive * 1.0 < 0.0
@@ -306,7 +302,7 @@ def test_a_pulse_rises_slowly_holds_and_ends_at_rest() -> None:
 
 def test_a_pulse_gives_up_at_its_peak() -> None:
     pulse = Pulse(-0.3, 1.0, near_rad=0.02, far_rad=0.3, period_s=1e-3)
-    torques = [pulse.output(estimate(cycle, 1.0), 0.0) for cycle in range(1, 1000)]
+    torques = [torque_of(pulse, estimate(cycle, 1.0)) for cycle in range(1, 1000)]
     assert min(torques) == pytest.approx(-0.301, abs=2e-3)
     assert not pulse.moved
     assert pulse.done()
@@ -317,8 +313,8 @@ def test_a_guide_lets_the_shaft_coast_without_a_jolt_afterwards() -> None:
     torques = []
     for cycle in range(1, 31):
         now = StateEstimate(0.0, 20.0, 0.0, Instant(cycle * PERIOD_NS), cycle)
-        torque = guide.output(now, 20.0 if cycle <= 15 else 0.0)
-        guide.update(now, sent(torque))
+        torque = torque_of(guide, now, 20.0 if cycle <= 15 else 0.0)
+        advance(guide, now, torque)
         torques.append(torque)
     assert torques[10:20] == [0.0] * 10
     assert abs(torques[20]) < 1.5 * SHAFT.inertia_kg_m2 * 40.0 * 20.0, "the reference jumped meanwhile"
@@ -327,5 +323,5 @@ def test_a_guide_lets_the_shaft_coast_without_a_jolt_afterwards() -> None:
 def test_a_profile_follows_its_own_cycles() -> None:
     profile = Profile(lambda time: 2.0 * time, 1e-3)
     for cycle in range(5):
-        assert profile.output(estimate(1, 0.0), 0.0) == pytest.approx(2e-3 * cycle)
-        profile.update(estimate(1, 0.0), sent(0.0))
+        assert torque_of(profile, estimate(1, 0.0)) == pytest.approx(2e-3 * cycle)
+        advance(profile, estimate(1, 0.0), 0.0)

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
-from drivers.exchange import Command
+from drivers.record import values_of
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import SpeedReference
@@ -27,6 +27,7 @@ from hil.commissioning.steps_setup import _extra_limits
 from hil.commissioning.steps_units import Turn, pulses
 from hil.loop.samples import StateEstimate
 from hil.loop.scenario import Segment, SpeedProfile
+from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD_S = 1e-3
 RATED_NM = 1.6
@@ -65,8 +66,9 @@ class Shaft:
         for cycle in range(1, round(duration / PERIOD_S)):
             now = Instant(round(cycle * PERIOD_S * NS_PER_S))
             estimate = StateEstimate(position, speed, 0.0, now, cycle)
-            asked = controller.output(estimate, profile.value(cycle * PERIOD_S))
-            controller.update(estimate, Command(cycle, asked, now, now))
+            set_point = controller.output(in_cycle(estimate, profile.value(cycle * PERIOD_S)))
+            asked = cast(float, values_of(set_point)[0])
+            advance(controller, estimate, asked)
             speed = self._turn(speed, asked) if self.port.quantity is Quantity.TORQUE else asked
             position += speed * PERIOD_S
             positions.append(position)

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Instant
 from hil.control.controllers import Pid, PidGains, StateFeedback
 from hil.loop.axis_roles import Controller
 from hil.loop.samples import StateEstimate
+from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_S = 0.001
 
@@ -18,9 +18,8 @@ def estimate(speed: float, number: int = 0, torque: float = 0.0) -> StateEstimat
 
 
 def step(controller: Controller, state: StateEstimate, reference: float, limit: float = math.inf) -> float:
-    demand = controller.output(state, reference)
-    sent = min(max(demand, -limit), limit)
-    controller.update(state, Command(state.sequence, sent, Instant(0), Instant(0)))
+    demand = torque_of(controller, state, reference)
+    advance(controller, state, min(max(demand, -limit), limit))
     return demand
 
 
@@ -28,7 +27,7 @@ def test_output_changes_nothing() -> None:
     pid = Pid(PidGains(0.1, 2.0, 0.001), PERIOD_S)
     step(pid, estimate(1.0, 0), 10.0)
     state = estimate(2.0, 1)
-    assert pid.output(state, 10.0) == pid.output(state, 10.0)
+    assert torque_of(pid, state, 10.0) == torque_of(pid, state, 10.0)
 
 
 def test_the_integral_grows_by_gain_times_error_times_period() -> None:
@@ -77,14 +76,14 @@ def test_state_feedback_has_the_papers_signs() -> None:
     controller = StateFeedback((0.0, -0.0212), 0.4, 0.00185)
     low, exact = estimate(140.0), estimate(157.0)
     steady = 0.00185 * 157.0
-    assert controller.output(exact, 157.0) == pytest.approx(steady)
-    assert controller.output(low, 157.0) == pytest.approx(steady + 0.4 * 0.0212 * 17.0)
+    assert torque_of(controller, exact, 157.0) == pytest.approx(steady)
+    assert torque_of(controller, low, 157.0) == pytest.approx(steady + 0.4 * 0.0212 * 17.0)
 
 
 def test_state_feedback_weighs_the_current_error() -> None:
     controller = StateFeedback((0.5, 0.0), 0.4, 0.0, feedforward_load_nm=0.8)
     # i_q* = 2 A; i_q = 1 A: u = K1 e_q = 0.5 A and i_qr = i_qr* - u = 1.5 A.
-    assert controller.output(estimate(0.0, torque=0.4), 0.0) == pytest.approx(0.4 * 1.5)
+    assert torque_of(controller, estimate(0.0, torque=0.4), 0.0) == pytest.approx(0.4 * 1.5)
 
 
 def test_state_feedback_integrates_once_a_period_and_not_at_a_limit() -> None:
@@ -94,4 +93,4 @@ def test_state_feedback_integrates_once_a_period_and_not_at_a_limit() -> None:
     # 10 rad/s for 10 ms are 0.1 rad, and so 0.01 A more
     second = 0.4 * (0.02 * 10.0 + 0.1 * 0.1)
     assert step(controller, slow, 100.0, limit=0.5 * second) == pytest.approx(second)
-    assert controller.output(slow, 100.0) == pytest.approx(second)
+    assert torque_of(controller, slow, 100.0) == pytest.approx(second)

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from drivers.errors import BadInput
-from drivers.exchange import Command, SentCommand
+from drivers.exchange import SentCommand
 from drivers.record import replaced
 from drivers.timebase import Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.network_file import load_network, network_text
-from hil.control.compensation import AT_REST
-from hil.loop.samples import CommandFate
+from hil.loop.samples import AT_REST, CommandFate
 from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN
 from hil.measuring.network import network_of
 from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.stages import Stage, command_stages, host_stages, reading_stages, refined, ways
 from hil.rows.records import COMMAND_FATES, NOTHING, ROW_DTYPE, Rows
+from tests.unit.hil.cycles import advance, torque_of
 
 PERIOD_NS = 1_000_000
 UNIT_NM = 0.002
@@ -31,10 +31,10 @@ def torques(steps: int, cycles: int, speed_rad_s: float = 0.0) -> list[float]:
     excitation = Excitation(steps, UNIT_NM, 10.0, seed=3)
     estimate = replaced(AT_REST, velocity_rad_s=speed_rad_s)
     found = []
-    for cycle in range(cycles):
-        torque_nm = excitation.output(estimate, 0.0)
-        assert torque_nm == excitation.output(estimate, 0.0), "nothing changes before the update"
-        excitation.update(estimate, Command(cycle, torque_nm, Instant(0), Instant(1)))
+    for _ in range(cycles):
+        torque_nm = torque_of(excitation, estimate)
+        assert torque_nm == torque_of(excitation, estimate), "nothing changes before the update"
+        advance(excitation, estimate, torque_nm)
         found.append(torque_nm)
     return found
 

@@ -43,6 +43,7 @@ def summary(
         bus_load_percent=51.4,
         realtime_factor=38.2,
         lateness_us=Percentiles(0.0, 0.0, 0.0),
+        compute_us=Percentiles(12.0, 20.0, 88.0),
         verdict=verdict,
         recording="runs/x",
         seed=2012,

@@ -11,7 +11,7 @@ from drivers.timebase import Instant
 from hil.loop.samples import CycleRecord, Dropout
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, ReviewPlan
-from hil.rows.records import LAYOUT, Rows, row_of
+from hil.rows.records import DIGESTED_BYTES, LAYOUT, NOTHING, Rows, row_of
 from hil.verdict.summary import DropoutCounts, Figures
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -76,7 +76,7 @@ def test_lateness_is_of_every_cycle() -> None:
 
 
 def test_the_digest_is_that_of_the_packed_rows(records: list[CycleRecord]) -> None:
-    packed = b"".join(row_of(record) for record in records)
+    packed = b"".join(row_of(record)[:DIGESTED_BYTES] for record in records)
     assert figures_of(rows_of(records)).digest == blake2b(packed, digest_size=16).hexdigest()
 
 
@@ -85,8 +85,30 @@ def test_chunks_do_not_matter(records: list[CycleRecord]) -> None:
     assert figures_of(*np.array_split(rows, 7)) == figures_of(rows)
 
 
-@pytest.mark.parametrize("name", [name for name, _ in LAYOUT])
-def test_every_field_enters_the_digest(records: list[CycleRecord], name: str) -> None:
+DIGESTED = [name for name, _ in LAYOUT[: DIGESTED_BYTES // 8]]
+
+
+def test_what_the_host_took_and_what_a_controller_tells_is_in_no_digest(records: list[CycleRecord]) -> None:
+    rows = rows_of(records[:10])
+    changed = rows.copy()
+    for name in [name for name, _ in LAYOUT if name not in DIGESTED]:
+        changed[name][4] += 1
+    assert figures_of(changed).digest == figures_of(rows).digest
+
+
+def test_the_computing_time_has_its_percentiles(records: list[CycleRecord]) -> None:
+    rows = rows_of(records[:1000]).copy()
+    rows["compute_ns"] = 30_000
+    rows["compute_ns"][500] = 20_700_000
+    found = figures_of(rows).compute_us
+    assert found.p50 == pytest.approx(30.0, rel=1e-3)
+    assert found.max == 20_700.0
+    rows["compute_ns"] = NOTHING
+    assert figures_of(rows).compute_us.max is None
+
+
+@pytest.mark.parametrize("name", DIGESTED)
+def test_every_other_field_enters_the_digest(records: list[CycleRecord], name: str) -> None:
     rows = rows_of(records[:10])
     changed = rows.copy()
     changed[name][4] = changed[name][4] + 1 if name != "fate" else 3

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from drivers.exchange import Command, SpeedCommand
 from drivers.timebase import Instant
-from hil.control.compensation import AT_REST
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
+from hil.loop.samples import AT_REST
 
 
 def guard(slew: float | None = None) -> SafetyGuard:

@@ -31,6 +31,7 @@ FIGURES = Figures(
     delay_us=Percentiles(400.0, 900.0, 1_500.0),
     speed_error=SpeedError(8.0, 5.0, 1.5, 4.0),
     lateness_us=Percentiles(0.0, 0.0, 12.0),
+    compute_us=Percentiles(20.0, 30.0, 45.0),
     digest="00",
     torque_rms_nm=0.5,
 )
@@ -43,6 +44,7 @@ VALUES = {
     "bus_load_percent_max": 53.0,
     "missed_percent_max": 1.0,
     "lateness_us_max": 12.0,
+    "compute_us_max": 45.0,
     "torque_rms_nm_max": 0.5,
 }
 
@@ -79,6 +81,7 @@ def test_json_has_the_promised_keys() -> None:
         "bus_load_percent",
         "realtime_factor",
         "lateness_us",
+        "compute_us",
         "verdict",
         "recording",
         "seed",
