@@ -76,6 +76,15 @@ ReplayOption = Annotated[
         "--replay-faults", metavar="FILE", help="faults.jsonl of a run; instead of the bench's own faults."
     ),
 ]
+ControllersOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--controller",
+        metavar="AXIS=FILE.py:NAME",
+        help="A controller of one's own, or a controller file (AXIS=FILE.toml), in place of the bench's; "
+        "may be repeated.",
+    ),
+]
 NetworkOption = Annotated[
     Path | None,
     typer.Option(
@@ -122,6 +131,7 @@ def run(
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
     no_record: NoRecordOption = False,
+    controller: ControllersOption = None,
     replay_faults: ReplayOption = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
@@ -138,11 +148,13 @@ def run(
     told = RunObject(as_json)
     with reported_errors(told.failed):
         from drivers.bounded_file import NamedBy
-        from hil.configuration.bench_file import load_bench, load_faults
+        from hil.configuration.bench_file import load_bench, load_faults, with_controllers
 
         if no_record and (record is not None or view):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
         config = load_bench(bench)
+        if controller:
+            config = with_controllers(config, controller)
         if replay_faults is not None:
             named_by = NamedBy("--replay-faults", "", str(replay_faults))
             config = config.with_faults(load_faults(replay_faults, named_by))

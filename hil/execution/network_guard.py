@@ -13,8 +13,9 @@ from typing import Final
 from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig, StampCompensator, StateFeedbackController
+from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_errors import raise_all
+from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.speed_controller_file import DesignPlant, MadeFor
