@@ -37,7 +37,7 @@ HOT_MODULES = [
     *_below("virtual_bus", "event_heap frame pacing timeline"),
     *_below("virtual_bus/bus", "arbitration bit_length bus_load controller error_frame error_handling"),
     *_below("virtual_bus/bus", "error_state filters frame_image host_port hub_broker hub_port hub_protocol"),
-    *_below("virtual_bus/bus", "inbox judge listener port segment trial"),
+    *_below("virtual_bus/bus", "held_frames inbox judge listener port segment trial"),
     *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
     *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
     *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),

@@ -15,9 +15,8 @@ from heapq import heappop, heappush
 from typing import Protocol
 
 from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Duration, Instant
-from virtual_bus.bus.host_port import HELD_MAX
-from virtual_bus.bus.judge import LOST
+from drivers.timebase import Instant
+from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.error_register import ErrorRegister
@@ -25,7 +24,7 @@ from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
 from virtual_bus.faults.fault_plan import Direction
 from virtual_bus.faults.node_fault_plan import DriveFailure
-from virtual_bus.faults.node_faults import NEVER, NodeEvent, NodeSource
+from virtual_bus.faults.node_faults import NodeEvent, NodeSource
 from virtual_bus.frame import Device, Frame
 
 _NOTHING: tuple[Frame, ...] = ()
@@ -95,8 +94,7 @@ class FaultyDevice:
     ) -> None:
         """``fates``: what befalls frames at the device's connection to the bus."""
         self.device = device
-        self.overflow = 0
-        """Frames lost because too many were held."""
+        self.held = HeldFrames()
         self._fates = fates
         self.controller: BusOffControl | None = None
         """None: bus-off is acted out here, by silence."""
@@ -109,7 +107,6 @@ class FaultyDevice:
         self._boots = 0
         self._off = False
         self._timers: list[tuple[int, int, str, int]] = []
-        self._held: list[tuple[int, int, _Stage, Frame]] = []
         self._queues: dict[int, int] = {}
         self._frames: dict[int, int] = {}
         self._order = 0
@@ -137,8 +134,8 @@ class FaultyDevice:
         due = NEVER if self._zero is None else self._strike_at()
         if self._timers and self._timers[0][0] < due:
             due = self._timers[0][0]
-        if self._held and self._held[0][0] < due:
-            due = self._held[0][0]
+        if self.held:
+            due = min(due, self.held.next_at())
         if self._boot is not None and self._boot[0] < due:
             due = self._boot[0]
         wish = self.device.wake_at
@@ -183,9 +180,8 @@ class FaultyDevice:
             boot_up = self._boot[1]
             self._boot = None
             out += self._pass_on(boot_up, now)
-        while self._held and self._held[0][0] <= now:
-            _, _, stage, frame = heappop(self._held)
-            self._let_go(stage, frame, now, out)
+        while (held := self.held.take(now)) is not None:
+            self._let_go(_Stage(held[3]), held[2], now, out)
         wish = self.device.wake_at
         if wish is not None and wish <= now:
             out += self._pass_on(self.device.wake(now), now)
@@ -207,20 +203,11 @@ class FaultyDevice:
         fates = self._fates
         assert fates is not None
         way = Direction.HOST_TO_DRIVE if stage is _Stage.COMING else Direction.DRIVE_TO_HOST
-        delay = fates.hold(int(way), frame.can_id, now, frame.extended)
-        goes_on = fates.replacements(frame) if delay == LOST else ((frame, Duration(delay)),)
-        for one, later in goes_on:
+        for one, later in fates.goes_on(int(way), frame, now):
             if later == 0:
                 self._let_go(stage, one, now, out)
             else:
-                self._hold(now + later, stage, one)
-
-    def _hold(self, release: int, stage: _Stage, frame: Frame) -> None:
-        if len(self._held) >= HELD_MAX:
-            self.overflow += 1
-            return
-        self._order += 1
-        heappush(self._held, (release, self._order, stage, frame))
+                self.held.hold(one, now + later, stage)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
         """The device's own affair."""
@@ -228,7 +215,7 @@ class FaultyDevice:
 
     def bus_off(self, now: Instant) -> None:
         """Its controller tells: what was held for sending is gone."""
-        self._held.clear()
+        self.held.clear()
         self.device.bus_off(now)
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]:
@@ -251,7 +238,7 @@ class FaultyDevice:
             return self._pass_on(frames, now)
         if self._log is not None:
             self._log.note(_BOOT, now - self._powered_at, self.node_id, 0, n, takes)
-        self._held.clear()
+        self.held.clear()
         self._boot = (now + takes, frames)
         return _NOTHING
 
@@ -273,7 +260,7 @@ class FaultyDevice:
             if late:
                 release = self._queues[queue] = max(release, self._queues.get(queue, 0))
             if release > now:
-                self._hold(release, _Stage.INSIDE, frame)
+                self.held.hold(frame, release, _Stage.INSIDE)
             elif self._fates is None:
                 out.append(frame)
             else:

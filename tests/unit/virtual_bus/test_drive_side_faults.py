@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from tests.motors import LING
-from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.held_frames import HELD_MAX
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
@@ -248,7 +248,7 @@ def test_no_more_is_held_than_there_is_room_for() -> None:
     gateway.receive(Frame(0, b"\x01\x00"), Instant(1))
     for n in range(HELD_MAX):
         assert gateway.receive(Frame(SYNC), Instant(n + 2)) == []
-    assert gateway.overflow == HELD_MAX, "two TPDOs a SYNC"
+    assert gateway.held.overflow == HELD_MAX, "two TPDOs a SYNC"
     assert len(gateway.wake(Instant(10 * NS_PER_S))) == HELD_MAX
 
 

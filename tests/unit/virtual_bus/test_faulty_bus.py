@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.timebase import NS_PER_S, Duration, Instant
 from tests.ports import fetched
-from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.held_frames import HELD_MAX
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fault_injector import FaultInjector
@@ -21,11 +21,11 @@ from virtual_bus.faults.fault_plan import (
     FrameClass,
     IndependentLoss,
     Selection,
+    Side,
 )
 from virtual_bus.faults.fault_plan import UniformDelay as Delay
 from virtual_bus.faults.faulty_bus import (
     FaultyBus,
-    Side,
     SimulatedFaultyBus,
 )
 from virtual_bus.frame import Frame
