@@ -44,7 +44,7 @@ HOT_MODULES = [
     *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
     *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo servo_parameters"),
     *_below("virtual_bus/drive", "slow_values trajectory user_units"),
-    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams special_faults strikes"),
+    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
     *_below("virtual_bus/hosting", "devices"),
 ]
 """What runs in every cycle of the loop or of a simulated drive."""

@@ -25,9 +25,10 @@ from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
 from virtual_bus.bus.held_frames import HeldFrames
 from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.fault_plan import Direction, Side
+from virtual_bus.faults.frame_fault import Side
 from virtual_bus.faults.strikes import FOREVER
 from virtual_bus.frame import Frame
 
