@@ -39,14 +39,14 @@ HOT_MODULES = [
     *_below("virtual_bus", "event_heap frame pacing timeline"),
     *_below("virtual_bus/bus", "arbitration bit_length bus_load controller error_frame error_handling"),
     *_below("virtual_bus/bus", "error_state filters frame_image host_port hub_broker hub_port hub_protocol"),
-    *_below("virtual_bus/bus", "inbox judge listener port segment trial"),
+    *_below("virtual_bus/bus", "held_frames inbox judge listener port segment trial"),
     *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
     *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
     *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),
     *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
     *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo servo_parameters"),
     *_below("virtual_bus/drive", "slow_values trajectory user_units"),
-    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams special_faults strikes"),
+    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
     *_below("virtual_bus/hosting", "devices"),
 ]
 """What runs in every cycle of the loop or of a simulated drive."""

@@ -18,7 +18,7 @@ from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
 from virtual_bus.faults.fault_log import FAULTS_FILE
-from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, read_fault_plan
+from virtual_bus.faults.fault_plan import read_fault_plan
 from virtual_bus.faults.replay import read_recorded
 
 ENTRY_POINTS = "servobench.controllers"
@@ -45,7 +45,7 @@ def faults_from(tables: Mapping[str, Any], source: str, prefix: str = "") -> Fau
     plan, errors = read_fault_plan(tables, source, prefix)
     if errors:
         raise_all(errors)
-    return Faults(tables=fault_plan_mapping(plan), plan=plan)
+    return Faults(tables=plan.as_tables(), plan=plan)
 
 
 def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig:

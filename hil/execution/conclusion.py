@@ -16,7 +16,7 @@ from hil.loop.loop import LoopOutcome
 from hil.recording.logger_process import RecordingFailed
 from hil.verdict.verdict import DriveEnd, RunOutcome, VerdictKind, outcome_of_status
 from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.node_fault_plan import DriveFailure, DriveFault
+from virtual_bus.faults.kinds.drive_fault import FAILURES, DriveFault
 from virtual_bus.hosting.injection import Faults
 
 TOLD_WITHIN: Final = Duration(100 * NS_PER_MS)
@@ -163,19 +163,17 @@ def named_emergencies(faults: Faults | None) -> Iterator[NamedEmergency]:
             if isinstance(fault, DriveFault):
                 yield _named(fault)
         return
-    failures = list(DriveFailure)
     for entry in faults.entries:
         if entry.kind == DriveFault.kind:
             first = Duration(entry.at_ns + entry.b)
             last = Duration(first + TOLD_WITHIN)
-            yield NamedEmergency((entry.link,), failures[entry.a].code, first, last)
+            yield NamedEmergency((entry.link,), FAILURES[entry.a].code, first, last)
 
 
 def _named(fault: DriveFault) -> NamedEmergency:
-    occasion = fault.occasion
-    first, last = occasion.from_ns, occasion.until_ns
-    if occasion.at_ns is not None:
-        first = last = occasion.at_ns
+    first, last = fault.from_ns, fault.until_ns
+    if fault.at_ns is not None:
+        first = last = fault.at_ns
     later = fault.detected_after_ns + TOLD_WITHIN
     until = None if last is None else Duration(last + later)
     return NamedEmergency(fault.nodes, fault.failure.code, Duration(first + fault.detected_after_ns), until)

@@ -16,7 +16,8 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.faulty_bus import FaultyBus, Side
+from virtual_bus.faults.faulty_bus import FaultyBus
+from virtual_bus.faults.frame_fault import Side
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode

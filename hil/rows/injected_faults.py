@@ -4,22 +4,17 @@ the host from when to when they struck."""
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.rows.side_rows import TextEvent
-from virtual_bus.faults.fault_log import (
-    EXTENDED_FLAG,
-    FRAME_KINDS,
-    HOST_KINDS,
-    KIND_CODES,
-    NONE,
-    FaultEntry,
-)
-from virtual_bus.faults.node_fault_plan import DriveFailure
+from virtual_bus.faults.fault_log import EXTENDED_FLAG, HOST_KINDS, FaultEntry
+from virtual_bus.faults.node_fault import NodeEvent
+from virtual_bus.faults.node_faults import node_kind
+from virtual_bus.faults.register import LOG_KINDS
 
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
 """Strikes of one fault that are no further apart belong to one window: a loss of 1 % of the readings of one
 axis at 1 kHz has one each 100 ms, and a gap as long as this once in 15 s."""
-_IN_WINDOWS: Final = frozenset(KIND_CODES[kind] for kind in (*FRAME_KINDS, *HOST_KINDS, "late"))
+_IN_WINDOWS: Final = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.in_windows)
 
 
 class _Window:
@@ -91,16 +86,5 @@ def _first(entry: FaultEntry) -> str:
 
 def _in_words(entry: FaultEntry) -> str:
     """What befell a node."""
-    kind, a = entry.kind.replace("_", " "), entry.a
-    node = f"node {entry.link}"
-    if entry.kind == "drive_fault":
-        lasts = f" for {entry.c / NS_PER_MS:g} ms" if entry.c else ""
-        return f"{kind} {list(DriveFailure)[a].label.replace('_', ' ')}, {node}{lasts}"
-    if entry.kind == "bus_off":
-        back = "" if a == NONE else f", it recovers after {a / NS_PER_MS:g} ms"
-        return f"{kind}, {node}{back}"
-    if entry.kind == "clock_step":
-        return f"{kind} of {a / NS_PER_US:g} us, {node}"
-    if entry.kind == "clock_drift":
-        return f"{kind} of {a / 1000:g} ppm more, {node}"
-    return f"{kind} of {a / NS_PER_MS:g} ms, {node}"
+    event = NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)
+    return node_kind(entry.kind).in_words(entry.kind, f"node {entry.link}", event)

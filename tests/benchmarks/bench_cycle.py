@@ -25,11 +25,11 @@ from hil.recording.row_writer import RowWriter
 from hil.rows.records import ROW, ROW_DTYPE, record_of
 from hil.rows.side_rows import FRAME, FRAME_DTYPE
 from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import Direction
-from virtual_bus.faults.fault_plan_toml import load_fault_plan
+from virtual_bus.faults.fault_plan import load_fault_plan
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline

@@ -12,18 +12,14 @@ import pytest
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant
 from drivers.wire.frame_port import UNTOLD, EchoBasis, FramePort
 from drivers.wire.link import BusLink
+from tests.fates import keys
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import (
-    Direction,
-    Duplication,
-    Fault,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Selection,
-    UniformDelay,
-)
+from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import FaultyBus
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.kinds.delay import Delay
+from virtual_bus.faults.kinds.duplicate import Duplicate
+from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.frame import Frame
 
 OpenBus = Callable[..., can.BusABC]
@@ -33,8 +29,8 @@ PATIENCE_NS = 2_000 * NS_PER_MS
 SILENCE_NS = 20 * NS_PER_MS
 """For one that must not."""
 SYNC, TPDO, RPDO = 0x080, 0x181, 0x201
-OUT = Selection(directions=(Direction.HOST_TO_DRIVE,))
-IN = Selection(directions=(Direction.DRIVE_TO_HOST,), frames=(FrameClass.ALL,))
+OUT = keys(direction="host_to_drive")
+IN = keys(direction="drive_to_host", frames=("all",))
 HELD = Duration(3 * NS_PER_MS)
 
 
@@ -79,7 +75,7 @@ class EchoSuite:
             assert abs(ours.at - theirs.at) <= self.stamps_differ_max_ns
 
     def faulty(
-        self, open_bus: OpenBus, clock: Clock, make: type[FaultyBus], *faults: Fault
+        self, open_bus: OpenBus, clock: Clock, make: type[FaultyBus], *faults: FrameFault
     ) -> tuple[FaultyBus, FramePort]:
         bus = make(open_bus(receive_own_messages=True), FaultInjector(FaultPlan(faults), 3), clock)
         bus.start(clock.now())
@@ -108,7 +104,7 @@ class EchoSuite:
     def test_a_lost_frame_has_no_echo(
         self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
     ) -> None:
-        loss = IndependentLoss(probability=1.0, selection=OUT)
+        loss = Loss(probability=1.0, **OUT)
         bus, host = self.faulty(open_bus, clock, make_faulty, loss)
         host.transmit(Frame(RPDO))
         host.transmit(Frame(SYNC))
@@ -121,7 +117,7 @@ class EchoSuite:
     def test_a_held_frame_has_its_echo_when_it_was_sent(
         self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
     ) -> None:
-        held = UniformDelay(min_ns=HELD, max_ns=HELD, selection=OUT)
+        held = Delay(delay_min_us=1e-3 * HELD, delay_max_us=1e-3 * HELD, **OUT)
         bus, host = self.faulty(open_bus, clock, make_faulty, held)
         handed_at = clock.now()
         host.transmit(Frame(RPDO))
@@ -134,7 +130,7 @@ class EchoSuite:
     def test_each_copy_has_an_echo(
         self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
     ) -> None:
-        twice = Duplication(probability=1.0, selection=OUT)
+        twice = Duplicate(probability=1.0, **OUT)
         bus, host = self.faulty(open_bus, clock, make_faulty, twice)
         host.transmit(Frame(RPDO))
         seen = self.take(host, 2, clock)
@@ -147,8 +143,8 @@ class EchoSuite:
         self, open_bus: OpenBus, clock: Clock, make_faulty: type[FaultyBus]
     ) -> None:
         """By when that was handed over; the truth is a number in the data."""
-        loss = IndependentLoss(probability=0.3, selection=OUT)
-        held = UniformDelay(min_ns=Duration(0), max_ns=HELD, reorder=True, selection=OUT)
+        loss = Loss(probability=0.3, **OUT)
+        held = Delay(delay_min_us=0 / 1000, delay_max_us=1e-3 * HELD, reorder=True, **OUT)
         bus, _ = self.faulty(open_bus, clock, make_faulty, loss, held)
         link = BusLink(bus, clock)
         handed_at = []
@@ -167,7 +163,7 @@ class EchoSuite:
         self, open_bus: OpenBus, clock: Clock, watch: FramePort, make_faulty: type[FaultyBus]
     ) -> None:
         """Of all that comes in, nothing else is let through."""
-        loss = IndependentLoss(probability=1.0, selection=IN)
+        loss = Loss(probability=1.0, **IN)
         bus, host = self.faulty(open_bus, clock, make_faulty, loss)
         drive: FramePort = open_bus().frame_port  # type: ignore[attr-defined]
         drive.transmit(Frame(TPDO))

@@ -17,20 +17,16 @@ from drivers.errors import DriveInFault, NoAnswer
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from drivers.wire.link import BusLink, StampSource
+from tests.fates import keys
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import (
-    Direction,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Selection,
-)
+from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import FaultyBus
+from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import SimulatedClock, Timeline
 
@@ -224,8 +220,8 @@ def test_nobody_at_another_node_id(bench: Bench) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_bus_that_loses_every_tenth_frame_is_lived_with(seed: int) -> None:
-    frames = (FrameClass.PDO, FrameClass.SDO, FrameClass.NMT)
-    loss = IndependentLoss(selection=Selection(frames=frames), probability=0.1)
+    frames = ("pdo", "sdo", "nmt")
+    loss = Loss(frames=frames, probability=0.1)
     bench = make_bench(FaultPlan((loss,)), seed)
     bench.enable()
     readings = bench.run(200, 0.3)
@@ -236,7 +232,7 @@ def test_a_bus_that_loses_every_tenth_frame_is_lived_with(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_speed_and_its_stamp_are_of_one_sync_on_a_lossy_bus(seed: int) -> None:
-    bench = make_bench(FaultPlan((IndependentLoss(probability=0.3),)), seed)
+    bench = make_bench(FaultPlan((Loss(probability=0.3),)), seed)
     bench.enable()
     bench.run(10, 1.0)
     readings = bench.run(100, 1.0)
@@ -296,10 +292,8 @@ def test_a_fault_is_noticed_in_the_cycle_in_which_it_comes(bench: Bench) -> None
 
 def test_a_drive_that_nothing_stops_stops_by_the_end_of_the_heartbeat() -> None:
     """Every SDO and RPDO to the first of two drives is lost. The second is let go in order all the same."""
-    to_the_first = Selection(
-        directions=(Direction.HOST_TO_DRIVE,), frames=(0x601, 0x201), from_ns=Duration(NS_PER_S)
-    )
-    bench = make_bench(FaultPlan((IndependentLoss(selection=to_the_first, probability=1.0),)))
+    to_the_first = keys(direction="host_to_drive", frames=(0x601, 0x201), from_s=1e-9 * NS_PER_S)
+    bench = make_bench(FaultPlan((Loss(**to_the_first, probability=1.0),)))
     attach_to_segment(SimulatedServo(2, MOTOR, DriveParameters(), 2), bench.segment, bench.timeline)
     other = ServoDrive(bench.network, 2, "axis2")
     other.connect(bench.soon())

@@ -19,6 +19,7 @@ from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.filters import accepts
+from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.bus.inbox import Inbox, ReceivedFrame
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
@@ -29,33 +30,20 @@ from virtual_bus.frame import Frame
 
 RECEIVE_QUEUE_MAX: Final = 65_536
 """Frames that an inbox holds for its reader; later ones are lost and counted."""
-HELD_MAX: Final = 4096
-"""Frames held in one direction; one more is lost and counted."""
 
 
-class _HeldIn(Action):
-    """A received frame until its release."""
+class _Release(Action):
+    """The instant at which a held frame goes on."""
 
-    def __init__(self, owner: "HostPort", frame: Frame) -> None:
-        self.owner = owner
-        self.frame = frame
+    def __init__(self, owner: "HostPort", out: bool) -> None:
+        self._owner = owner
+        self._out = out
 
     def happen(self, now: Instant) -> None:
-        self.owner._let_in(self.frame, now)
-
-
-class _HeldOut(Action):
-    """A frame until it is sent."""
-
-    def __init__(self, owner: "HostPort", frame: Frame, due: Instant) -> None:
-        self.owner = owner
-        self.frame = frame
-        self.due = due
-        self.waits = True
-
-    def happen(self, now: Instant) -> None:  # noqa: ARG002
-        if self.waits:
-            self.owner._let_out(self)
+        if self._out:
+            self._owner._let_out(now)
+        else:
+            self._owner._let_in(now)
 
 
 class _Ear(Listener):
@@ -79,16 +67,13 @@ class HostPort(FramePort):
         """Frames lost because nobody fetched them."""
         self.filters: CanFilters | None = None
         """Acceptance filters, in front of the faults."""
-        self.overflow_in = 0
-        self.overflow_out = 0
-        """Frames lost because too many were held."""
+        self.held_in = HeldFrames()
+        self.held_out = HeldFrames()
         self._judge: Judge | None = None
         self._out = int(Direction.HOST_TO_DRIVE)
         self._in = int(Direction.DRIVE_TO_HOST)
-        self._held_in = 0
-        self._outgoing: list[_HeldOut] = []
-        """In the order in which they came; some that were sent since, but never the first."""
-        self._held_out = 0
+        self._release_in = _Release(self, False)
+        self._release_out = _Release(self, True)
         self._closed = False
         self._deaf_to_errors: Callable[[], None] | None = None
         self.port: Port = segment.attach(name, _Ear(self))
@@ -133,20 +118,14 @@ class HostPort(FramePort):
         """Send ``frame`` after ``delay``."""
         if delay == 0:
             self.port.send(frame)
-        elif self._held_out >= HELD_MAX:
-            self.overflow_out += 1
-        else:
-            held = _HeldOut(self, frame, Instant(self.timeline.now + delay))
-            self._held_out += 1
-            self._outgoing.append(held)
-            self.timeline.enter(held.due, held)
+            return
+        release = Instant(self.timeline.now + delay)
+        if self.held_out.hold(frame, release):
+            self.timeline.enter(release, self._release_out)
 
     def flush(self) -> None:
         """Forget what is held for sending."""
-        for held in self._outgoing:
-            held.waits = False
-        self._outgoing.clear()
-        self._held_out = 0
+        self.held_out.clear()
 
     def hear_itself(self) -> None:
         """Let its own frames come back from now on, at their end of frame; they meet no fault."""
@@ -179,9 +158,9 @@ class HostPort(FramePort):
         """Send at once what is held and has room."""
         off = self.port.error_state is ErrorState.BUS_OFF
         room = 0 if off else TRANSMIT_QUEUE_MAX - self.port.pending
-        waiting = sorted([held for held in self._outgoing if held.waits], key=lambda held: held.due)
-        for held in waiting[:room]:
-            self.port.send(held.frame)
+        while room > 0 and (held := self.held_out.take(NEVER)) is not None:
+            self.port.send(held[2])
+            room -= 1
         self.flush()
 
     def close(self) -> None:
@@ -210,22 +189,17 @@ class HostPort(FramePort):
         """Keep what came at ``at`` after ``delay``."""
         if delay == 0:
             self._keep(frame, at)
-        elif self._held_in >= HELD_MAX:
-            self.overflow_in += 1
-        else:
-            self._held_in += 1
-            self.timeline.enter(Instant(at + delay), _HeldIn(self, frame))
+            return
+        release = Instant(at + delay)
+        if self.held_in.hold(frame, release):
+            self.timeline.enter(release, self._release_in)
 
-    def _let_in(self, frame: Frame, now: Instant) -> None:
-        self._held_in -= 1
-        if not self._closed:
-            self._keep(frame, now)
+    def _let_in(self, now: Instant) -> None:
+        held = self.held_in.take(now)
+        if held is not None and not self._closed:
+            self._keep(held[2], now)
 
-    def _let_out(self, held: _HeldOut) -> None:
-        held.waits = False
-        self._held_out -= 1
-        outgoing = self._outgoing
-        while outgoing and not outgoing[0].waits:
-            outgoing.pop(0)
-        if self.port.error_state is not ErrorState.BUS_OFF:
-            self.port.send(held.frame)
+    def _let_out(self, now: Instant) -> None:
+        held = self.held_out.take(now)
+        if held is not None and self.port.error_state is not ErrorState.BUS_OFF:
+            self.port.send(held[2])

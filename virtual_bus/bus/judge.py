@@ -40,3 +40,8 @@ class Judge:
         """What goes on in place of ``frame``, which ``hold`` has just lost: copies or damaged ones, each with
         its delay; empty if it is lost."""
         raise NotImplementedError
+
+    def goes_on(self, way: int, frame: Frame, now: Instant) -> Sequence[tuple[Frame, Duration]]:
+        """What goes on of ``frame``, which is there at ``now``, each with its delay; empty if it is lost."""
+        held = self.hold(way, frame.can_id, now, frame.extended)
+        return self.replacements(frame) if held == LOST else [(frame, Duration(held))]

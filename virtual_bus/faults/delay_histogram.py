@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bounded_file import NamedBy, parse_json, read_text
-from virtual_bus.faults.plan_checks import require
+from virtual_bus.faults.fault_table import require
 
 _COUNT = re.compile(r"[0-9]{1,18}")
 """Below 2**63."""

@@ -2,7 +2,7 @@
 
 An entry says which frame: the ``n``-th (from 0, since the plan's time zero) of its identifier in its
 direction, so a run that is repeated with these entries meets the same faults, whatever its seed. As a
-line of JSON, by kind:
+line of JSON, by kind (each says so itself, :class:`.log_kind.LogKind`):
 
     loss, burst, periodic_loss, blackout    at_ns, direction, can_id, n: the frame was lost
     corruption                              the same; with bit (of the data) it went on damaged after delay_ns
@@ -28,53 +28,24 @@ from librt.strings import BytesWriter, write_i64_le
 
 from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
-from virtual_bus.faults.fault_plan import EXTENDED_ID_MAX, STANDARD_ID_MAX, Direction
-from virtual_bus.faults.node_fault_plan import DriveFailure
+from virtual_bus.bus.judge import Direction
+from virtual_bus.faults.frame_fault import EXTENDED_ID_MAX, STANDARD_ID_MAX
+from virtual_bus.faults.log_kind import NONE, LogNumber
+from virtual_bus.faults.register import LOG_KINDS
 
 FAULTS_FILE = "faults.jsonl"
 """Its name in the folder of a run."""
 
-FRAME_KINDS = (
-    "loss",
-    "burst",
-    "periodic_loss",
-    "blackout",
-    "corruption",
-    "duplicate",
-    "reorder",
-    "delay",
-    "error_frame",
-)
-NODE_KINDS = ("silence", "bus_off", "drive_fault", "clock_step", "clock_drift", "late", "boot")
-HOST_KINDS = ("host_stall",)
-KINDS = FRAME_KINDS + NODE_KINDS + HOST_KINDS
+KINDS = tuple(kind.name for kind in LOG_KINDS)
 KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
+FRAME_KINDS, NODE_KINDS, HOST_KINDS = (
+    tuple(kind.name for kind in LOG_KINDS if kind.at == at) for at in ("link", "node", "host")
+)
 _DELAY: Final = KIND_CODES["delay"]
 _LABELS: Final = tuple(direction.label for direction in Direction)
 _DELAY_LINE: Final = '{"kind":"delay","at_ns":%d,"direction":"%s","can_id":%d,"n":%d,"delay_ns":%d}'
 """What nearly all entries of a run are, without the detour through a dictionary."""
 _COMPACT: Final = (",", ":")
-_OF_ONE_FRAME = frozenset({*FRAME_KINDS, "late"})
-_COUNTED = frozenset({*_OF_ONE_FRAME, "boot", *HOST_KINDS})
-
-_NUMBERS: dict[str, tuple[str, str, str]] = {
-    "corruption": ("bit", "delay_ns", ""),
-    "duplicate": ("later_ns", "delay_ns", ""),
-    "reorder": ("held_ns", "delay_ns", ""),
-    "delay": ("delay_ns", "in_order", ""),
-    "error_frame": ("bit", "", ""),
-    "silence": ("duration_ns", "", ""),
-    "bus_off": ("recover_after_ns", "", ""),
-    "drive_fault": ("fault", "detected_after_ns", "duration_ns"),
-    "clock_step": ("step_ns", "", ""),
-    "clock_drift": ("drift_ppb", "", ""),
-    "late": ("delay_ns", "", ""),
-    "boot": ("delay_ns", "", ""),
-    "host_stall": ("late_ns", "", ""),
-}
-"""Kind -> names of an entry's numbers a, b, c."""
-NONE: Final = -1
-"""A number that an entry does without: its bit, its recovery."""
 AT_NODE: Final = len(Direction)
 """A frame's link at a drive's own connection is its direction plus so many times the drive's node id."""
 EXTENDED_FLAG: Final = 1 << 31
@@ -176,37 +147,25 @@ def entry_line(entry: FaultEntry) -> str:
     if entry.code == _DELAY and entry.b and entry.can_id <= STANDARD_ID_MAX and entry.link < AT_NODE:
         at_ns, delay_ns, _, _, can_id, n, _, link = entry
         return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns)
-    kind = entry.kind
-    found = {"kind": kind, "at_ns": entry.at_ns} | _struck(entry, kind)
-    if kind == "corruption" and entry.a == NONE:
-        return json.dumps(found, separators=_COMPACT)
-    for name, value in zip(_NUMBERS.get(kind, ()), (entry.a, entry.b, entry.c), strict=False):
-        if name == "fault":
-            found[name] = list(DriveFailure)[value].label
-        elif name == "in_order":
-            if not value:
-                found[name] = False
-        elif name and not (value == NONE and name in ("bit", "recover_after_ns")):
-            found[name] = value
-    return json.dumps(found, separators=_COMPACT)
-
-
-def _struck(entry: FaultEntry, kind: str) -> dict[str, Any]:
-    """Which node or which frame."""
-    found: dict[str, Any] = {}
-    if kind in NODE_KINDS:
+    kind = LOG_KINDS[entry.code]
+    found: dict[str, Any] = {"kind": kind.name, "at_ns": entry.at_ns}
+    if kind.at == "node":
         found["node"] = entry.link
-    elif kind in FRAME_KINDS:
+    elif kind.at == "link":
         found["direction"] = entry.direction.label
         if entry.at_drive:
             found |= {"side": "drive", "node": entry.at_drive}
-    if kind in _OF_ONE_FRAME:
+    if kind.tells == "frame":
         found["can_id"] = entry.can_id & ~EXTENDED_FLAG
         if entry.can_id & EXTENDED_FLAG:
             found["extended"] = True
-    if kind in _COUNTED:
+    if kind.tells != "nothing":
         found["n"] = entry.n
-    return found
+    if entry.a != NONE or not any(number.optional for number in kind.numbers):
+        for number, value in zip(kind.numbers, (entry.a, entry.b, entry.c), strict=False):
+            if value != number.usual:
+                found[number.name] = number.words[value] if number.words else value
+    return json.dumps(found, separators=_COMPACT)
 
 
 def read_line(text: str, source: str, line: int) -> FaultEntry:
@@ -233,55 +192,51 @@ class _Line:
         self._place = place
 
     def entry(self) -> FaultEntry:
-        kind: str = self._found["kind"]
-        can_id = n = 0
-        if kind in _OF_ONE_FRAME:
+        code = KIND_CODES[self._found["kind"]]
+        kind = LOG_KINDS[code]
+        can_id = n = link = 0
+        if kind.tells == "frame":
             extended = self._found.get("extended", False) is True
             can_id = self._whole("can_id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
             can_id |= EXTENDED_FLAG if extended else 0
-        if kind in _COUNTED:
+        if kind.tells != "nothing":
             n = self._whole("n", 0, 2**32 - 1)
-        link = self._link(kind)
-        names = _NUMBERS.get(kind, ("", "", ""))
+        if kind.at == "link":
+            link = self._link()
+        elif kind.at == "node":
+            link = self._whole("node", 1, 127)
         at_ns = self._whole("at_ns", -(2**62), 2**62)
-        a, b, c = (self._number(name) for name in names)
-        return FaultEntry(at_ns, a, b, c, can_id, n, KIND_CODES[kind], link)
+        a, b, c = self._numbers(kind.numbers)
+        return FaultEntry(at_ns, a, b, c, can_id, n, code, link)
 
-    def _number(self, name: str) -> int:
-        if not name:
-            return 0
-        if name == "fault":
-            labels = [failure.label for failure in DriveFailure]
-            label = self._found.get(name)
-            if label not in labels:
-                raise self._bad(name, f"one of {', '.join(labels)}")
-            return labels.index(label)
-        if name == "in_order":
-            return int(self._found.get(name, True) is True)
-        if name not in self._found and name in ("bit", "recover_after_ns"):
-            return NONE
-        if name == "delay_ns" and name not in self._found and "bit" not in self._found:
-            return 0
-        least = -(2**62) if name in ("step_ns", "drift_ppb") else 0
-        return self._whole(name, least, 2**62)
+    def _numbers(self, numbers: tuple[LogNumber, ...]) -> list[int]:
+        if numbers and numbers[0].optional and numbers[0].name not in self._found:
+            return [NONE, 0, 0]
+        return [self._number(number) for number in numbers] + [0] * (3 - len(numbers))
 
-    def _link(self, kind: str) -> int:
-        if kind in NODE_KINDS:
-            return self._whole("node", 1, 127)
-        if kind in HOST_KINDS:
-            return 0
+    def _number(self, number: LogNumber) -> int:
+        if number.usual is not None and number.name not in self._found:
+            return number.usual
+        return (
+            self._one_of(number.name, number.words)
+            if number.words
+            else self._whole(number.name, number.least, 2**62)
+        )
+
+    def _link(self) -> int:
+        direction = self._one_of("direction", _LABELS)
         if "side" not in self._found:
-            return self._direction()
+            return direction
         if self._found["side"] != "drive":
             raise self._bad("side", "drive, or no side")
-        return self._direction() + AT_NODE * self._whole("node", 1, 127)
+        return direction + AT_NODE * self._whole("node", 1, 127)
 
-    def _direction(self) -> int:
-        labels = {way.label: int(way) for way in Direction}
-        label = self._found.get("direction")
-        if label not in labels:
-            raise self._bad("direction", f"one of {', '.join(labels)}")
-        return labels[label]
+    def _one_of(self, name: str, words: tuple[bool | str, ...]) -> int:
+        """The number that a word stands for."""
+        value = self._found.get(name)
+        if value not in words:
+            raise self._bad(name, f"one of {', '.join(map(str, words))}")
+        return words.index(value)
 
     def _whole(self, name: str, least: int, most: int) -> int:
         value = self._found.get(name)

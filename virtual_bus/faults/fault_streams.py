@@ -39,6 +39,6 @@ class UniformStream:
         return self._numbers[place]
 
 
-def uniform_stream(seed: int, name: str) -> Callable[[], float]:
-    """The stream called ``name``: each call gives the next number."""
-    return UniformStream(seed, name).draw
+def uniform_stream(seed: int, name: str, suffix: str = "") -> Callable[[], float]:
+    """The stream called ``name`` and ``suffix``: each call gives the next number."""
+    return UniformStream(seed, name + suffix).draw

@@ -13,8 +13,7 @@ Only one side of a bus should wear the same plan, or every frame meets each faul
 """
 
 import contextlib
-from heapq import heappop, heappush
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import can
 import can.typechecking
@@ -24,20 +23,17 @@ from drivers.timebase import NS_PER_S, Clock, Instant
 from drivers.wire.frame_port import ERROR_FLAG, FramePort
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.message_port import MessagePort, StampSource
-from virtual_bus.bus.host_port import HELD_MAX, HostPort
+from virtual_bus.bus.held_frames import HeldFrames
+from virtual_bus.bus.host_port import HostPort
+from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.faults.fault_injector import FOREVER, FateSource
-from virtual_bus.faults.fault_plan import Direction
+from virtual_bus.faults.fates import FateSource
+from virtual_bus.faults.frame_fault import Side
+from virtual_bus.faults.strikes import FOREVER
 from virtual_bus.frame import Frame
 
 POLL_MAX = 4096
 """Frames looked at in one call after its deadline, so that a babbling bus cannot hold the caller."""
-
-Side = Literal["host", "drive"]
-"""Whose bus it is; a host sends from host to drive."""
-
-_Held = tuple[int, int, Frame, bool]
-"""Release (an Instant), order of arrival, the frame, whether it is an echo."""
 
 
 def ways(side: Side) -> tuple[Direction, Direction]:
@@ -53,59 +49,43 @@ class FaultyPort(FramePort):
         super().__init__()
         self.echoes = inner.echoes
         self.needs_watching = True
-        self.overflow_in = 0
-        self.overflow_out = 0
-        """Frames lost because too many were held."""
+        self.held_in = HeldFrames()
+        self.held_out = HeldFrames()
         self._inner = inner
         self._injector = injector
         self._now = clock.now
         self._out, self._in = ways(side)
-        self._outgoing: list[_Held] = []
-        self._incoming: list[_Held] = []
-        self._order = 0
         self._seen_until: int = -FOREVER
 
     def receive(self, until: Instant) -> Frame | None:
-        """The next that comes through, no later than ``until``; written out, for speed."""
-        incoming, outgoing = self._incoming, self._outgoing
+        """The next that comes through, no later than ``until``."""
+        incoming = self.held_in
         polled = 0
         while True:
             now = self._now()
-            if outgoing and outgoing[0][0] <= now:
-                self._send_due(now)
-            wait: int = until
-            if incoming:
-                due = incoming[0][0]
-                # A frame may go on only when no older one can still be waiting in the inner bus.
-                if due <= now and due <= self._seen_until:
-                    return self._hand_over()
-                if due < wait:
-                    wait = due
-            if outgoing and outgoing[0][0] < wait:
-                wait = outgoing[0][0]
+            self._send_due(now)
+            # A frame may go on only when no older one can still be waiting in the inner bus.
+            if incoming.next_at() <= min(now, self._seen_until):
+                return self._hand_over()
+            wait = min(until, incoming.next_at(), self.held_out.next_at())
             if self._take(Instant(wait)):
                 polled += now >= until
                 if polled > POLL_MAX:
                     return None
                 continue
-            if wait > self._seen_until:
-                self._seen_until = wait
-            if wait >= until and not (incoming and incoming[0][0] <= until):
+            self._seen_until = max(self._seen_until, wait)
+            if wait >= until and not (incoming and incoming.next_at() <= until):
                 return None
 
     def transmit(self, frame: Frame) -> None:
         """Lose ``frame``, send it or hold it."""
         now = self._now()
         self._send_due(now)
-        dropped, delay = self._injector.fate(self._out, frame.can_id, now, frame.extended)
-        if dropped:
-            for other, later in self._injector.replacements(frame):
-                self._hold_out(other, Instant(now + later))
-            self._send_due(now)
-        elif delay > 0:
-            self._hold_out(frame, Instant(now + delay))
-        else:
-            self._inner.transmit(frame)
+        for one, later in self._injector.goes_on(self._out, frame, now):
+            if later > 0:
+                self.held_out.hold(one, now + later)
+            else:
+                self._inner.transmit(one)
 
     def send_held(self) -> None:
         """Send at once what is held."""
@@ -113,16 +93,18 @@ class FaultyPort(FramePort):
 
     def flush(self) -> None:
         """Forget what is held for sending."""
-        self._outgoing.clear()
+        self.held_out.clear()
 
     def _send_due(self, now: int) -> None:
-        outgoing = self._outgoing
-        while outgoing and outgoing[0][0] <= now:
-            self._inner.transmit(heappop(outgoing)[2])
+        while (held := self.held_out.take(now)) is not None:
+            self._inner.transmit(held[2])
 
-    def _hand_over(self) -> Frame:
-        at, _, frame, self.came_own = heappop(self._incoming)
-        self.came_at = Instant(at)
+    def _hand_over(self) -> Frame | None:
+        held = self.held_in.take(FOREVER)
+        if held is None:
+            return None
+        at, _, frame, own = held
+        self.came_at, self.came_own = Instant(at), bool(own)
         return frame
 
     def _take(self, wait: Instant) -> bool:
@@ -136,32 +118,13 @@ class FaultyPort(FramePort):
             self._seen_until = came
         if inner.came_own:
             self.echoes = inner.echoes
-            self._hold_in(frame, came, own=True)
+            self.held_in.hold(frame, came, True)
         elif frame.can_id >= ERROR_FLAG:
-            self._hold_in(frame, came)
+            self.held_in.hold(frame, came)
         else:
-            self._judge(frame, came)
+            for one, later in self._injector.goes_on(self._in, frame, came):
+                self.held_in.hold(one, came + later)
         return True
-
-    def _judge(self, frame: Frame, came: Instant) -> None:
-        dropped, delay = self._injector.fate(self._in, frame.can_id, came, frame.extended)
-        instead = self._injector.replacements(frame) if dropped else [(frame, delay)]
-        for other, later in instead:
-            self._hold_in(other, Instant(came + later))
-
-    def _hold_in(self, frame: Frame, until: Instant, own: bool = False) -> None:
-        if len(self._incoming) >= HELD_MAX:
-            self.overflow_in += 1
-            return
-        self._order = order = self._order + 1
-        heappush(self._incoming, (until, order, frame, own))
-
-    def _hold_out(self, frame: Frame, until: Instant) -> None:
-        if len(self._outgoing) >= HELD_MAX:
-            self.overflow_out += 1
-            return
-        self._order = order = self._order + 1
-        heappush(self._outgoing, (until, order, frame, False))
 
 
 class FaultyBus(can.BusABC):
@@ -205,7 +168,7 @@ class FaultyBus(can.BusABC):
 
     def start(self, now: Instant) -> None:
         """Time zero of the plan is ``now``; until then every frame passes."""
-        self.frame_port.overflow_in = self.frame_port.overflow_out = 0
+        self.frame_port.held_in.overflow = self.frame_port.held_out.overflow = 0
         self.injector.start(now)
 
     def stop(self) -> None:
@@ -215,7 +178,7 @@ class FaultyBus(can.BusABC):
     def counts(self) -> dict[str, dict[str, int]]:
         """The injector's counts, and ``overflow``: frames lost because too many were held."""
         port, counted = self.frame_port, self.injector.counts()
-        overflows = zip(ways(self._side), (port.overflow_out, port.overflow_in), strict=True)
+        overflows = zip(ways(self._side), (port.held_out.overflow, port.held_in.overflow), strict=True)
         return {way.label: {**counted[way.label], "overflow": lost} for way, lost in sorted(overflows)}
 
     def recv(self, timeout: float | None = None) -> can.Message | None:

@@ -1,12 +1,13 @@
 """When the host is late, and by how much: drawn from a plan, or out of a recorded run."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from drivers.timebase import Duration, Instant
 from virtual_bus.faults.fault_log import KIND_CODES, FaultLog
 from virtual_bus.faults.fault_streams import uniform_stream
-from virtual_bus.faults.node_fault_plan import HostStall, Range
-from virtual_bus.faults.node_faults import NEVER, drawn, next_strike
+from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.node_faults import Events
 from virtual_bus.faults.replay import RecordedFaults
 
 _STALL = KIND_CODES[HostStall.kind]
@@ -15,36 +16,23 @@ LateBy = Callable[[int, int], int]
 """By how much the action of that number (from 0) at that time since time zero (ns) comes late, ns."""
 
 
-class _DrawnStall:
-    """One table of a plan, with a random stream of its own."""
-
-    def __init__(self, stall: HostStall, draw: Callable[[], float]) -> None:
-        self._occasion = stall.occasion
-        self._range = Range(stall.min_ns, stall.max_ns)
-        self._draw = draw
-        self._next_at = self._after(stall.occasion.from_ns)
-
-    def _after(self, since_ns: int) -> int:
-        at_ns = next_strike(self._occasion, since_ns, self._draw)
-        return NEVER if at_ns is None else at_ns
-
-    def late_by(self, elapsed_ns: int) -> int:
-        """The longest of the strikes since the last action."""
-        longest = 0
-        while self._next_at <= elapsed_ns:
-            longest = max(longest, drawn(self._range, self._draw))
-            once = self._occasion.at_ns is not None
-            self._next_at = NEVER if once else self._after(self._next_at)
-        return longest
-
-
 def drawn_stalls(stalls: Sequence[HostStall], seed: int, link: str) -> LateBy:
     """By the tables of a plan; ``link`` tells the benches' buses apart."""
     tables = [
-        _DrawnStall(stall, uniform_stream(seed, f"{link}/host/{stall.kind}/{place}"))
+        Events(stall.events(partial(uniform_stream, seed, f"{link}/host/{stall.kind}/{place}")))
         for place, stall in enumerate(stalls)
     ]
-    return lambda _n, elapsed_ns: sum(table.late_by(elapsed_ns) for table in tables)
+
+    def late_by(_n: int, elapsed_ns: int) -> int:
+        total = 0
+        for table in tables:
+            longest = 0
+            while table.next_at() <= elapsed_ns:
+                longest = max(longest, table.take().a)
+            total += longest
+        return total
+
+    return late_by
 
 
 def recorded_stalls(recorded: RecordedFaults) -> LateBy:

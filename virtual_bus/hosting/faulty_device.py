@@ -15,21 +15,19 @@ from heapq import heappop, heappush
 from typing import Protocol
 
 from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Duration, Instant
-from virtual_bus.bus.host_port import HELD_MAX
-from virtual_bus.bus.judge import LOST
+from drivers.timebase import Instant
+from virtual_bus.bus.held_frames import NEVER, HeldFrames
+from virtual_bus.bus.judge import Direction
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.error_register import ErrorRegister
-from virtual_bus.faults.fates import FateSource
-from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
-from virtual_bus.faults.fault_plan import Direction
-from virtual_bus.faults.node_fault_plan import DriveFailure
-from virtual_bus.faults.node_faults import NEVER, NodeEvent, NodeSource
+from virtual_bus.faults.fates import FateSource, Queue
+from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
+from virtual_bus.faults.node_fault import NodeEvent
+from virtual_bus.faults.node_faults import NodeSource, node_kind
 from virtual_bus.frame import Device, Frame
 
 _NOTHING: tuple[Frame, ...] = ()
-_FAILURES = list(DriveFailure)
 _NMT_RESETS = (0x81, 0x82)
 """Reset node, reset communication (CiA 301, 7.2.8.3.1.2)."""
 _LATE, _BOOT = KIND_CODES["late"], KIND_CODES["boot"]
@@ -95,8 +93,7 @@ class FaultyDevice:
     ) -> None:
         """``fates``: what befalls frames at the device's connection to the bus."""
         self.device = device
-        self.overflow = 0
-        """Frames lost because too many were held."""
+        self.held = HeldFrames()
         self._fates = fates
         self.controller: BusOffControl | None = None
         """None: bus-off is acted out here, by silence."""
@@ -108,9 +105,11 @@ class FaultyDevice:
         self._boot: tuple[int, Sequence[Frame]] | None = None
         self._boots = 0
         self._off = False
-        self._timers: list[tuple[int, int, str, int]] = []
-        self._held: list[tuple[int, int, _Stage, Frame]] = []
-        self._queues: dict[int, int] = {}
+        self._out: list[Frame] = []
+        """What strikes make the device send."""
+        self._timers: list[tuple[int, int, Callable[[Instant], None]]] = []
+        self._queues = Queue(), Queue()
+        """That of the PDOs and that of the SDO answers: each keeps its order."""
         self._frames: dict[int, int] = {}
         self._order = 0
 
@@ -137,8 +136,8 @@ class FaultyDevice:
         due = NEVER if self._zero is None else self._strike_at()
         if self._timers and self._timers[0][0] < due:
             due = self._timers[0][0]
-        if self._held and self._held[0][0] < due:
-            due = self._held[0][0]
+        if self.held:
+            due = min(due, self.held.next_at())
         if self._boot is not None and self._boot[0] < due:
             due = self._boot[0]
         wish = self.device.wake_at
@@ -172,20 +171,18 @@ class FaultyDevice:
 
     def wake(self, now: Instant) -> Sequence[Frame]:
         """Whatever is due: what strikes, what ends, what was held, and the device's own timers."""
-        out: list[Frame] = []
+        out = self._out = []
         while self._timers and self._timers[0][0] <= now:
-            _, _, what, number = heappop(self._timers)
-            self._end(what, number, now, out)
+            heappop(self._timers)[2](now)
         if self._zero is not None:
             while self._strike_at() <= now:
-                self._strike(self._source.take(), now, out)
+                self._strike(self._source.take(), now)
         if self._boot is not None and self._boot[0] <= now:
             boot_up = self._boot[1]
             self._boot = None
             out += self._pass_on(boot_up, now)
-        while self._held and self._held[0][0] <= now:
-            _, _, stage, frame = heappop(self._held)
-            self._let_go(stage, frame, now, out)
+        while (held := self.held.take(now)) is not None:
+            self._let_go(_Stage(held[3]), held[2], now, out)
         wish = self.device.wake_at
         if wish is not None and wish <= now:
             out += self._pass_on(self.device.wake(now), now)
@@ -207,20 +204,11 @@ class FaultyDevice:
         fates = self._fates
         assert fates is not None
         way = Direction.HOST_TO_DRIVE if stage is _Stage.COMING else Direction.DRIVE_TO_HOST
-        delay = fates.hold(int(way), frame.can_id, now, frame.extended)
-        goes_on = fates.replacements(frame) if delay == LOST else ((frame, Duration(delay)),)
-        for one, later in goes_on:
+        for one, later in fates.goes_on(int(way), frame, now):
             if later == 0:
                 self._let_go(stage, one, now, out)
             else:
-                self._hold(now + later, stage, one)
-
-    def _hold(self, release: int, stage: _Stage, frame: Frame) -> None:
-        if len(self._held) >= HELD_MAX:
-            self.overflow += 1
-            return
-        self._order += 1
-        heappush(self._held, (release, self._order, stage, frame))
+                self.held.hold(one, now + later, stage)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
         """The device's own affair."""
@@ -228,7 +216,7 @@ class FaultyDevice:
 
     def bus_off(self, now: Instant) -> None:
         """Its controller tells: what was held for sending is gone."""
-        self._held.clear()
+        self.held.clear()
         self.device.bus_off(now)
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]:
@@ -251,7 +239,7 @@ class FaultyDevice:
             return self._pass_on(frames, now)
         if self._log is not None:
             self._log.note(_BOOT, now - self._powered_at, self.node_id, 0, n, takes)
-        self._held.clear()
+        self.held.clear()
         self._boot = (now + takes, frames)
         return _NOTHING
 
@@ -265,79 +253,75 @@ class FaultyDevice:
             key = frame.can_id | EXTENDED_FLAG if frame.extended else frame.can_id
             n = self._frames.get(key, 0)
             self._frames[key] = n + 1
-            # One queue for the PDOs and one for the SDO answers: each keeps its order.
-            queue = 1 if frame.can_id >= 0x580 else 0
             release = now + late
             if late and self._log is not None:
                 self._log.note(_LATE, now - self._powered_at, self.node_id, key, n, late)
             if late:
-                release = self._queues[queue] = max(release, self._queues.get(queue, 0))
+                release = self._queues[frame.can_id >= 0x580].behind(release)
             if release > now:
-                self._hold(release, _Stage.INSIDE, frame)
+                self.held.hold(frame, release, _Stage.INSIDE)
             elif self._fates is None:
                 out.append(frame)
             else:
                 self._meet_fate(_Stage.LEAVING, frame, now, out)
         return out
 
-    def _strike(self, event: NodeEvent, now: Instant, out: list[Frame]) -> None:
+    def _strike(self, event: NodeEvent, now: Instant) -> None:
         at_ns, kind, a, b, c = event
         if self._log is not None:
             self._log.note(KIND_CODES[kind], at_ns, self.node_id, 0, 0, a, b, c)
             self._log.flush()  # rare, and to be told at once
-        if kind == "silence":
-            self._silent_until = max(self._silent_until, now + a)
-        elif kind == "bus_off":
-            self._go_bus_off(now, a)
-        elif kind == "clock_step":
-            self.device.clock.step(a)
-        elif kind == "clock_drift":
-            self.device.clock.drift_more(a, now)
-        else:
-            self._fail(a, now, b, c, out)
+        node_kind(kind).befall(self, now, event)
 
-    def _go_bus_off(self, now: Instant, recover_after_ns: int) -> None:
+    # What a fault can do to a node, see :class:`virtual_bus.faults.node_fault.StruckNode`.
+
+    def silence(self, until: int) -> None:
+        """Neither hear nor send."""
+        self._silent_until = max(self._silent_until, until)
+
+    def step_clock(self, step_ns: int) -> None:
+        """Its clock jumps."""
+        self.device.clock.step(step_ns)
+
+    def drift_clock(self, drift_ppb: int, now: Instant) -> None:
+        """Its clock runs faster by so much more."""
+        self.device.clock.drift_more(drift_ppb, now)
+
+    def go_bus_off(self, now: Instant, recover_after_ns: int | None) -> None:
+        """Its controller goes off, and recovers after that time; None: never."""
         if self._off:
             return
-        if recover_after_ns != NONE:
-            self._at(now + recover_after_ns, "recover", 0)
+        if recover_after_ns is not None:
+            self.later(now + recover_after_ns, self._recover)
         if self.controller is not None:
             self.controller.go_bus_off()
             return
         self.bus_off(now)
         self._off = True
 
-    def _fail(self, failure: int, now: Instant, detected_after: int, lasts: int, out: list[Frame]) -> None:
-        if _FAILURES[failure] is not DriveFailure.ENCODER_LOSS:
-            self._raise(failure, now, out)
-            return
-        out += self._pass_on(self.device.wake(now), now)
-        self._drive().hold_encoder(True)
-        self._at(now + detected_after, "detected", failure)
-        self._at(now + lasts, "encoder back", failure)
-
-    def _at(self, due: int, what: str, number: int) -> None:
-        self._order += 1
-        heappush(self._timers, (due, self._order, what, number))
-
-    def _end(self, what: str, number: int, now: Instant, out: list[Frame]) -> None:
-        if what == "detected":
-            self._raise(number, now, out)
-        elif what == "encoder back":
-            out += self._pass_on(self.device.wake(now), now)
-            self._drive().hold_encoder(False)
-        elif self.controller is not None:
+    def _recover(self, now: Instant) -> None:
+        if self.controller is not None:
             self.controller.recover()
-        else:
-            self._off = False
-            out += self.bus_recovered(now)
+            return
+        self._off = False
+        self._out += self.bus_recovered(now)
 
-    def _raise(self, failure: int, now: Instant, out: list[Frame]) -> None:
-        found = _FAILURES[failure]
+    def fail(self, code: int, register: ErrorRegister, now: Instant) -> None:
+        """The drive finds an error of its own."""
         frames = list(self.device.wake(now))
-        self._drive().fail(found.code, found.register)
+        self._drive().fail(code, register)
         frames += self.device.wake(now)
-        out += self._pass_on(frames, now)
+        self._out += self._pass_on(frames, now)
+
+    def hold_encoder(self, held: bool, now: Instant) -> None:
+        """Its encoder stands still at its last count, or goes on."""
+        self._out += self._pass_on(self.device.wake(now), now)
+        self._drive().hold_encoder(held)
+
+    def later(self, due: int, action: Callable[[Instant], None]) -> None:
+        """Do something at ``due``."""
+        self._order += 1
+        heappush(self._timers, (due, self._order, action))
 
     def _drive(self) -> FailingDrive:
         drive: FailingDrive = self.device.application  # type: ignore[assignment]

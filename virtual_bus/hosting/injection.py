@@ -12,12 +12,14 @@ from collections.abc import Callable
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
 from virtual_bus.faults.disturber import Disturber, disturber
-from virtual_bus.faults.fault_injector import FateSource, FaultInjector
+from virtual_bus.faults.fates import FateSource
+from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.fault_plan import FaultPlan, Side
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import Side
 from virtual_bus.faults.host_stalls import HostStalls, drawn_stalls, recorded_stalls
-from virtual_bus.faults.node_fault_plan import HostStall
-from virtual_bus.faults.node_faults import NODE_FAILS, DrawnNode, node_source
+from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.node_faults import DrawnNode, node_source
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates
 from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
 
@@ -64,9 +66,9 @@ class Injection:
             if fates is None:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
-        if source.fails and not hasattr(device.application, "fail"):
+        if source.needs_drive and not hasattr(device.application, "fail"):
             found = f"node {node}"
-            raise BadInput("fault plan", NODE_FAILS, found, "a simulated drive, with a motor inside")
+            raise BadInput("fault plan", source.needs_drive, found, "a simulated drive, with a motor inside")
         made = FaultyDevice(device, source, self.log, fates)
         self._devices.append(made)
         return made

@@ -1,5 +1,7 @@
 """What is gathered of a run: how it ended, and which EMCYs its plan names, and when."""
 
+from typing import Any
+
 import pytest
 
 from drivers.canopen.nmt import Emergency
@@ -9,15 +11,17 @@ from hil.configuration.config import LoopConfig
 from hil.execution.conclusion import Conclusion, named_emergencies
 from hil.loop.loop import LoopOutcome
 from hil.verdict.verdict import VerdictKind
+from tests.fates import keys
 from virtual_bus.faults.fault_log import KINDS, FaultEntry
 from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.node_fault_plan import BusOff, DriveFailure, DriveFault, Occasion
+from virtual_bus.faults.kinds.bus_off import BusOff
+from virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
 from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.hosting.injection import Faults
 
 SECOND = Duration(NS_PER_S)
-ONCE = Occasion(at_ns=SECOND)
-WINDOW = Occasion(probability_per_s=0.5, from_ns=SECOND, until_ns=Duration(2 * NS_PER_S))
+ONCE = keys(at_s=1.0)
+WINDOW = keys(probability_per_s=0.5, from_s=1.0, until_s=1e-9 * (2 * NS_PER_S))
 
 
 def explained(faults: Faults, at_ms: float, code: int = 0x2310, node: int = 1) -> bool:
@@ -26,11 +30,11 @@ def explained(faults: Faults, at_ms: float, code: int = 0x2310, node: int = 1) -
     return any(named.explains(emergency, elapsed) for named in named_emergencies(faults))
 
 
-def plan(occasion: Occasion = ONCE, nodes: tuple[int, ...] = (1,)) -> FaultPlan:
+def plan(occasion: dict[str, Any] = ONCE, nodes: tuple[int, ...] = (1,)) -> FaultPlan:
     return FaultPlan(
         node_faults=(
-            BusOff(nodes=nodes, occasion=occasion),
-            DriveFault(nodes=nodes, occasion=occasion, failure=DriveFailure.OVER_CURRENT),
+            BusOff(nodes=nodes, **occasion),
+            DriveFault(nodes=nodes, **occasion, fault="over_current"),
         )
     )
 
@@ -46,11 +50,11 @@ def plan(occasion: Occasion = ONCE, nodes: tuple[int, ...] = (1,)) -> FaultPlan:
         (WINDOW, 1500.0, True),
         (WINDOW, 2099.9, True),
         (WINDOW, 2100.0, False),
-        (Occasion(every_ns=SECOND), 1e6, True),
+        (keys(every_s=1.0), 1e6, True),
     ],
 )
 def test_an_emcy_is_named_within_the_window_of_its_fault(
-    occasion: Occasion, at_ms: float, expected: bool
+    occasion: dict[str, Any], at_ms: float, expected: bool
 ) -> None:
     assert explained(plan(occasion), at_ms) is expected
 
@@ -63,10 +67,10 @@ def test_it_is_of_that_node_and_has_that_code() -> None:
 
 def test_an_encoder_s_loss_is_told_when_it_is_noticed() -> None:
     lost = DriveFault(
-        occasion=ONCE,
-        failure=DriveFailure.ENCODER_LOSS,
-        detected_after_ns=Duration(200 * NS_PER_MS),
-        lasts_ns=SECOND,
+        **ONCE,
+        fault="encoder_loss",
+        detected_after_ms=1e-6 * (200 * NS_PER_MS),
+        duration_s=1e-9 * SECOND,
     )
     found = [explained(FaultPlan(node_faults=(lost,)), at_ms, 0x7305) for at_ms in (1150, 1200, 1299, 1300)]
     assert found == [False, True, True, False]

@@ -12,7 +12,7 @@ from hil.reviewing.network_meter import NetworkKeeper, NetworkMeter
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, ROW_DTYPE, Rows
 from hil.rows.side_rows import FRAME_DTYPE
 from tests.unit.hil.test_summary import summary_with, timing
-from virtual_bus.faults.fault_plan_toml import read_fault_plan
+from virtual_bus.faults.fault_plan import read_fault_plan
 
 PERIOD_US, PERIOD_NS = 2_000, 2_000_000
 LOST = 1

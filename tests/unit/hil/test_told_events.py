@@ -10,7 +10,8 @@ from hil.rows.recording_plan import PlannedSetPoint
 from hil.rows.records import NOTHING, ROW_DTYPE, Rows
 from hil.rows.set_points import SetPointTeller
 from hil.rows.side_rows import TextEvent
-from virtual_bus.faults.fault_log import KIND_CODES, NONE, FaultEntry
+from virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
+from virtual_bus.faults.log_kind import NONE
 
 ZERO = Instant(7 * NS_PER_S)
 PLANNED = (

@@ -3,17 +3,17 @@
 import pytest
 
 from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.execution.world import WorldPlan, open_world
 from tests.motors import LING
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.faults.fault_plan import FaultPlan, IndependentLoss, Selection, Side
-from virtual_bus.faults.node_fault_plan import HostStall, Occasion
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import Side
+from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.kinds.loss import Loss
 
-STALL = HostStall(
-    occasion=Occasion(at_ns=Duration(NS_PER_MS)), min_ns=Duration(500_000), max_ns=Duration(500_000)
-)
+STALL = HostStall(at_s=1e-9 * NS_PER_MS, late_min_us=500_000 / 1000, late_max_us=500_000 / 1000)
 
 
 def plan_of(faults: FaultPlan, bus: str, side: Side = "host") -> WorldPlan:
@@ -21,7 +21,7 @@ def plan_of(faults: FaultPlan, bus: str, side: Side = "host") -> WorldPlan:
 
 
 def lost_at(side: Side) -> FaultPlan:
-    return FaultPlan((IndependentLoss(selection=Selection(side=side), probability=1.0),))
+    return FaultPlan((Loss(side=side, probability=1.0),))
 
 
 def test_the_host_is_told_for_how_long_it_stalls() -> None:

@@ -1,22 +1,19 @@
 """Which attempts to send are disturbed on the wire."""
 
+from typing import Literal
+
 import pytest
 from scipy import stats
 
-from drivers.timebase import Duration, Instant
+from drivers.timebase import Instant
+from tests.fates import keys
 from virtual_bus.bus.bit_length import frame_bits
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.faults.disturber import Disturber, disturber
 from virtual_bus.faults.fault_log import FaultLog
-from virtual_bus.faults.fault_plan import (
-    Corruption,
-    Direction,
-    Effect,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Selection,
-)
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.kinds.corruption import Corruption
+from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
@@ -24,7 +21,7 @@ from virtual_bus.timeline import Timeline
 TPDO = Frame(0x181, bytes(8))
 
 
-def made(*faults: Corruption | IndependentLoss, log: FaultLog | None = None, seed: int = 2) -> Disturber:
+def made(*faults: Corruption | Loss, log: FaultLog | None = None, seed: int = 2) -> Disturber:
     found = disturber(FaultPlan(faults), seed, log, lambda name: name == "host")
     assert found is not None
     found.start(Instant(0))
@@ -44,10 +41,8 @@ def test_attempts_are_disturbed_with_their_probability_at_any_bit() -> None:
 
 
 def test_a_selection_and_a_window_hold_on_the_wire_too() -> None:
-    chosen = Selection(
-        directions=(Direction.HOST_TO_DRIVE,), frames=(FrameClass.SYNC,), until_ns=Duration(100)
-    )
-    source = made(Corruption(probability=1.0, selection=chosen))
+    chosen = keys(direction="host_to_drive", frames=("sync",), until_s=1e-9 * 100)
+    source = made(Corruption(probability=1.0, **chosen))
     sync = Frame(0x80)
     assert source.bit("host", sync, Instant(0)) is not None
     assert source.bit("drive", sync, Instant(0)) is None
@@ -64,9 +59,9 @@ def test_nothing_is_disturbed_before_the_start_and_after_the_end() -> None:
     assert source.bit("drive", TPDO, Instant(5)) is not None
 
 
-@pytest.mark.parametrize("effect", [Effect.LOST, Effect.DATA])
-def test_only_error_frames_are_made_on_the_wire(effect: Effect) -> None:
-    plan = FaultPlan((Corruption(probability=1.0, effect=effect), IndependentLoss(probability=1.0)))
+@pytest.mark.parametrize("effect", ["lost", "data"])
+def test_only_error_frames_are_made_on_the_wire(effect: Literal["lost", "data", "error_frame"]) -> None:
+    plan = FaultPlan((Corruption(probability=1.0, effect=effect), Loss(probability=1.0)))
     assert disturber(plan, 1, None, bool) is None
     assert disturber(RecordedFaults(), 1, None, bool) is None
 
@@ -89,8 +84,8 @@ def test_a_disturbed_frame_is_repeated_until_it_comes_through() -> None:
     got: list[tuple[Frame, Instant]] = []
     sender = segment.attach("drive", lambda frame, at: None)
     segment.attach("host", lambda frame, at: got.append((frame, at)))
-    window = Selection(until_ns=Duration(1_000_000))
-    source = made(Corruption(probability=1.0, selection=window))
+    window = keys(until_s=1e-9 * 1_000_000)
+    source = made(Corruption(probability=1.0, **window))
     segment.set_disturb(source.disturb)
     sender.send(TPDO)
     timeline.run_until(Instant(5_000_000))

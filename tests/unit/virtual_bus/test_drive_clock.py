@@ -2,17 +2,21 @@
 
 import struct
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ServoBench
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.node_fault_plan import ClockDrift, ClockStep, NodeFault, Occasion
+from virtual_bus.faults.kinds.clock_drift import ClockDrift
+from virtual_bus.faults.kinds.clock_step import ClockStep
+from virtual_bus.faults.node_fault import NodeFault
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.hosting.injection import Injection
@@ -63,8 +67,8 @@ class TappedDrive:
             self.errors_us.append((self._sync_at, stamp_us - OFFSET_US - self._sync_at / NS_PER_US))
 
 
-def after(seconds: float) -> Occasion:
-    return Occasion(at_ns=Duration(round(seconds * NS_PER_S)))
+def after(seconds: float) -> dict[str, Any]:
+    return keys(at_s=1e-9 * (round(seconds * NS_PER_S)))
 
 
 def test_the_stamp_is_the_end_of_the_sync() -> None:
@@ -85,9 +89,9 @@ def test_a_drive_with_a_fast_or_slow_clock_tells_so(drift_ppm: float) -> None:
 @pytest.mark.parametrize("drift_ppm", [1000.0, -1000.0])
 def test_planned_drift_turns_the_rate_and_no_stamp_jumps(drift_ppm: float) -> None:
     drift = ClockDrift(
-        from_ns=Duration(NS_PER_S // 2),
-        until_ns=Duration(3 * NS_PER_S // 2),
-        drift_ppb=round(drift_ppm * 1000),
+        from_s=1e-9 * (NS_PER_S // 2),
+        until_s=1e-9 * (3 * NS_PER_S // 2),
+        drift_ppm=drift_ppm,
     )
     drive = TappedDrive(drift)
     drive.run(2.0)
@@ -99,7 +103,7 @@ def test_planned_drift_turns_the_rate_and_no_stamp_jumps(drift_ppm: float) -> No
 @pytest.mark.parametrize("step_us", [-350, 2_000, 1_000_000])
 def test_a_planned_step_shows_from_the_next_sync_on(step_us: int) -> None:
     step_ns = Duration(step_us * NS_PER_US)
-    drive = TappedDrive(ClockStep(occasion=after(0.1), min_ns=step_ns, max_ns=step_ns))
+    drive = TappedDrive(ClockStep(**after(0.1), step_min_us=1e-3 * step_ns, step_max_us=1e-3 * step_ns))
     drive.run(0.2)
     errors = [error for _, error in drive.errors_us]
     jumps = [(at, new - old) for (_, old), (at, new) in pairwise(drive.errors_us) if abs(new - old) > 1.0]
@@ -112,7 +116,9 @@ def test_a_planned_step_shows_from_the_next_sync_on(step_us: int) -> None:
 def test_a_reset_of_the_node_restarts_the_clock(command: int, restarts: bool) -> None:
     """Reset of communication leaves it alone, and no reset mends the oscillator."""
     step_ns = Duration(NS_PER_S)
-    drive = TappedDrive(ClockStep(occasion=after(0.05), min_ns=step_ns, max_ns=step_ns), drift_ppm=1000.0)
+    drive = TappedDrive(
+        ClockStep(**after(0.05), step_min_us=1e-3 * step_ns, step_max_us=1e-3 * step_ns), drift_ppm=1000.0
+    )
     drive.run(0.1)
     reset_at = drive.timeline.now
     drive.nmt(command)

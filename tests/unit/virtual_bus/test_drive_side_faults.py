@@ -2,36 +2,30 @@
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 
 from drivers.errors import BadInput
-from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Instant
 from tests.motors import LING
-from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.held_frames import HELD_MAX
+from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.faults.fault_plan import (
-    Blackout,
-    Corruption,
-    Direction,
-    Duplication,
-    Effect,
-    Fault,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Reordering,
-    Selection,
-    Side,
-    UniformDelay,
-)
-from virtual_bus.faults.node_fault_plan import Range, SlowDrive
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import FrameFault, Side
+from virtual_bus.faults.kinds.blackout import Blackout
+from virtual_bus.faults.kinds.corruption import Corruption
+from virtual_bus.faults.kinds.delay import Delay
+from virtual_bus.faults.kinds.duplicate import Duplicate
+from virtual_bus.faults.kinds.loss import Loss
+from virtual_bus.faults.kinds.reorder import Reorder
+from virtual_bus.faults.kinds.slow_drive import SlowDrive
 from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
@@ -67,13 +61,17 @@ class Tapped:
     """When the host heard its own SYNCs."""
 
 
-def at_drive(*directions: Direction, side: Side = "drive", **selection: object) -> Selection:
-    made = Selection(side=side, **selection)  # type: ignore[arg-type]
-    return replace(made, directions=directions) if directions else made
+def at_drive(*directions: Direction, side: Side = "drive", **selection: object) -> dict[str, Any]:
+    way = {"direction": directions[0].label} if directions else {}
+    return {"side": side, **way, **selection}
 
 
 def run(
-    faults: Faults | Sequence[Fault], nodes: int = 1, cycles: int = 200, seed: int = 5, period_us: int = 1000
+    faults: Faults | Sequence[FrameFault],
+    nodes: int = 1,
+    cycles: int = 200,
+    seed: int = 5,
+    period_us: int = 1000,
 ) -> Tapped:
     """SYNCs at 1 kHz to drives 1 .. ``nodes``, all of them with clocks of 1 us and no offset."""
     plan = faults if isinstance(faults, FaultPlan | RecordedFaults) else FaultPlan(tuple(faults))
@@ -113,18 +111,11 @@ def run(
     return seen
 
 
-class Times(TypedDict):
-    """Least and most."""
-
-    min_ns: Duration
-    max_ns: Duration
+def us(*bounds: int, stem: str = "delay") -> dict[str, Any]:
+    return {f"{stem}_min_us": bounds[0], f"{stem}_max_us": bounds[-1]}
 
 
-def us(*bounds: int) -> Times:
-    return Times(min_ns=Duration(bounds[0] * NS_PER_US), max_ns=Duration(bounds[-1] * NS_PER_US))
-
-
-SYNC_DELAY = UniformDelay(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), **us(200))
+SYNC_DELAY = Delay(**at_drive(*INTO, frames=("sync",)), **us(200))
 
 
 def test_a_sync_that_is_delayed_on_its_way_into_the_drive_has_its_echo_in_time() -> None:
@@ -137,8 +128,8 @@ def test_a_sync_that_is_delayed_on_its_way_into_the_drive_has_its_echo_in_time()
 
 
 def test_the_same_delay_at_the_host_moves_the_echo_too() -> None:
-    host_side = replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side="host"))
-    unnamed = replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side=None))
+    host_side = SYNC_DELAY.model_copy(update={"side": "host"})
+    unnamed = SYNC_DELAY.model_copy(update={"side": None})
     plain, delayed = run([]), run([host_side])
     moved = [after - before for before, after in zip(plain.echoes, delayed.echoes, strict=True)]
     assert moved == [200 * NS_PER_US] * 200
@@ -146,7 +137,7 @@ def test_the_same_delay_at_the_host_moves_the_echo_too() -> None:
 
 
 def test_a_tpdo_that_is_delayed_on_its_way_out_was_sampled_in_time() -> None:
-    delay = UniformDelay(selection=at_drive(*OUT), **us(300))
+    delay = Delay(**at_drive(*OUT), **us(300))
     plain, delayed = run([]), run([delay])
     for before, after in zip(plain.cycles, delayed.cycles, strict=True):
         assert after.stamp == before.stamp
@@ -156,7 +147,7 @@ def test_a_tpdo_that_is_delayed_on_its_way_out_was_sampled_in_time() -> None:
 
 
 def test_what_is_lost_behind_the_bus_was_on_it() -> None:
-    lost = Blackout(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), count=3)
+    lost = Blackout(**at_drive(*INTO, frames=("sync",)), count=3)
     seen = run([lost])
     assert [cycle.tpdos for cycle in seen.cycles] == [0, 0, 0, *[1] * 197]
     assert len(seen.echoes) == 200
@@ -167,11 +158,11 @@ def test_what_is_lost_behind_the_bus_was_on_it() -> None:
 
 def test_each_drive_has_a_gateway_of_its_own() -> None:
     """SYNCs are lost to one drive and heard by the other, by the nodes of the table."""
-    lost = IndependentLoss(selection=at_drive(*INTO, frames=(FrameClass.SYNC,), nodes=(1,)), probability=1.0)
+    lost = Loss(**at_drive(*INTO, frames=("sync",), nodes=(1,)), probability=1.0)
     assert {cycle.tpdos for cycle in run([lost], nodes=2).cycles} == {0}
-    other = replace(lost, selection=replace(lost.selection, nodes=(2,)))
+    other = lost.model_copy(update={"nodes": (2,)})
     assert {cycle.tpdos for cycle in run([other], nodes=2).cycles} == {1}
-    everywhere = IndependentLoss(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), probability=0.5)
+    everywhere = Loss(**at_drive(*INTO, frames=("sync",)), probability=0.5)
     log = run([everywhere], nodes=2).log
     struck = [[line for line in log if f'"node":{node}' in line] for node in (1, 2)]
     assert all(60 < len(lines) < 140 for lines in struck)
@@ -179,56 +170,56 @@ def test_each_drive_has_a_gateway_of_its_own() -> None:
 
 
 def test_frames_of_other_drives_do_not_come_to_a_drives_gateway() -> None:
-    seen = run([UniformDelay(selection=at_drive(), **us(50))], nodes=2, cycles=3)
+    seen = run([Delay(**at_drive(), **us(50))], nodes=2, cycles=3)
     assert seen.log
     for entry in (read_line(line, "f", 1) for line in seen.log):
         assert entry.can_id & 0x7F == entry.at_drive
 
 
 def test_sides_do_not_disturb_each_others_streams() -> None:
-    loss = IndependentLoss(selection=at_drive(*OUT, side="host"), probability=0.2)
-    behind = IndependentLoss(selection=at_drive(*OUT), probability=0.2)
+    loss = Loss(**at_drive(*OUT, side="host"), probability=0.2)
+    behind = Loss(**at_drive(*OUT), probability=0.2)
     both = run([behind, loss]).log
     alone = [run([fault]).log for fault in (loss, behind)]
     assert [line for line in both if '"side"' in line] == alone[1]
     first = [line for line in both if '"side"' not in line]
     assert first
     assert first != [line.replace('"side":"drive","node":1,', "") for line in alone[1]]
-    more = run([UniformDelay(selection=at_drive(*OUT), **us(0, 100)), behind]).log
+    more = run([Delay(**at_drive(*OUT), **us(0, 100)), behind]).log
     assert [line for line in more if '"loss"' in line] == alone[1]
 
 
 def test_damaged_doubled_and_overtaken_frames_behind_the_bus() -> None:
-    sync = at_drive(*INTO, frames=(FrameClass.SYNC,))
-    doubled = run([Duplication(selection=sync, probability=1.0, later_ns=Duration(100 * NS_PER_US))])
+    sync = at_drive(*INTO, frames=("sync",))
+    doubled = run([Duplicate(**sync, probability=1.0, later_us=(100 * NS_PER_US) / 1000)])
     assert {cycle.tpdos for cycle in doubled.cycles} == {2}
-    late = run([Reordering(selection=at_drive(*OUT, frames=(TPDO1,)), probability=1.0, **us(400))])
+    late = run([Reorder(**at_drive(*OUT, frames=(TPDO1,)), probability=1.0, **us(400, stem="held"))])
     plain = run([])
     for before, after in zip(plain.cycles, late.cycles, strict=True):
         assert (after.tpdo_at or 0) - (before.tpdo_at or 0) == 400 * NS_PER_US - INTERMISSION_NS
-    damaged = run([Corruption(selection=at_drive(*OUT), probability=1.0, effect=Effect.DATA)])
+    damaged = run([Corruption(**at_drive(*OUT), probability=1.0, effect="data")])
     assert [cycle.stamp for cycle in damaged.cycles] != [cycle.stamp for cycle in plain.cycles]
 
 
 def test_an_error_frame_has_no_side() -> None:
     with pytest.raises(BadInput, match="every node"):
-        Corruption(selection=at_drive(), probability=0.1)
+        Corruption(**at_drive(), probability=0.1)
 
 
-EVERYTHING: tuple[Fault, ...] = (
-    IndependentLoss(selection=at_drive(), probability=0.05),
-    IndependentLoss(selection=at_drive(side="host"), probability=0.05),
-    UniformDelay(selection=at_drive(*INTO, frames=(FrameClass.SYNC,)), **us(0, 300)),
-    UniformDelay(selection=at_drive(*OUT), **us(10, 200)),
-    UniformDelay(selection=at_drive(*OUT, side="host"), **us(10, 200)),
-    Reordering(selection=at_drive(*OUT), probability=0.05, **us(700)),
-    Duplication(selection=at_drive(), probability=0.05, later_ns=Duration(90 * NS_PER_US)),
-    Corruption(selection=at_drive(), probability=0.05, effect=Effect.DATA),
+EVERYTHING: tuple[FrameFault, ...] = (
+    Loss(**at_drive(), probability=0.05),
+    Loss(**at_drive(side="host"), probability=0.05),
+    Delay(**at_drive(*INTO, frames=("sync",)), **us(0, 300)),
+    Delay(**at_drive(*OUT), **us(10, 200)),
+    Delay(**at_drive(*OUT, side="host"), **us(10, 200)),
+    Reorder(**at_drive(*OUT), probability=0.05, **us(700, stem="held")),
+    Duplicate(**at_drive(), probability=0.05, later_us=(90 * NS_PER_US) / 1000),
+    Corruption(**at_drive(), probability=0.05, effect="data"),
 )
 
 
 def test_a_replay_of_both_sides_gives_the_same_traffic() -> None:
-    plan = FaultPlan(EVERYTHING, (SlowDrive(tpdo=Range(Duration(0), Duration(80_000))),))
+    plan = FaultPlan(EVERYTHING, (SlowDrive(tpdo_delay_min_us=0 / 1000, tpdo_delay_max_us=80_000 / 1000),))
     first = run(plan, nodes=2)
     recorded = RecordedFaults(tuple(read_line(line, "f", n) for n, line in enumerate(first.log, start=1)))
     again = run(recorded, nodes=2, seed=77)
@@ -239,7 +230,7 @@ def test_a_replay_of_both_sides_gives_the_same_traffic() -> None:
 
 
 def test_no_more_is_held_than_there_is_room_for() -> None:
-    delay = UniformDelay(selection=at_drive(*OUT, frames=(FrameClass.ALL,)), **us(9_000_000))
+    delay = Delay(**at_drive(*OUT, frames=("all",)), **us(9_000_000))
     injection = Injection(FaultPlan((delay,)), 1)
     gateway = injection.wrap(SimulatedServo(1, LING))
     assert isinstance(gateway, FaultyDevice)
@@ -248,12 +239,12 @@ def test_no_more_is_held_than_there_is_room_for() -> None:
     gateway.receive(Frame(0, b"\x01\x00"), Instant(1))
     for n in range(HELD_MAX):
         assert gateway.receive(Frame(SYNC), Instant(n + 2)) == []
-    assert gateway.overflow == HELD_MAX, "two TPDOs a SYNC"
+    assert gateway.held.overflow == HELD_MAX, "two TPDOs a SYNC"
     assert len(gateway.wake(Instant(10 * NS_PER_S))) == HELD_MAX
 
 
 def test_every_frame_passes_once_the_plan_has_ended() -> None:
-    loss = IndependentLoss(selection=at_drive(), probability=1.0)
+    loss = Loss(**at_drive(), probability=1.0)
     injection = Injection(FaultPlan((loss,)), 1)
     gateway = injection.wrap(SimulatedServo(1, LING))
     gateway.start(Instant(0))
@@ -265,7 +256,7 @@ def test_every_frame_passes_once_the_plan_has_ended() -> None:
 
 
 def test_a_drive_to_which_nothing_happens_has_no_gateway() -> None:
-    plan = FaultPlan((replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, nodes=(2,))),))
+    plan = FaultPlan((SYNC_DELAY.model_copy(update={"nodes": (2,)}),))
     servo = SimulatedServo(1, LING)
     assert Injection(plan, 1).wrap(servo) is servo
     assert Injection(FaultPlan((SYNC_DELAY,)), 1, side="drive").wrap(servo) is servo, "the bus has it already"
@@ -286,7 +277,7 @@ def test_a_drive_to_which_nothing_happens_has_no_gateway() -> None:
 def test_on_a_real_time_bus_each_program_takes_the_faults_of_its_side(
     fault_side: Side | None, program: Side, remedy: str | None
 ) -> None:
-    plan = FaultPlan((replace(SYNC_DELAY, selection=replace(SYNC_DELAY.selection, side=fault_side)),))
+    plan = FaultPlan((SYNC_DELAY.model_copy(update={"side": fault_side}),))
     if remedy is None:
         refuse_misplaced(plan, program, "the bus hub:x")
         assert Injection(plan, 1, side=program).fates is not None

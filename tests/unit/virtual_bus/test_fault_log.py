@@ -9,30 +9,29 @@ from hypothesis import strategies as st
 
 from drivers.errors import BadInput
 from drivers.timebase import Duration, Instant
+from tests.fates import fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, RPDO1, TPDO1, TPDO2, uniform
 from tests.unit.virtual_bus.test_special_faults import ONE_OF_EACH
-from virtual_bus.faults.fault_injector import FateSource, FaultInjector
+from virtual_bus.bus.judge import Direction
+from virtual_bus.faults.fates import FateSource
+from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_log import (
     BLOCK_BYTES,
     EXTENDED_FLAG,
     KIND_CODES,
     KINDS,
-    NONE,
     FaultEntry,
     FaultLog,
     entries_of,
     entry_line,
     read_line,
 )
-from virtual_bus.faults.fault_plan import (
-    Blackout,
-    Direction,
-    Fault,
-    FaultPlan,
-    PeriodicLoss,
-    Selection,
-)
-from virtual_bus.faults.node_fault_plan import Range, SlowDrive
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.kinds.blackout import Blackout
+from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
+from virtual_bus.faults.kinds.slow_drive import SlowDrive
+from virtual_bus.faults.log_kind import NONE
 from virtual_bus.faults.node_faults import DrawnNode, ReplayedNode
 from virtual_bus.faults.replay import RecordedFaults, ReplayedFates, read_recorded
 from virtual_bus.frame import Frame
@@ -159,7 +158,7 @@ def outcomes(source: FateSource, traffic: list[tuple[Direction, int, int]]) -> l
     found: list[Outcome] = []
     source.start(Instant(0))
     for direction, can_id, at in traffic:
-        fate = source.fate(direction, can_id, Instant(at))
+        fate = fate_of(source, direction, can_id, Instant(at))
         instead = list(source.replacements(Frame(can_id, bytes(4)))) if fate.dropped else []
         found.append((fate.dropped, fate.delay_ns, instead))
     return found
@@ -187,11 +186,11 @@ KEYS = ((OUT, RPDO1), (IN, TPDO1), (IN, TPDO2), (IN, 0x182), (IN, 0x581), (OUT, 
 def test_a_replay_gives_every_frame_the_fate_that_it_had(
     chosen: set[int], picks: list[tuple[int, int]], seed: int
 ) -> None:
-    window = Selection(from_ns=Duration(50_000), until_ns=Duration(90_000))
-    every: tuple[Fault, ...] = (
+    window = keys(from_s=1e-9 * 50_000, until_s=1e-9 * 90_000)
+    every: tuple[FrameFault, ...] = (
         *ONE_OF_EACH,
         PeriodicLoss(lost=2),
-        Blackout(selection=window),
+        Blackout(**window),
         uniform(0, 3000),
     )
     plan = FaultPlan(tuple(every[index] for index in sorted(chosen)))
@@ -235,17 +234,22 @@ def test_a_replay_keeps_frames_in_order_that_were_so() -> None:
 def test_frames_before_time_zero_and_after_the_end_count_for_nothing() -> None:
     log = FaultLog()
     source = FaultInjector(FaultPlan((PeriodicLoss(lost=1),)), 1, log=log)
-    source.fate(IN, TPDO1, Instant(0))
+    fate_of(source, IN, TPDO1, Instant(0))
     source.start(Instant(100))
     for k in range(4):
-        source.fate(IN, TPDO1, Instant(100 + k))
+        fate_of(source, IN, TPDO1, Instant(100 + k))
     source.stop()
-    source.fate(IN, TPDO1, Instant(900))
+    fate_of(source, IN, TPDO1, Instant(900))
     assert [(entry.n, entry.at_ns) for entry in log.entries()] == [(1, 1), (3, 3)]
 
 
 def test_a_recorded_node_is_late_as_it_was() -> None:
-    slow = SlowDrive(sdo=Range(Duration(5), Duration(900)), boot=Range(Duration(7), Duration(70)))
+    slow = SlowDrive(
+        sdo_delay_min_us=5 / 1000,
+        sdo_delay_max_us=900 / 1000,
+        boot_min_s=7 / 1e9,
+        boot_max_s=70 / 1e9,
+    )
     source = DrawnNode(FaultPlan(node_faults=(slow,)), 4, 1)
     boot, late = source.boot_time(), [source.lateness(0x584) for _ in range(20)]
     log = FaultLog()

@@ -12,27 +12,24 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.faults.fault_injector import DROPPED, PASSED, FaultInjector, FrameFate
-from virtual_bus.faults.fault_plan import (
-    Blackout,
-    BurstLoss,
-    Direction,
-    Fault,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    PeriodicLoss,
-    Selection,
-    UniformDelay,
-)
+from tests.fates import DROPPED, PASSED, FrameFate, fate_of, keys
+from virtual_bus.bus.judge import Direction
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.frame_fault import COB_IDS, FrameFault
+from virtual_bus.faults.kinds.blackout import Blackout
+from virtual_bus.faults.kinds.burst import Burst
+from virtual_bus.faults.kinds.delay import Delay
+from virtual_bus.faults.kinds.loss import Loss
+from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO1, TPDO2, RPDO1, SYNC = 0x181, 0x281, 0x201, 0x080
 MS = 1_000_000
-ANY_FRAME = (FrameClass.ALL,)
+ANY_FRAME = ("all",)
 
 
-def started(*faults: Fault, seed: int = 7) -> FaultInjector:
+def started(*faults: FrameFault, seed: int = 7) -> FaultInjector:
     injector = FaultInjector(FaultPlan(faults), seed)
     injector.start(Instant(0))
     return injector
@@ -41,10 +38,10 @@ def started(*faults: Fault, seed: int = 7) -> FaultInjector:
 def fates(
     injector: FaultInjector, count: int, can_id: int = TPDO1, direction: Direction = IN, period: int = MS
 ) -> list[FrameFate]:
-    return [injector.fate(direction, can_id, Instant(k * period)) for k in range(count)]
+    return [fate_of(injector, direction, can_id, Instant(k * period)) for k in range(count)]
 
 
-def losses(*args: Fault, count: int, seed: int = 7) -> list[bool]:
+def losses(*args: FrameFault, count: int, seed: int = 7) -> list[bool]:
     return [fate.dropped for fate in fates(started(*args, seed=seed), count)]
 
 
@@ -52,29 +49,29 @@ def runs(flags: Sequence[bool]) -> Iterator[int]:
     return (len(list(group)) for lost, group in itertools.groupby(flags) if lost)
 
 
-def uniform(least: int, most: int, reorder: bool = False) -> UniformDelay:
-    return UniformDelay(min_ns=Duration(least), max_ns=Duration(most), reorder=reorder)
+def uniform(least: int, most: int, reorder: bool = False) -> Delay:
+    return Delay(delay_min_us=least / 1000, delay_max_us=most / 1000, reorder=reorder)
 
 
 def test_every_frame_passes_before_start_and_after_stop() -> None:
-    injector = FaultInjector(FaultPlan((IndependentLoss(probability=1.0),)), 1)
-    assert injector.fate(IN, TPDO1, Instant(5)) == PASSED
+    injector = FaultInjector(FaultPlan((Loss(probability=1.0),)), 1)
+    assert fate_of(injector, IN, TPDO1, Instant(5)) == PASSED
     injector.start(Instant(10))
-    assert injector.fate(IN, TPDO1, Instant(15)) == DROPPED
+    assert fate_of(injector, IN, TPDO1, Instant(15)) == DROPPED
     injector.stop()
-    assert injector.fate(IN, TPDO1, Instant(20)) == PASSED
+    assert fate_of(injector, IN, TPDO1, Instant(20)) == PASSED
     assert injector.counts()["drive_to_host"] == {"frames": 1, "loss": 1, "delayed": 0}
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.02, 0.3, 1.0])
 def test_independent_loss_has_its_rate(probability: float) -> None:
     count = 50_000
-    lost = sum(losses(IndependentLoss(probability=probability), count=count))
+    lost = sum(losses(Loss(probability=probability), count=count))
     assert stats.binomtest(lost, count, probability).pvalue > 0.01
 
 
 def test_independent_loss_does_not_depend_on_the_frame_before() -> None:
-    flags = losses(IndependentLoss(probability=0.3), count=40_000)
+    flags = losses(Loss(probability=0.3), count=40_000)
     table = [[0, 0], [0, 0]]
     for before, after in itertools.pairwise(flags):
         table[before][after] += 1
@@ -82,7 +79,7 @@ def test_independent_loss_does_not_depend_on_the_frame_before() -> None:
 
 
 def test_bursts_have_a_geometric_length_and_their_long_run_rate() -> None:
-    fault = BurstLoss(p_good_to_bad=0.02, p_bad_to_good=0.25)
+    fault = Burst(p_good_to_bad=0.02, p_bad_to_good=0.25)
     flags = losses(fault, count=200_000)
     lengths = list(runs(flags))
     longest = 15
@@ -94,7 +91,7 @@ def test_bursts_have_a_geometric_length_and_their_long_run_rate() -> None:
 
 
 def test_a_burst_loses_by_the_state_that_the_chain_is_in() -> None:
-    fault = BurstLoss(p_good_to_bad=0.1, p_bad_to_good=0.4, loss_bad=0.5, loss_good=0.05)
+    fault = Burst(p_good_to_bad=0.1, p_bad_to_good=0.4, loss_bad=0.5, loss_good=0.05)
     count = 100_000
     expected = 0.2 * 0.5 + 0.8 * 0.05
     assert sum(losses(fault, count=count)) / count == pytest.approx(expected, rel=0.05)
@@ -107,19 +104,19 @@ def test_periodic_loss_passes_the_first_of_every_period_of_each_cob_id(lost: int
         (cycle, can_id)
         for cycle in range(30)
         for can_id in (TPDO1, TPDO2)
-        if not injector.fate(IN, can_id, Instant(cycle * MS)).dropped
+        if not fate_of(injector, IN, can_id, Instant(cycle * MS)).dropped
     ]
     assert passed == [(cycle, can_id) for cycle in range(0, 30, lost + 1) for can_id in (TPDO1, TPDO2)]
 
 
 def test_a_blackout_loses_all_of_its_window_and_nothing_else() -> None:
-    window = Selection(from_ns=Duration(20 * MS), until_ns=Duration(40 * MS))
-    flags = losses(Blackout(selection=window), count=60)
+    window = keys(from_s=1e-9 * (20 * MS), until_s=1e-9 * (40 * MS))
+    flags = losses(Blackout(**window), count=60)
     assert flags == [20 <= k < 40 for k in range(60)]
 
 
 def test_a_blackout_by_count_loses_that_many_of_each_cob_id() -> None:
-    injector = started(Blackout(selection=Selection(from_ns=Duration(3 * MS)), count=4))
+    injector = started(Blackout(from_s=1e-9 * (3 * MS), count=4))
     expected = [3 <= k < 7 for k in range(12)]
     assert [fate.dropped for fate in fates(injector, 12, TPDO1)] == expected
     assert [fate.dropped for fate in fates(injector, 12, TPDO2)] == expected
@@ -142,7 +139,7 @@ def test_both_ends_of_a_delay_are_drawn() -> None:
 
 def test_delays_add_up() -> None:
     both = started(uniform(100, 100), uniform(20, 20))
-    assert both.fate(IN, TPDO1, Instant(0)) == FrameFate(False, Duration(120))
+    assert fate_of(both, IN, TPDO1, Instant(0)) == FrameFate(False, Duration(120))
 
 
 @settings(derandomize=True, deadline=None)
@@ -156,7 +153,8 @@ def test_frames_of_a_link_keep_their_order_and_are_never_early(gaps: list[int], 
     arrivals = list(itertools.accumulate(gaps))
     cob_ids = itertools.cycle((TPDO1, TPDO2))
     delays = [
-        injector.fate(IN, can_id, Instant(at)).delay_ns for at, can_id in zip(arrivals, cob_ids, strict=False)
+        fate_of(injector, IN, can_id, Instant(at)).delay_ns
+        for at, can_id in zip(arrivals, cob_ids, strict=False)
     ]
     releases = [at + delay for at, delay in zip(arrivals, delays, strict=True)]
     assert releases == sorted(releases)
@@ -170,61 +168,59 @@ def test_with_reorder_a_frame_may_overtake() -> None:
 
 
 def test_a_frame_after_the_window_still_waits_for_the_one_in_front() -> None:
-    selection = Selection(until_ns=Duration(10))
-    injector = started(UniformDelay(selection=selection, min_ns=Duration(100), max_ns=Duration(100)))
-    assert injector.fate(IN, TPDO1, Instant(9)).delay_ns == 100
-    assert injector.fate(IN, TPDO1, Instant(50)).delay_ns == 59
-    assert injector.fate(IN, TPDO1, Instant(200)) == PASSED
+    selection = keys(until_s=1e-9 * 10)
+    injector = started(Delay(**selection, delay_min_us=100 / 1000, delay_max_us=100 / 1000))
+    assert fate_of(injector, IN, TPDO1, Instant(9)).delay_ns == 100
+    assert fate_of(injector, IN, TPDO1, Instant(50)).delay_ns == 59
+    assert fate_of(injector, IN, TPDO1, Instant(200)) == PASSED
 
 
 def test_what_a_fault_does_not_select_passes_untouched() -> None:
-    injector = started(
-        IndependentLoss(probability=1.0, selection=Selection(directions=(IN,), nodes=(1,))), uniform(50, 50)
-    )
-    assert injector.fate(IN, TPDO1, Instant(0)) == DROPPED
-    assert injector.fate(OUT, RPDO1, Instant(0)).delay_ns == 50
-    assert injector.fate(IN, TPDO1 + 1, Instant(0)).delay_ns == 50
-    assert injector.fate(OUT, SYNC, Instant(0)) == PASSED
-    assert injector.fate(IN, TPDO1, Instant(0), extended=True) == PASSED
+    injector = started(Loss(probability=1.0, direction="drive_to_host", nodes=(1,)), uniform(50, 50))
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == DROPPED
+    assert fate_of(injector, OUT, RPDO1, Instant(0)).delay_ns == 50
+    assert fate_of(injector, IN, TPDO1 + 1, Instant(0)).delay_ns == 50
+    assert fate_of(injector, OUT, SYNC, Instant(0)) == PASSED
+    assert fate_of(injector, IN, TPDO1, Instant(0), extended=True) == PASSED
 
 
 @pytest.mark.parametrize(
     ("can_id", "frames"),
     [
-        (0x000, FrameClass.NMT),
-        (0x080, FrameClass.SYNC),
-        (0x081, FrameClass.EMCY),
-        (0x0FF, FrameClass.EMCY),
-        (0x100, FrameClass.TIME),
-        (0x181, FrameClass.PDO),
-        (0x57F, FrameClass.PDO),
-        (0x581, FrameClass.SDO),
-        (0x67F, FrameClass.SDO),
-        (0x701, FrameClass.HEARTBEAT),
-        (0x77F, FrameClass.HEARTBEAT),
-        (0x7E5, FrameClass.LSS),
+        (0x000, "nmt"),
+        (0x080, "sync"),
+        (0x081, "emcy"),
+        (0x0FF, "emcy"),
+        (0x100, "time"),
+        (0x181, "pdo"),
+        (0x57F, "pdo"),
+        (0x581, "sdo"),
+        (0x67F, "sdo"),
+        (0x701, "heartbeat"),
+        (0x77F, "heartbeat"),
+        (0x7E5, "lss"),
     ],
 )
-def test_each_cob_id_is_of_one_class(can_id: int, frames: FrameClass) -> None:
+def test_each_cob_id_is_of_one_class(can_id: int, frames: str) -> None:
     """CiA 301 7.3.5, the pre-defined connection set."""
-    selecting = [item for item in FrameClass if Selection(frames=(item,)).selects(IN, can_id)]
-    assert selecting == [frames, FrameClass.ALL]
+    selecting = [item for item in COB_IDS if Loss(probability=1.0, frames=(item,)).selects(IN, can_id)]
+    assert selecting == [frames, "all"]
 
 
 def test_a_number_selects_one_cob_id_and_above_7ffh_an_extended_one() -> None:
-    injector = started(IndependentLoss(probability=1.0, selection=Selection(frames=(0x181, 0x12345))))
-    assert injector.fate(IN, 0x181, Instant(0)).dropped
-    assert not injector.fate(IN, 0x181, Instant(0), extended=True).dropped
-    assert injector.fate(IN, 0x12345, Instant(0), extended=True).dropped
-    assert not injector.fate(IN, 0x12346, Instant(0), extended=True).dropped
+    injector = started(Loss(probability=1.0, frames=(0x181, 0x12345)))
+    assert fate_of(injector, IN, 0x181, Instant(0)).dropped
+    assert not fate_of(injector, IN, 0x181, Instant(0), extended=True).dropped
+    assert fate_of(injector, IN, 0x12345, Instant(0), extended=True).dropped
+    assert not fate_of(injector, IN, 0x12346, Instant(0), extended=True).dropped
 
 
-def interleaved(*faults: Fault) -> dict[tuple[Direction, int], list[FrameFate]]:
+def interleaved(*faults: FrameFault) -> dict[tuple[Direction, int], list[FrameFate]]:
     """Fates of three COB-IDs of two nodes, both directions, 500 cycles."""
     injector = started(*faults)
     links = ((OUT, RPDO1), (IN, TPDO1), (IN, TPDO1 + 1))
     return {
-        key: [injector.fate(key[0], key[1], Instant(k * MS)) for k in range(500)]
+        key: [fate_of(injector, key[0], key[1], Instant(k * MS)) for k in range(500)]
         for key in sorted(links, key=lambda link: link[1])
     }
 
@@ -232,10 +228,10 @@ def interleaved(*faults: Fault) -> dict[tuple[Direction, int], list[FrameFate]]:
 def test_a_change_of_the_losses_does_not_shift_the_delays() -> None:
     delay = uniform(0, MS // 2)
     alone = interleaved(delay)
-    burst = BurstLoss(p_good_to_bad=0.2, p_bad_to_good=0.3)
+    burst = Burst(p_good_to_bad=0.2, p_bad_to_good=0.3)
     for faults in (
-        (IndependentLoss(probability=0.5), delay),
-        (burst, IndependentLoss(probability=0.1), PeriodicLoss(lost=1), delay),
+        (Loss(probability=0.5), delay),
+        (burst, Loss(probability=0.1), PeriodicLoss(lost=1), delay),
     ):
         for link, expected in alone.items():
             seen = interleaved(*faults)[link]
@@ -245,27 +241,27 @@ def test_a_change_of_the_losses_does_not_shift_the_delays() -> None:
 
 
 def test_a_window_does_not_shift_the_draws_within_it() -> None:
-    late = Selection(from_ns=Duration(100 * MS))
-    whole = losses(IndependentLoss(probability=0.5), count=300)
-    part = losses(IndependentLoss(probability=0.5, selection=late), count=300)
+    late = keys(from_s=1e-9 * (100 * MS))
+    whole = losses(Loss(probability=0.5), count=300)
+    part = losses(Loss(probability=0.5, **late), count=300)
     assert part[100:] == whole[100:]
     assert not any(part[:100])
 
 
 def test_traffic_of_another_node_or_direction_does_not_shift_a_link() -> None:
-    fault = IndependentLoss(probability=0.5, selection=Selection(frames=ANY_FRAME))
+    fault = Loss(probability=0.5, frames=ANY_FRAME)
     alone = [fate.dropped for fate in fates(started(fault), 200)]
     injector = started(fault)
     among_others = []
     for k in range(200):
-        injector.fate(OUT, TPDO1, Instant(k * MS))
-        injector.fate(IN, TPDO1 + 1, Instant(k * MS))
-        among_others.append(injector.fate(IN, TPDO1, Instant(k * MS)).dropped)
+        fate_of(injector, OUT, TPDO1, Instant(k * MS))
+        fate_of(injector, IN, TPDO1 + 1, Instant(k * MS))
+        among_others.append(fate_of(injector, IN, TPDO1, Instant(k * MS)).dropped)
     assert among_others == alone
 
 
 def test_links_seeds_and_faults_of_a_kind_are_independent() -> None:
-    fault = IndependentLoss(probability=0.5)
+    fault = Loss(probability=0.5)
     base = losses(fault, count=400)
     assert losses(fault, count=400) == base
     assert losses(fault, count=400, seed=8) != base
@@ -283,7 +279,7 @@ def test_links_seeds_and_faults_of_a_kind_are_independent() -> None:
 
 
 def test_start_begins_every_stream_anew() -> None:
-    injector = started(IndependentLoss(probability=0.5), uniform(0, 1000))
+    injector = started(Loss(probability=0.5), uniform(0, 1000))
     first = fates(injector, 100)
     injector.start(Instant(0))
     assert fates(injector, 100) == first
@@ -291,7 +287,7 @@ def test_start_begins_every_stream_anew() -> None:
 
 
 def test_counts_name_the_fault_that_struck_first() -> None:
-    injector = started(PeriodicLoss(lost=1), IndependentLoss(probability=1.0), uniform(5, 5))
+    injector = started(PeriodicLoss(lost=1), Loss(probability=1.0), uniform(5, 5))
     fates(injector, 10)
     fates(injector, 3, can_id=SYNC, direction=OUT)
     assert injector.counts() == {
@@ -301,18 +297,19 @@ def test_counts_name_the_fault_that_struck_first() -> None:
 
 
 def test_a_flood_of_extended_identifiers_takes_no_memory() -> None:
-    injector = started(IndependentLoss(probability=0.5, selection=Selection(frames=(*ANY_FRAME, 0x12345))))
+    injector = started(Loss(probability=0.5, frames=(*ANY_FRAME, 0x12345)))
     for can_id in range(0x12000, 0x13000):
-        injector.fate(IN, can_id, Instant(0), extended=True)
+        fate_of(injector, IN, can_id, Instant(0), extended=True)
     assert sum(len(way.routes) for way in injector._ways) == 2
 
 
 PRINT_FATES = """
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.test_faults import IN, fates, started, uniform
-from virtual_bus.faults.fault_plan import BurstLoss, IndependentLoss
-burst = BurstLoss(p_good_to_bad=0.1, p_bad_to_good=0.3)
-print(fates(started(IndependentLoss(probability=0.1), burst, uniform(0, 1000)), 50))
+from virtual_bus.faults.kinds.burst import Burst
+from virtual_bus.faults.kinds.loss import Loss
+burst = Burst(p_good_to_bad=0.1, p_bad_to_good=0.3)
+print(fates(started(Loss(probability=0.1), burst, uniform(0, 1000)), 50))
 """
 
 

@@ -2,47 +2,44 @@
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.timebase import NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_S, Instant
+from tests.fates import keys
 from tests.ports import fetched
-from virtual_bus.bus.host_port import HELD_MAX
+from virtual_bus.bus.held_frames import HELD_MAX
+from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import (
-    Direction,
-    Fault,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Selection,
-)
-from virtual_bus.faults.fault_plan import UniformDelay as Delay
+from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import (
     FaultyBus,
-    Side,
     SimulatedFaultyBus,
 )
+from virtual_bus.faults.frame_fault import FrameFault, Side
+from virtual_bus.faults.kinds.delay import Delay
+from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201
 MS = 1_000_000
-LOSS = IndependentLoss(probability=1.0)
+LOSS = Loss(probability=1.0)
 FRAME_NS = 47_000 + 3_000
 """More than an empty frame takes at 1 Mbit/s, at most 5 stuff bits included."""
 
 
 def delay(least: int, most: int | None = None, reorder: bool = False, *ways: Direction) -> Delay:
-    selection = Selection(directions=ways or (OUT, IN))
-    most_ns = Duration(least if most is None else most)
-    return Delay(min_ns=Duration(least), max_ns=most_ns, reorder=reorder, selection=selection)
+    way: dict[str, Any] = {"direction": ways[0].label} if ways else {}
+    most = least if most is None else most
+    return Delay(delay_min_us=least / 1000, delay_max_us=most / 1000, reorder=reorder, **way)
 
 
 class InFront(FaultyBus):
@@ -55,7 +52,9 @@ class Rig:
     ``outside``: the faults sit in front of the bus, as on any other, and not at its port.
     """
 
-    def __init__(self, *faults: Fault, side: Side = "host", outside: bool = False, own: bool = False) -> None:
+    def __init__(
+        self, *faults: FrameFault, side: Side = "host", outside: bool = False, own: bool = False
+    ) -> None:
         self.timeline = Timeline()
         segment = CanSegment(self.timeline)
         self.clock = SimulatedClock(self.timeline)
@@ -99,7 +98,7 @@ def rigs(request: pytest.FixtureRequest) -> Iterator[Rigs]:
 only_at_the_port = pytest.mark.parametrize("rigs", [False], indirect=True)
 
 
-def rig_with(rigs: Rigs, *faults: Fault, side: Side = "host", own: bool = False) -> Rig:
+def rig_with(rigs: Rigs, *faults: FrameFault, side: Side = "host", own: bool = False) -> Rig:
     rigs.made.append(Rig(*faults, side=side, outside=rigs.outside, own=own))
     return rigs.made[-1]
 
@@ -211,7 +210,7 @@ def test_losses_are_lost_either_way_and_nothing_else(rigs: Rigs) -> None:
 
 @pytest.mark.parametrize(("side", "lost"), [("host", True), ("drive", False)])
 def test_the_side_tells_the_direction(rigs: Rigs, side: Side, lost: bool) -> None:
-    only_out = IndependentLoss(probability=1.0, selection=Selection(directions=(OUT,)))
+    only_out = Loss(probability=1.0, direction="host_to_drive")
     rig = rig_with(rigs, only_out, side=side)
     rig.port.transmit(Frame(RPDO))
     rig.peer_sends(0, Frame(TPDO))
@@ -251,8 +250,8 @@ def test_recv_without_deadline_waits_for_the_held_frame_and_ends_when_nothing_ca
 
 
 def test_remote_and_extended_frames_come_through_unchanged(rigs: Rigs) -> None:
-    every = Selection(frames=(FrameClass.ALL,))
-    rig = rig_with(rigs, Delay(min_ns=Duration(10), max_ns=Duration(10), selection=every))
+    every = keys(frames=("all",))
+    rig = rig_with(rigs, Delay(delay_min_us=10 / 1000, delay_max_us=10 / 1000, **every))
     frames = [Frame(TPDO, b"", False, True, 4), Frame(0x1ABCDEF, b"\1\2\3", True)]
     for frame in frames:
         rig.peer_sends(0, frame)

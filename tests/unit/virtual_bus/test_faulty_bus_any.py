@@ -1,39 +1,37 @@
 """Faults in front of a bus that has no timeline: any of python-can's."""
 
 from collections.abc import Iterator
+from typing import Any
 from uuid import uuid4
 
 import can
 import pytest
 
-from drivers.timebase import NS_PER_S, Duration, Instant, MonotonicClock
+from drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from drivers.wire.message_port import StampSource
+from tests.fates import keys
+from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_injector import FaultInjector
-from virtual_bus.faults.fault_plan import (
-    Direction,
-    Fault,
-    FaultPlan,
-    FrameClass,
-    IndependentLoss,
-    Selection,
-)
-from virtual_bus.faults.fault_plan import UniformDelay as Delay
+from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import (
     FaultyBus,
 )
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.kinds.delay import Delay
+from virtual_bus.faults.kinds.loss import Loss
 
 OUT, IN = Direction.HOST_TO_DRIVE, Direction.DRIVE_TO_HOST
 TPDO, RPDO = 0x181, 0x201
 MS = 1_000_000
-LOSS = IndependentLoss(probability=1.0)
+LOSS = Loss(probability=1.0)
 FRAME_NS = 47_000 + 3_000
 """More than an empty frame takes at 1 Mbit/s, at most 5 stuff bits included."""
 
 
 def delay(least: int, most: int | None = None, reorder: bool = False, *ways: Direction) -> Delay:
-    selection = Selection(directions=ways or (OUT, IN))
-    most_ns = Duration(least if most is None else most)
-    return Delay(min_ns=Duration(least), max_ns=most_ns, reorder=reorder, selection=selection)
+    way: dict[str, Any] = {"direction": ways[0].label} if ways else {}
+    most = least if most is None else most
+    return Delay(delay_min_us=least / 1000, delay_max_us=most / 1000, reorder=reorder, **way)
 
 
 @pytest.fixture
@@ -47,7 +45,7 @@ def virtual() -> Iterator[tuple[can.BusABC, can.BusABC]]:
         yield host, peer
 
 
-def over_virtual(inner: can.BusABC, *faults: Fault) -> FaultyBus:
+def over_virtual(inner: can.BusABC, *faults: FrameFault) -> FaultyBus:
     clock = MonotonicClock()
     bus = FaultyBus(inner, FaultInjector(FaultPlan(faults), 3), clock)
     bus.start(clock.now())
@@ -110,8 +108,8 @@ def test_a_delay_counts_from_the_stamp_if_its_axis_is_known_and_else_from_receip
 ) -> None:
     """Frames at 1 ms and 5 ms, a delay of 2 ms until 4.5 ms, the owner away until 4 ms."""
     inner = ScriptedBus([1 * MS, 5 * MS])
-    window = Selection(until_ns=Duration(4_500_000))
-    held = Delay(min_ns=Duration(2 * MS), max_ns=Duration(2 * MS), selection=window)
+    window = keys(until_s=1e-9 * 4_500_000)
+    held = Delay(delay_min_us=(2 * MS) / 1000, delay_max_us=(2 * MS) / 1000, **window)
     bus = FaultyBus(inner, FaultInjector(FaultPlan((held,)), 3), inner, "host", stamps)
     bus.start(Instant(0))
     inner.sleep_until(Instant(4 * MS))
@@ -125,7 +123,7 @@ def test_a_delay_counts_from_the_stamp_if_its_axis_is_known_and_else_from_receip
 
 def test_any_python_can_bus_loses_and_holds_what_is_sent(virtual: tuple[can.BusABC, can.BusABC]) -> None:
     inner, peer = virtual
-    sync_loss = IndependentLoss(probability=1.0, selection=Selection(frames=(FrameClass.SYNC,)))
+    sync_loss = Loss(probability=1.0, frames=("sync",))
     bus = over_virtual(inner, sync_loss, delay(3 * MS))
     message = message_of(RPDO, b"\1")
     bus.send(message_of(0x080))

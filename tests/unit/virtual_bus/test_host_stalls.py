@@ -9,9 +9,9 @@ from scipy import stats
 from drivers.errors import MISSING, BadInput
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
 from virtual_bus.faults.fault_log import FaultLog, entry_line, read_line
-from virtual_bus.faults.fault_plan import FaultPlan, IndependentLoss
-from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, load_fault_plan
-from virtual_bus.faults.node_fault_plan import HostStall, Occasion
+from virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan
+from virtual_bus.faults.kinds.host_stall import HostStall
+from virtual_bus.faults.kinds.loss import Loss
 from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 
@@ -23,10 +23,9 @@ def seconds(value: float) -> Duration:
 
 
 def stall(least_us: float, most_us: float | None = None, **occasion: Any) -> HostStall:
-    most = least_us if most_us is None else most_us
-    return HostStall(
-        occasion=Occasion(**occasion), min_ns=seconds(least_us * 1e-6), max_ns=seconds(most * 1e-6)
-    )
+    if most_us is None:
+        return HostStall(**occasion, late_us=least_us)
+    return HostStall(**occasion, late_min_us=least_us, late_max_us=most_us)
 
 
 class Host:
@@ -50,17 +49,17 @@ def late_us(*stalls: HostStall, cycles: int = 50, seed: int = 3) -> list[float]:
 
 
 def test_once_at_the_first_action_from_its_instant_on() -> None:
-    late = late_us(stall(3400, at_ns=seconds(0.0105)))
+    late = late_us(stall(3400, at_s=0.0105))
     assert [(n, value) for n, value in enumerate(late) if value] == [(11, 3400)]
 
 
 def test_regularly_within_a_window() -> None:
-    late = late_us(stall(500, every_ns=seconds(0.004), from_ns=seconds(0.01), until_ns=seconds(0.03)))
+    late = late_us(stall(500, every_s=0.004, from_s=0.01, until_s=0.03))
     assert [(n, value) for n, value in enumerate(late) if value] == [(n, 500) for n in (14, 18, 22, 26)]
 
 
 def test_drawn_evenly_at_each_action() -> None:
-    late = late_us(stall(0, 500, every_ns=seconds(0.001)), cycles=5000)[1:]
+    late = late_us(stall(0, 500, every_s=0.001), cycles=5000)[1:]
     assert stats.kstest(late, "uniform", args=(0, 500)).pvalue > 0.01
 
 
@@ -71,13 +70,13 @@ def test_by_chance_as_often_as_said() -> None:
 
 
 def test_strikes_during_a_stall_count_once_and_tables_add_up() -> None:
-    host = Host(FaultPlan(host_stalls=(stall(200, every_ns=seconds(0.001)), stall(50, at_ns=seconds(0.02)))))
+    host = Host(FaultPlan(host_stalls=(stall(200, every_s=0.001), stall(50, at_s=0.02))))
     assert host.late_us(3) == [0, 200, 200]
     assert host.late_us(2, since=20) == [250, 200], "17 ms later: one stall of the first table"
 
 
 def test_nothing_strikes_outside_of_the_plan() -> None:
-    injection = Injection(FaultPlan(host_stalls=(stall(200, every_ns=seconds(0.001)),)), 1)
+    injection = Injection(FaultPlan(host_stalls=(stall(200, every_s=0.001),)), 1)
     assert injection.host_stall(ZERO) == 0
     injection.start(ZERO)
     assert injection.host_stall(Instant(ZERO + NS_PER_MS)) == 200 * NS_PER_US
@@ -87,9 +86,9 @@ def test_nothing_strikes_outside_of_the_plan() -> None:
 
 
 def test_each_table_has_a_stream_of_its_own_and_faults_of_frames_do_not_disturb_it() -> None:
-    jitter, rare = stall(0, 400, every_ns=seconds(0.001)), stall(1000, 9000, probability_per_s=0.9)
+    jitter, rare = stall(0, 400, every_s=0.001), stall(1000, 9000, probability_per_s=0.9)
     alone = late_us(jitter, cycles=3000)
-    plan = FaultPlan((IndependentLoss(probability=0.5),), host_stalls=(jitter, rare))
+    plan = FaultPlan((Loss(probability=0.5),), host_stalls=(jitter, rare))
     both = Host(plan).late_us(3000)
     assert sum(one != other for one, other in zip(alone, both, strict=True)) < 20
     assert late_us(jitter, cycles=3000, seed=4) != alone
@@ -97,7 +96,7 @@ def test_each_table_has_a_stream_of_its_own_and_faults_of_frames_do_not_disturb_
 
 
 def test_a_replay_stalls_the_same_actions() -> None:
-    plan = FaultPlan(host_stalls=(stall(0, 400, every_ns=seconds(0.003)), stall(5000, at_ns=seconds(0.02))))
+    plan = FaultPlan(host_stalls=(stall(0, 400, every_s=0.003), stall(5000, at_s=0.02)))
     first = Host(plan)
     late = first.late_us(40)
     lines = [entry_line(entry) for entry in first.log.entries()]
@@ -132,12 +131,12 @@ def load(text: str) -> FaultPlan:
 def test_tables_are_read_and_survive_being_written() -> None:
     plan = load(TABLES)
     assert plan.host_stalls == (
-        stall(3400, at_ns=seconds(1.5)),
-        stall(0, 120, every_ns=seconds(0.001), from_ns=seconds(1), until_ns=seconds(2)),
+        stall(3400, at_s=1.5),
+        stall(0, 120, every_s=0.001, from_s=1, until_s=2),
         stall(700, probability_per_s=0.5),
     )
     assert plan.span == seconds(2)
-    assert load_fault_plan(fault_plan_mapping(plan), "written") == plan
+    assert load_fault_plan(plan.as_tables(), "written") == plan
 
 
 @pytest.mark.parametrize(
@@ -168,7 +167,7 @@ def test_what_cannot_be_used_is_refused_with_reasons(
 
 @pytest.mark.parametrize("side", ["host", "drive"])
 def test_a_host_in_real_time_is_late_by_itself(side: Any) -> None:
-    plan = FaultPlan(host_stalls=(stall(200, at_ns=seconds(1)),))
+    plan = FaultPlan(host_stalls=(stall(200, at_s=1),))
     with pytest.raises(BadInput) as caught:
         refuse_misplaced(plan, side, "the bus hub:x")
     assert (caught.value.key, caught.value.remedy) == ("host_stall", "run it with --bus simulated")

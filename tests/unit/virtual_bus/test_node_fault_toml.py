@@ -8,28 +8,19 @@ from typing import Any
 import pytest
 
 from drivers.errors import MISSING, BadInput
-from drivers.timebase import Duration
+from tests.fates import keys
 from tests.unit.virtual_bus.test_fault_plan_toml import error_of, load
-from virtual_bus.faults.fault_plan import (
-    Corruption,
-    Duplication,
-    Effect,
-    FaultPlan,
-    MeasuredDelay,
-    Reordering,
-)
-from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, load_fault_plan
-from virtual_bus.faults.node_fault_plan import (
-    BusOff,
-    ClockDrift,
-    ClockStep,
-    DriveFailure,
-    DriveFault,
-    Occasion,
-    Range,
-    Silence,
-    SlowDrive,
-)
+from virtual_bus.faults.fault_plan import FaultPlan, load_fault_plan
+from virtual_bus.faults.kinds.bus_off import BusOff
+from virtual_bus.faults.kinds.clock_drift import ClockDrift
+from virtual_bus.faults.kinds.clock_step import ClockStep
+from virtual_bus.faults.kinds.corruption import Corruption
+from virtual_bus.faults.kinds.drive_fault import DriveFault
+from virtual_bus.faults.kinds.duplicate import Duplicate
+from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
+from virtual_bus.faults.kinds.reorder import Reorder
+from virtual_bus.faults.kinds.silence import Silence
+from virtual_bus.faults.kinds.slow_drive import SlowDrive
 
 PLAN = """
     [[measured_delay]]
@@ -80,38 +71,35 @@ PLAN = """
 def test_every_further_kind_is_read_and_survives_being_written() -> None:
     plan = load(PLAN)
     assert plan.faults == (
-        MeasuredDelay(edges_ns=(Duration(0), Duration(10_000), Duration(20_500)), counts=(3, 4)),
-        Reordering(probability=0.1, min_ns=Duration(7000), max_ns=Duration(7000)),
-        Duplication(probability=0.2, later_ns=Duration(1500)),
+        MeasuredDelay(edges_us=(0, 10, 20.5), counts=(3, 4)),
+        Reorder(probability=0.1, held_us=7),
+        Duplicate(probability=0.2, later_us=1.5),
         Corruption(probability=0.3),
-        Corruption(probability=0.3, effect=Effect.DATA),
+        Corruption(probability=0.3, effect="data"),
     )
-    second = 1_000_000_000
-    lost = DriveFailure.ENCODER_LOSS
-    window = Occasion(probability_per_s=0.1, from_ns=Duration(second), until_ns=Duration(3 * second))
+    window = keys(probability_per_s=0.1, from_s=1, until_s=3)
     assert plan.node_faults == (
-        Silence(nodes=(1, 2), occasion=Occasion(at_ns=Duration(second // 2)), lasts_ns=Duration(second // 4)),
-        BusOff(occasion=window),
-        BusOff(occasion=Occasion(at_ns=Duration(2 * second)), recover_after_ns=Duration(second // 2)),
-        DriveFault(occasion=Occasion(at_ns=Duration(second)), failure=DriveFailure.UNDER_VOLTAGE),
+        Silence(nodes=(1, 2), at_s=0.5, duration_s=0.25),
+        BusOff(**window),
+        BusOff(at_s=2, recover_after_s=0.5),
+        DriveFault(at_s=1, fault="under_voltage"),
         DriveFault(
-            occasion=Occasion(at_ns=Duration(second)),
-            failure=lost,
-            detected_after_ns=Duration(2_000_000),
-            lasts_ns=Duration(100_000_000),
+            at_s=1,
+            fault="encoder_loss",
+            detected_after_ms=2,
+            duration_s=0.1,
         ),
-        ClockStep(
-            occasion=Occasion(at_ns=Duration(4 * second)), min_ns=Duration(-3000), max_ns=Duration(-3000)
-        ),
-        ClockDrift(drift_ppb=-2500, until_ns=Duration(second)),
+        ClockStep(at_s=4, step_us=-3),
+        ClockDrift(drift_ppm=-2.5, until_s=1),
         SlowDrive(
-            sdo=Range(Duration(4000), Duration(4000)),
-            tpdo=Range(Duration(1000), Duration(2000)),
-            boot=Range(Duration(second // 2), Duration(second // 2)),
+            sdo_delay_us=4,
+            tpdo_delay_min_us=1,
+            tpdo_delay_max_us=2,
+            boot_s=0.5,
         ),
     )
-    assert plan.span == 4 * second
-    assert load_fault_plan(fault_plan_mapping(plan), "written") == plan
+    assert plan.span == 4_000_000_000
+    assert load_fault_plan(plan.as_tables(), "written") == plan
 
 
 @pytest.mark.parametrize(
@@ -255,7 +243,7 @@ def with_file(folder: Path, name: str, text: str) -> FaultPlan:
     return load_fault_plan(tomllib.loads(f"[[measured_delay]]\nfile = '{name}'"), str(plan))
 
 
-HISTOGRAM = MeasuredDelay(edges_ns=(Duration(0), Duration(1000), Duration(5000)), counts=(2, 3))
+HISTOGRAM = MeasuredDelay(edges_us=(0, 1, 5), counts=(2, 3))
 
 
 @pytest.mark.parametrize(

@@ -1,34 +1,32 @@
 """What befalls nodes: when it strikes, and what a device then does."""
 
 import math
+from typing import Any
 
 import pytest
 from scipy import stats
 
 from drivers.cia402.profile import State
-from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant
+from tests.fates import keys
 from tests.motors import LING
 from tests.unit.virtual_bus.servo_bench import ENABLE, ServoBench
+from virtual_bus.bus.held_frames import NEVER
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultEntry, FaultLog
 from virtual_bus.faults.fault_plan import FaultPlan
-from virtual_bus.faults.node_fault_plan import (
-    BusOff,
-    ClockDrift,
-    ClockStep,
-    DriveFailure,
-    DriveFault,
-    NodeFault,
-    Occasion,
-    Range,
-    Silence,
-    SlowDrive,
-)
-from virtual_bus.faults.node_faults import NEVER, DrawnNode, NodeEvent, node_source
+from virtual_bus.faults.kinds.bus_off import BusOff
+from virtual_bus.faults.kinds.clock_drift import ClockDrift
+from virtual_bus.faults.kinds.clock_step import ClockStep
+from virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
+from virtual_bus.faults.kinds.silence import Silence
+from virtual_bus.faults.kinds.slow_drive import SlowDrive
+from virtual_bus.faults.node_fault import NodeEvent, NodeFault
+from virtual_bus.faults.node_faults import DrawnNode, node_source
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.faulty_device import FaultyDevice
 
-BY_CHANCE = Occasion(probability_per_s=0.8)
+BY_CHANCE = keys(probability_per_s=0.8)
 MS = NS_PER_MS
 
 
@@ -40,12 +38,12 @@ def events(*faults: NodeFault, until_s: float, node: int = 1, seed: int = 3) -> 
     return found
 
 
-def over_current(occasion: Occasion = BY_CHANCE) -> DriveFault:
-    return DriveFault(occasion=occasion, failure=DriveFailure.OVER_CURRENT)
+def over_current(occasion: dict[str, Any] = BY_CHANCE) -> DriveFault:
+    return DriveFault(**occasion, fault="over_current")
 
 
-def at(seconds: float) -> Occasion:
-    return Occasion(at_ns=Duration(round(seconds * NS_PER_S)))
+def at(seconds: float) -> dict[str, Any]:
+    return keys(at_s=1e-9 * (round(seconds * NS_PER_S)))
 
 
 def test_chance_strikes_as_often_as_a_poisson_process() -> None:
@@ -64,16 +62,14 @@ def test_chance_strikes_as_often_as_a_poisson_process() -> None:
 
 
 def test_chance_keeps_to_its_window() -> None:
-    occasion = Occasion(
-        probability_per_s=0.99, from_ns=Duration(2 * NS_PER_S), until_ns=Duration(5 * NS_PER_S)
-    )
+    occasion = keys(probability_per_s=0.99, from_s=1e-9 * (2 * NS_PER_S), until_s=1e-9 * (5 * NS_PER_S))
     struck = [event.at_ns for event in events(over_current(occasion), until_s=100)]
     assert len(struck) > 5
     assert all(2 * NS_PER_S <= when < 5 * NS_PER_S for when in struck)
 
 
 def test_a_schedule_strikes_once() -> None:
-    found = events(over_current(at(0.5)), Silence(occasion=at(0.2), lasts_ns=Duration(MS)), until_s=100)
+    found = events(over_current(at(0.5)), Silence(**at(0.2), duration_s=1e-9 * MS), until_s=100)
     assert [(event.at_ns, event.kind) for event in found] == [
         (200 * MS, "silence"),
         (500 * MS, "drive_fault"),
@@ -83,13 +79,13 @@ def test_a_schedule_strikes_once() -> None:
 def test_each_kind_of_fault_of_each_node_has_a_stream_of_its_own() -> None:
     faults: list[NodeFault] = [
         over_current(),
-        DriveFault(occasion=BY_CHANCE, failure=DriveFailure.UNDER_VOLTAGE),
-        Silence(occasion=BY_CHANCE, lasts_ns=Duration(MS)),
-        BusOff(occasion=BY_CHANCE),
-        ClockStep(occasion=BY_CHANCE, min_ns=Duration(-50), max_ns=Duration(50)),
+        DriveFault(**BY_CHANCE, fault="under_voltage"),
+        Silence(**BY_CHANCE, duration_s=1e-9 * MS),
+        BusOff(**BY_CHANCE),
+        ClockStep(**BY_CHANCE, step_min_us=-50 / 1000, step_max_us=50 / 1000),
     ]
     alone = [events(fault, until_s=20) for fault in faults]
-    together = events(*reversed(faults), ClockDrift(drift_ppb=5), until_s=20)
+    together = events(*reversed(faults), ClockDrift(drift_ppm=5 / 1000), until_s=20)
     for expected in alone:
         assert expected
         assert [event for event in together if event in expected] == expected
@@ -99,13 +95,13 @@ def test_each_kind_of_fault_of_each_node_has_a_stream_of_its_own() -> None:
 
 
 def test_steps_of_a_clock_are_even_over_their_range() -> None:
-    step = ClockStep(occasion=Occasion(probability_per_s=0.9), min_ns=Duration(-2000), max_ns=Duration(1000))
+    step = ClockStep(probability_per_s=0.9, step_min_us=-2000 / 1000, step_max_us=1000 / 1000)
     drawn = [event.a for event in events(step, until_s=2000)]
     assert stats.kstest(drawn, "uniform", args=(-2000, 3000)).pvalue > 0.01
 
 
 def test_a_node_without_faults_is_left_alone() -> None:
-    plan = FaultPlan(node_faults=(Silence(nodes=(2,), occasion=at(1), lasts_ns=Duration(1)),))
+    plan = FaultPlan(node_faults=(Silence(nodes=(2,), **at(1), duration_s=1e-9 * 1),))
     assert node_source(plan, 1, 0) is None
     assert node_source(plan, 2, 0) is not None
 
@@ -152,7 +148,7 @@ class FaultyBench(ServoBench):
 def test_a_fault_of_the_drive_sends_an_emergency_and_ends_in_fault(
     failure: DriveFailure, code: int, register: int
 ) -> None:
-    bench = FaultyBench(DriveFault(occasion=at(0.01), failure=failure))
+    bench = FaultyBench(DriveFault.model_validate({**at(0.01), "fault": failure.label}))
     bench.command(*ENABLE)
     bench.begin()
     sent = bench.pass_ms(12)
@@ -170,10 +166,10 @@ def test_a_fault_of_the_drive_sends_an_emergency_and_ends_in_fault(
 
 def test_a_lost_encoder_stands_still_before_it_is_noticed() -> None:
     lost = DriveFault(
-        occasion=at(0.01),
-        failure=DriveFailure.ENCODER_LOSS,
-        detected_after_ns=Duration(3 * MS),
-        lasts_ns=Duration(100 * MS),
+        **at(0.01),
+        fault="encoder_loss",
+        detected_after_ms=1e-6 * (3 * MS),
+        duration_s=1e-9 * (100 * MS),
     )
     bench = FaultyBench(lost)
     bench.turn()
@@ -191,7 +187,7 @@ def test_a_lost_encoder_stands_still_before_it_is_noticed() -> None:
 
 
 def test_a_silent_node_neither_hears_nor_sends() -> None:
-    bench = FaultyBench(Silence(occasion=at(0.01), lasts_ns=Duration(5 * MS)))
+    bench = FaultyBench(Silence(**at(0.01), duration_s=1e-9 * (5 * MS)))
     assert bench.write(0x1017, "H", 2) is None
     bench.begin()
     sent = bench.pass_ms(12)
@@ -203,7 +199,7 @@ def test_a_silent_node_neither_hears_nor_sends() -> None:
 
 
 def test_bus_off_stops_the_drive_and_an_emergency_tells_of_its_end() -> None:
-    bench = FaultyBench(BusOff(occasion=at(0.01), recover_after_ns=Duration(50 * MS)))
+    bench = FaultyBench(BusOff(**at(0.01), recover_after_s=1e-9 * (50 * MS)))
     bench.turn()
     bench.begin()
     bench.pass_ms(20)
@@ -216,7 +212,7 @@ def test_bus_off_stops_the_drive_and_an_emergency_tells_of_its_end() -> None:
 
 
 def test_bus_off_without_recovery_is_for_ever() -> None:
-    bench = FaultyBench(BusOff(occasion=at(0.01)))
+    bench = FaultyBench(BusOff(**at(0.01)))
     bench.begin()
     assert not [frame for _, frame in bench.pass_ms(5000) if frame.can_id == 0x081]
     assert not bench.ask(0x1000)
@@ -232,7 +228,7 @@ def test_a_controller_on_the_bus_is_asked_to_go_off_and_to_recover() -> None:
         def recover(self) -> None:
             asked.append(("recover", bench.now))
 
-    bench = FaultyBench(BusOff(occasion=at(0.01), recover_after_ns=Duration(4 * MS)))
+    bench = FaultyBench(BusOff(**at(0.01), recover_after_s=1e-9 * (4 * MS)))
     bench.device.controller = Controller()
     bench.begin()
     bench.pass_ms(20)
@@ -242,9 +238,9 @@ def test_a_controller_on_the_bus_is_asked_to_go_off_and_to_recover() -> None:
 
 def test_clocks_step_and_drift_as_planned() -> None:
     """1013h against the bench's time: -350 us at 10 ms, 1000 ppm from 20 ms to 1020 ms."""
-    drift = ClockDrift(from_ns=Duration(20 * MS), until_ns=Duration(1020 * MS), drift_ppb=1_000_000)
+    drift = ClockDrift(from_s=1e-9 * (20 * MS), until_s=1e-9 * (1020 * MS), drift_ppm=1_000_000 / 1000)
     bench = FaultyBench(
-        ClockStep(occasion=at(0.01), min_ns=Duration(-350_000), max_ns=Duration(-350_000)), drift
+        ClockStep(**at(0.01), step_min_us=-350_000 / 1000, step_max_us=-350_000 / 1000), drift
     )
     bench.begin()
     clock = bench.servo.clock
@@ -257,7 +253,10 @@ def test_clocks_step_and_drift_as_planned() -> None:
 
 def test_a_slow_drive_answers_late_and_in_order() -> None:
     slow = SlowDrive(
-        sdo=Range(Duration(2 * MS), Duration(5 * MS)), tpdo=Range(Duration(100_000), Duration(900_000))
+        sdo_delay_min_us=(2 * MS) / 1000,
+        sdo_delay_max_us=(5 * MS) / 1000,
+        tpdo_delay_min_us=100_000 / 1000,
+        tpdo_delay_max_us=900_000 / 1000,
     )
     bench = FaultyBench(slow)
     first = bench.now
@@ -275,14 +274,18 @@ def test_a_slow_drive_answers_late_and_in_order() -> None:
 
 
 def test_lateness_is_even_over_its_range() -> None:
-    source = DrawnNode(FaultPlan(node_faults=(SlowDrive(sdo=Range(Duration(10), Duration(90_000))),)), 1, 3)
+    source = DrawnNode(
+        FaultPlan(node_faults=(SlowDrive(sdo_delay_min_us=10 / 1000, sdo_delay_max_us=90_000 / 1000),)),
+        1,
+        3,
+    )
     drawn = [source.lateness(0x581) for _ in range(5000)]
     assert stats.kstest(drawn, "uniform", args=(10, 89_990)).pvalue > 0.01
     assert {source.lateness(0x181), source.lateness(0x081), source.lateness(0x701)} == {0}
 
 
 def booting(log: FaultLog | None = None) -> FaultyDevice:
-    slow = SlowDrive(boot=Range(Duration(300 * MS), Duration(300 * MS)))
+    slow = SlowDrive(boot_min_s=(300 * MS) / 1e9, boot_max_s=(300 * MS) / 1e9)
     servo = SimulatedServo(1, LING)
     return FaultyDevice(servo, DrawnNode(FaultPlan(node_faults=(slow,)), 1, 3), log)
 
@@ -313,7 +316,7 @@ def test_a_slow_boot_holds_the_boot_up_and_hears_nothing_meanwhile() -> None:
 
 
 def test_what_befell_before_the_end_ends_after_it() -> None:
-    bench = FaultyBench(Silence(occasion=at(0.01), lasts_ns=Duration(50 * MS)), over_current(at(0.03)))
+    bench = FaultyBench(Silence(**at(0.01), duration_s=1e-9 * (50 * MS)), over_current(at(0.03)))
     bench.begin()
     bench.pass_ms(20)
     bench.device.stop_faults()

@@ -1,7 +1,7 @@
 """Measured delays, duplicates, frames out of order, damage: statistics, streams, and both ways in."""
 
-from dataclasses import replace
 from itertools import pairwise
+from typing import Literal
 
 import can
 import pytest
@@ -9,35 +9,33 @@ from scipy import stats
 
 from drivers.timebase import Duration, Instant
 from drivers.wire.message import message_of
+from tests.fates import DROPPED, PASSED, fate_of, keys
 from tests.unit.virtual_bus.test_faults import IN, MS, OUT, TPDO1, fates, started, uniform
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
-from virtual_bus.faults.fault_injector import DROPPED, PASSED, FaultInjector
-from virtual_bus.faults.fault_plan import (
-    BurstLoss,
-    Corruption,
-    Duplication,
-    Effect,
-    Fault,
-    IndependentLoss,
-    MeasuredDelay,
-    Reordering,
-    Selection,
-)
+from virtual_bus.faults.fates import damaged
+from virtual_bus.faults.fault_injector import FaultInjector
+from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import FaultyBus
-from virtual_bus.faults.special_faults import BIT_DRAWS, damaged
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.kinds.burst import Burst
+from virtual_bus.faults.kinds.corruption import BIT_DRAWS, Corruption
+from virtual_bus.faults.kinds.duplicate import Duplicate
+from virtual_bus.faults.kinds.loss import Loss
+from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
+from virtual_bus.faults.kinds.reorder import Reorder
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 FRAME = Frame(TPDO1, bytes(8))
 EDGES = tuple(Duration(edge) for edge in (60_000, 80_000, 120_000, 400_000))
 COUNTS = (310, 6000, 1240)
-TWICE = Duplication(probability=1.0, later_ns=Duration(40_000))
-FLIPPED = Corruption(probability=1.0, effect=Effect.DATA)
+TWICE = Duplicate(probability=1.0, later_us=40_000 / 1000)
+FLIPPED = Corruption(probability=1.0, effect="data")
 
 
 def measured(reorder: bool = True) -> MeasuredDelay:
-    return MeasuredDelay(edges_ns=EDGES, counts=COUNTS, reorder=reorder)
+    return MeasuredDelay(edges_us=tuple(edge / 1000 for edge in EDGES), counts=COUNTS, reorder=reorder)
 
 
 def test_a_measured_delay_has_the_shares_of_its_histogram() -> None:
@@ -59,7 +57,12 @@ def test_a_measured_delay_is_even_within_a_bar() -> None:
 
 def test_an_empty_bar_is_never_drawn() -> None:
     edges = tuple(Duration(edge) for edge in (0, 10, 20, 30))
-    drawn = {fate.delay_ns for fate in fates(started(MeasuredDelay(edges_ns=edges, counts=(1, 0, 1))), 2000)}
+    drawn = {
+        fate.delay_ns
+        for fate in fates(
+            started(MeasuredDelay(edges_us=tuple(edge / 1000 for edge in edges), counts=(1, 0, 1))), 2000
+        )
+    }
     assert drawn == {*range(10), *range(20, 30)}
 
 
@@ -73,14 +76,14 @@ def test_measured_delays_keep_the_order_unless_told_otherwise() -> None:
 @pytest.mark.parametrize(
     "fault",
     [
-        Duplication(probability=0.03),
-        Corruption(probability=0.03, effect=Effect.DATA),
-        Corruption(probability=0.03, effect=Effect.LOST),
+        Duplicate(probability=0.03),
+        Corruption(probability=0.03, effect="data"),
+        Corruption(probability=0.03, effect="lost"),
         Corruption(probability=0.03),
-        Reordering(probability=0.03, min_ns=Duration(5), max_ns=Duration(9)),
+        Reorder(probability=0.03, held_min_us=5 / 1000, held_max_us=9 / 1000),
     ],
 )
-def test_each_strikes_with_its_probability(fault: Fault) -> None:
+def test_each_strikes_with_its_probability(fault: FrameFault) -> None:
     injector = started(fault)
     count = 30_000
     fates(injector, count)
@@ -91,7 +94,7 @@ def test_each_strikes_with_its_probability(fault: Fault) -> None:
 
 def test_a_duplicate_comes_after_the_first_with_the_same_data() -> None:
     injector = started(TWICE, uniform(100, 100))
-    assert injector.fate(IN, TPDO1, Instant(0)) == DROPPED
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == DROPPED
     assert injector.replacements(FRAME) == [(FRAME, 100), (FRAME, 40_100)]
 
 
@@ -99,7 +102,7 @@ def test_damage_inverts_one_bit_and_every_bit_as_often() -> None:
     injector = started(FLIPPED)
     seen = [0] * 24
     for k in range(12_000):
-        assert injector.fate(IN, TPDO1, Instant(k * MS)).dropped
+        assert fate_of(injector, IN, TPDO1, Instant(k * MS)).dropped
         ((frame, delay),) = injector.replacements(Frame(TPDO1, bytes(3)))
         value = int.from_bytes(frame.data, "little")
         assert delay == 0
@@ -113,23 +116,24 @@ def test_each_length_divides_the_draws_of_a_bit_evenly() -> None:
     assert damaged(Frame(0x80), 5) == Frame(0x80)
 
 
-@pytest.mark.parametrize("effect", [Effect.LOST, Effect.ERROR_FRAME])
-def test_a_corrupted_frame_is_lost_where_the_bus_has_no_error_frames(effect: Effect) -> None:
+@pytest.mark.parametrize("effect", ["lost", "error_frame"])
+def test_a_corrupted_frame_is_lost_where_the_bus_has_no_error_frames(
+    effect: Literal["lost", "data", "error_frame"],
+) -> None:
     injector = started(Corruption(probability=1.0, effect=effect))
-    assert injector.fate(IN, TPDO1, Instant(0)) == DROPPED
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == DROPPED
     assert not injector.replacements(FRAME)
 
 
 def test_error_frames_are_left_to_a_bus_that_has_them() -> None:
-    plan = started(Corruption(probability=1.0))._plan
-    injector = FaultInjector(plan, 1, error_frames=True)
+    injector = FaultInjector(FaultPlan((Corruption(probability=1.0),)), 1, error_frames=True)
     injector.start(Instant(0))
-    assert injector.fate(IN, TPDO1, Instant(0)) == PASSED
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == PASSED
 
 
 def test_a_frame_held_out_of_order_is_overtaken_by_those_behind_it() -> None:
     injector = started(
-        Reordering(probability=0.5, min_ns=Duration(3 * MS), max_ns=Duration(3 * MS)), uniform(0, 9)
+        Reorder(probability=0.5, held_min_us=(3 * MS) / 1000, held_max_us=(3 * MS) / 1000), uniform(0, 9)
     )
     releases = [k * MS + fate.delay_ns for k, fate in enumerate(fates(injector, 200))]
     held = [k for k, release in enumerate(releases) if release >= (k + 3) * MS]
@@ -140,39 +144,41 @@ def test_a_frame_held_out_of_order_is_overtaken_by_those_behind_it() -> None:
 
 
 def test_a_loss_takes_the_frame_whatever_else_struck_it() -> None:
-    injector = started(TWICE, FLIPPED, IndependentLoss(probability=1.0))
-    assert injector.fate(IN, TPDO1, Instant(0)) == DROPPED
+    injector = started(TWICE, FLIPPED, Loss(probability=1.0))
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == DROPPED
     assert not injector.replacements(FRAME)
     counted = injector.counts()["drive_to_host"]
     assert (counted["loss"], counted["duplicate"], counted["corruption"]) == (1, 0, 0)
 
 
 def test_what_a_frame_became_says_nothing_of_the_next() -> None:
-    injector = started(Duplication(probability=0.5), IndependentLoss(probability=0.5))
+    injector = started(Duplicate(probability=0.5), Loss(probability=0.5))
+    lost = 0
     for k in range(200):
-        fate = injector.fate(IN, TPDO1, Instant(k * MS))
+        fate = fate_of(injector, IN, TPDO1, Instant(k * MS))
         copies = injector.replacements(FRAME) if fate.dropped else None
         assert copies is None or len(copies) in (0, 2)
-        if injector.struck_by == "loss":
+        if (lost_now := injector.counts()["drive_to_host"]["loss"]) > lost:
             assert not copies
+        lost = lost_now
 
 
-ONE_OF_EACH: tuple[Fault, ...] = (
-    IndependentLoss(probability=0.1),
-    BurstLoss(p_good_to_bad=0.05, p_bad_to_good=0.4),
-    Corruption(probability=0.1, effect=Effect.DATA),
-    Duplication(probability=0.1),
-    Reordering(probability=0.1, min_ns=Duration(10), max_ns=Duration(1000)),
+ONE_OF_EACH: tuple[FrameFault, ...] = (
+    Loss(probability=0.1),
+    Burst(p_good_to_bad=0.05, p_bad_to_good=0.4),
+    Corruption(probability=0.1, effect="data"),
+    Duplicate(probability=0.1),
+    Reorder(probability=0.1, held_min_us=10 / 1000, held_max_us=1000 / 1000),
     uniform(0, 5000, reorder=True),
     measured(),
 )
 
 
 @pytest.mark.parametrize("other", ONE_OF_EACH, ids=lambda fault: fault.kind)
-def test_adding_one_kind_shifts_the_draws_of_no_other(other: Fault) -> None:
+def test_adding_one_kind_shifts_the_draws_of_no_other(other: FrameFault) -> None:
     """The others draw for the same frames, in a window that never opens."""
-    never = Selection(from_ns=Duration(10**15))
-    others = [replace(fault, selection=never) for fault in ONE_OF_EACH if fault is not other]
+    never = keys(from_s=1e-9 * (10**15))
+    others = [fault.model_copy(update=never) for fault in ONE_OF_EACH if fault is not other]
     alone = fates(started(other), 300)
     assert set(alone) != {PASSED}
     assert fates(started(*others[:3], other, *others[3:]), 300) == alone
@@ -181,7 +187,7 @@ def test_adding_one_kind_shifts_the_draws_of_no_other(other: Fault) -> None:
 class TwoEnds:
     """A host behind faults and a plain peer on one segment."""
 
-    def __init__(self, *faults: Fault) -> None:
+    def __init__(self, *faults: FrameFault) -> None:
         timeline = Timeline()
         segment = CanSegment(timeline)
         clock = SimulatedClock(timeline)
@@ -198,7 +204,7 @@ def received(bus: can.BusABC, timeout: float) -> list[bytes]:
 
 
 @pytest.mark.parametrize("fault", [TWICE, FLIPPED], ids=lambda fault: fault.kind)
-def test_new_fates_act_at_the_port_of_a_simulated_bus_both_ways(fault: Fault) -> None:
+def test_new_fates_act_at_the_port_of_a_simulated_bus_both_ways(fault: FrameFault) -> None:
     ends = TwoEnds(fault)
     ends.host.send(message_of(Frame(0x201, b"\x00\x00"), Instant(0)))
     ends.peer.send(message_of(Frame(0x181, b"\x00\x00"), Instant(0)))
@@ -207,7 +213,7 @@ def test_new_fates_act_at_the_port_of_a_simulated_bus_both_ways(fault: Fault) ->
 
 
 @pytest.mark.parametrize("fault", [TWICE, FLIPPED], ids=lambda fault: fault.kind)
-def test_new_fates_act_on_a_real_time_bus_both_ways(fault: Fault) -> None:
+def test_new_fates_act_on_a_real_time_bus_both_ways(fault: FrameFault) -> None:
     timeline = Timeline()
     clock = SimulatedClock(timeline)
     channel = f"special-{fault.kind}"
@@ -228,7 +234,7 @@ def test_new_fates_act_on_a_real_time_bus_both_ways(fault: Fault) -> None:
         host.shutdown()
 
 
-def _check(fault: Fault, data: list[bytes]) -> None:
+def _check(fault: FrameFault, data: list[bytes]) -> None:
     if fault is TWICE:
         assert data == [b"\x00\x00"] * 2
     else:
@@ -237,6 +243,6 @@ def _check(fault: Fault, data: list[bytes]) -> None:
 
 
 def test_the_unchanged_direction_is_untouched() -> None:
-    injector = started(Duplication(probability=1.0, selection=Selection(directions=(OUT,))))
-    assert injector.fate(IN, TPDO1, Instant(0)) == PASSED
-    assert injector.fate(OUT, 0x201, Instant(0)) == DROPPED
+    injector = started(Duplicate(probability=1.0, direction="host_to_drive"))
+    assert fate_of(injector, IN, TPDO1, Instant(0)) == PASSED
+    assert fate_of(injector, OUT, 0x201, Instant(0)) == DROPPED

@@ -1,0 +1,166 @@
+"""What every table of a fault plan is: a pydantic model with the keys of the file, used as it is.
+
+A field of a wrong type or beyond its bounds is pydantic's to find; what does not fit together raises BadInput
+about its key (:func:`require`). :mod:`.fault_plan` gives both the file and the place in it.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from drivers.canopen.nmt_states import NODE_ID_MAX
+from drivers.errors import MISSING, BadInput
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
+from virtual_bus.faults.log_kind import LogKind
+
+DELAY_MAX = Duration(10 * NS_PER_S)
+"""No field bus holds a frame longer; what is held takes memory."""
+NS_PER_UNIT = {"us": NS_PER_US, "ms": NS_PER_MS, "s": NS_PER_S}
+A_NUMBER = "a number, at most 1e+12"
+"""Above every time in every unit: ten days in us. What is larger has no product in float."""
+A_WHOLE_NUMBER = "a whole number, at most 2147483647"
+"""Frames: at the 20 000 per second of a full bus, a day."""
+
+
+def within(low: float, high: float, expected: str) -> AfterValidator:
+    """A bound of a field, both ends included."""
+
+    def check(value: Any) -> Any:
+        if not low <= value <= high:
+            raise ValueError(expected)
+        return value
+
+    return AfterValidator(check)
+
+
+Number = Annotated[float, within(-1e12, 1e12, A_NUMBER)]
+Seconds = Annotated[float, within(0.0, 1e8, "a time in seconds, >= 0")]
+Lasting = Annotated[float, within(1e-9, 1e8, "a time > 0")]
+Probability = Annotated[float, within(0.0, 1.0, "a probability from 0 to 1")]
+Count = Annotated[int, within(1, 2**31 - 1, "a whole number >= 1")]
+NodeId = Annotated[int, within(1, NODE_ID_MAX, f"a node id from 1 to {NODE_ID_MAX}")]
+"""CiA 301 7.2.8.1."""
+NodeIds = Annotated[tuple[NodeId, ...], Field(strict=False, description="a list of node ids, such as [1, 2]")]
+
+
+def require(holds: bool, key: str, value: Any, expected: str) -> None:
+    """Raise :class:`BadInput` about ``key`` unless ``holds``."""
+    if not holds:
+        raise BadInput("fault plan", key, value, expected)
+
+
+def ns(value: float, unit: str = "s") -> Duration:
+    """``value`` in ``unit`` to the nearest ns."""
+    return Duration(round(value * NS_PER_UNIT[unit]))
+
+
+class Range(NamedTuple):
+    """A time from ``min_ns`` to ``max_ns``, both included."""
+
+    min_ns: int
+    max_ns: int
+
+    @property
+    def width(self) -> int:
+        """How many times there are in it, ns."""
+        return self.max_ns - self.min_ns + 1
+
+    def drawn(self, draw: Callable[[], float]) -> int:
+        """One of them, drawn evenly; without a draw if there is only one."""
+        if self.max_ns == self.min_ns:
+            return self.min_ns
+        return self.min_ns + int(draw() * self.width)
+
+
+class RangeRule(NamedTuple):
+    """A time that is given by a key, or by two with _min and _max before its unit."""
+
+    key: str
+    what: str = "time"
+    low: int = 0
+    """ns, as ``high``."""
+    high: int = DELAY_MAX
+    optional: bool = False
+    """Nothing, if it is left out."""
+
+
+class FaultTable(BaseModel):
+    """A table of a fault plan: immutable, no key unknown, no silent conversion, no nan."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    kind: ClassVar[str]
+    """Name of its tables."""
+    logs: ClassVar[tuple[LogKind, ...]] = ()
+    """The entries that it makes in the log."""
+    ranges: ClassVar[tuple[RangeRule, ...]] = ()
+    """Its times that may be given as a range; each needs the three fields."""
+
+    @model_validator(mode="after")
+    def _check_ranges(self) -> "FaultTable":
+        for rule in self.ranges:
+            self.range(rule.key)
+        return self
+
+    @property
+    def edges_ns(self) -> list[Duration]:
+        """When it opens and closes, or strikes, of what has such times; since the plan's time zero."""
+        return []
+
+    def range(self, key: str) -> Range:
+        """``STEM_UNIT``, which is ``key``, or ``STEM_min_UNIT`` and ``STEM_max_UNIT``. Raises BadInput."""
+        _, what, low, high, optional = next(rule for rule in self.ranges if rule.key == key)
+        stem, _, unit = key.rpartition("_")
+        least_key, most_key = f"{stem}_min_{unit}", f"{stem}_max_{unit}"
+        fixed, least, most = (getattr(self, name) for name in (key, least_key, most_key))
+        if fixed is not None:
+            require(most is None, most_key, most, f"nothing beside {key}")
+            require(least is None, least_key, least, f"nothing beside {key}")
+            least = most = fixed
+        elif least is None and most is None:
+            require(optional, key, MISSING, f"a {what}, or {least_key} and {most_key}")
+            return Range(0, 0)
+        require(least is not None, least_key, MISSING, A_NUMBER)
+        require(most is not None, most_key, MISSING, A_NUMBER)
+        found, scale = Range(ns(least, unit), ns(most, unit)), NS_PER_UNIT[unit]
+        top = f"{high // scale} {unit}"
+        expected = f"a {what} > 0, at most {top}" if low > 0 else f"a {what} from {low // scale} to {top}"
+        require(low <= found.min_ns <= high, least_key if fixed is None else key, least, expected)
+        expected = f"a {what} from {least_key} = {least:g} to {top}"
+        require(found.min_ns <= found.max_ns <= high, most_key, most, expected)
+        return found
+
+    def as_table(self) -> dict[str, Any]:
+        """As a plan holds it, every default written out."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+class Window(FaultTable):
+    """When a fault acts."""
+
+    from_s: Seconds = 0.0
+    """Since the plan's time zero."""
+    until_s: Seconds | None = None
+    """Exclusive; None: to the end."""
+
+    @model_validator(mode="after")
+    def _check_window(self) -> "Window":
+        if self.until_ns is not None:
+            expected = f"a time after from_s = {self.from_s:g}"
+            require(self.until_ns > self.from_ns, "until_s", self.until_s, expected)
+        return self
+
+    @property
+    def from_ns(self) -> Duration:
+        """``from_s``."""
+        return ns(self.from_s)
+
+    @property
+    def until_ns(self) -> Duration | None:
+        """``until_s``."""
+        return None if self.until_s is None else ns(self.until_s)
+
+    @property
+    def edges_ns(self) -> list[Duration]:
+        """When it opens and closes."""
+        return [self.from_ns] if self.until_ns is None else [self.from_ns, self.until_ns]

@@ -1,0 +1,117 @@
+"""What all faults of frames have in common: the frames that they may strike, and when."""
+
+import difflib
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+from pydantic import Field, PlainValidator, model_validator
+
+from drivers.canopen.nmt_states import NODE_ID_MAX
+from drivers.errors import BadInput
+from virtual_bus.bus.judge import Direction
+from virtual_bus.faults.fault_streams import UniformStream
+from virtual_bus.faults.fault_table import NodeIds, Window, require
+from virtual_bus.faults.strikes import FOREVER, Hold, Strike
+
+BROADCAST: Final = 0
+"""Stands for the node of a frame that belongs to no single one."""
+STANDARD_ID_MAX: Final = 0x7FF
+EXTENDED_ID_MAX: Final = 0x1FFF_FFFF
+
+Side = Literal["host", "drive"]
+"""Whose connection to the bus: that of the host, or of a drive as through a gateway between bus and drive."""
+
+COB_IDS: Final = {
+    "pdo": range(0x180, 0x580),
+    "sync": range(0x080, 0x081),
+    "sdo": range(0x580, 0x680),
+    "emcy": range(0x081, 0x100),
+    "heartbeat": range(0x700, 0x780),
+    "nmt": range(0x001),
+    "time": range(0x100, 0x101),
+    "lss": range(0x7E4, 0x7E6),
+    "all": range(STANDARD_ID_MAX + 1),
+}
+"""COB-IDs of each class of frames (CiA 301 7.3.5, the pre-defined connection set); PDO 1..4 take the function
+codes 3..10."""
+_OF_ONE_NODE: Final = ("emcy", "pdo", "sdo", "heartbeat")
+
+
+def node_of(can_id: int, extended: bool = False) -> int:
+    """The node that a frame belongs to by its COB-ID; :data:`BROADCAST` if to none."""
+    if extended or not any(can_id in COB_IDS[frames] for frames in _OF_ONE_NODE):
+        return BROADCAST
+    return can_id & NODE_ID_MAX
+
+
+def _frames(item: Any) -> str | int:
+    """A class of frames, or a COB-ID; a number above 7FFh means an extended frame."""
+    if isinstance(item, str) and item not in COB_IDS:
+        near = difflib.get_close_matches(item, COB_IDS, n=1)
+        expected = f'"{near[0]}", the nearest' if near else "a class of frames"
+        remedy = f"classes: {', '.join(COB_IDS)}; or a COB-ID as a number"
+        raise BadInput("fault plan", "frames", item, expected, remedy)
+    number = isinstance(item, int) and not isinstance(item, bool)
+    require(isinstance(item, str) or number, "frames", item, "a class of frames or a COB-ID")
+    known = isinstance(item, str) or 0 <= item <= EXTENDED_ID_MAX
+    require(known, "frames", item, f"a COB-ID from 0 to {EXTENDED_ID_MAX:#x}")
+    result: str | int = item
+    return result
+
+
+Frames = Annotated[
+    tuple[Annotated[str | int, PlainValidator(_frames)], ...],
+    Field(strict=False, description='a list, such as ["pdo", "sync"] or [0x181]'),
+]
+
+
+class FrameFault(Window):
+    """A fault of frames. A kind is one subclass, in a file of its own."""
+
+    direction: Literal["both", "host_to_drive", "drive_to_host"] = "both"
+    frames: Frames = ("pdo",)
+    nodes: NodeIds = ()
+    """Only classes' frames of these nodes; empty: of all, and broadcasts too."""
+    side: Side | None = None
+    """At whose connection; None: at that of the program that is given the plan. At a drive's, ``nodes`` are
+    the drives, and frames that belong to no node are theirs too."""
+
+    delays: ClassVar[bool] = False
+    """It makes a :class:`Hold`."""
+    rank: ClassVar[int] = 0
+    """Of all strikes of a frame that with the lowest rank counts; losses have 0."""
+    of_each_cob_id: ClassVar[bool] = False
+    """It counts the frames of each COB-ID, so that all PDOs of a cycle fare alike; chance is the link's."""
+
+    @model_validator(mode="after")
+    def _check_frames(self) -> "FrameFault":
+        require(bool(self.frames), "frames", [], "at least one class of frames or COB-ID")
+        return self
+
+    @property
+    def on_the_wire(self) -> bool:
+        """A bus that has error frames strikes it, see :mod:`.disturber`."""
+        return False
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """First ns in which it acts, and the first in which it does so no more."""
+        return self.from_ns, FOREVER if self.until_ns is None else self.until_ns
+
+    def at_work(self, stream: UniformStream) -> Strike | Hold:
+        """What it does to the frames of one link (or COB-ID), with the random stream of that link."""
+        raise NotImplementedError
+
+    def selects(self, direction: Direction, can_id: int, extended: bool = False) -> bool:
+        """Whether a frame is among those meant, at any time."""
+        return self.direction in ("both", direction.label) and any(
+            self._names(item, can_id, extended) for item in self.frames
+        )
+
+    def _names(self, item: str | int, can_id: int, extended: bool) -> bool:
+        if isinstance(item, int):
+            return item == can_id and extended == (item > STANDARD_ID_MAX)
+        if self.nodes:
+            node = node_of(can_id, extended)
+            if node not in self.nodes and not (node == BROADCAST and self.side == "drive"):
+                return False
+        return item == "all" or (not extended and can_id in COB_IDS[item])

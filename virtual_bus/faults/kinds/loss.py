@@ -1,0 +1,18 @@
+"""``[[loss]]``: each frame by itself."""
+
+from virtual_bus.faults.fault_streams import UniformStream
+from virtual_bus.faults.fault_table import Probability
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.log_kind import LogKind
+from virtual_bus.faults.strikes import IndependentStrike, Strike
+
+
+class Loss(FrameFault):
+    """Each frame is lost with the same probability, whatever happened to the others."""
+
+    kind = "loss"
+    logs = (LogKind("loss"),)
+    probability: Probability
+
+    def at_work(self, stream: UniformStream) -> Strike:
+        return IndependentStrike(self.kind, self.window, self.probability, stream)

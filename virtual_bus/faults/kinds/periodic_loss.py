@@ -1,0 +1,19 @@
+"""``[[periodic_loss]]``: so many of each so many and one."""
+
+from virtual_bus.faults.fault_streams import UniformStream
+from virtual_bus.faults.fault_table import Count
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.log_kind import LogKind
+from virtual_bus.faults.strikes import PeriodicStrike, Strike
+
+
+class PeriodicLoss(FrameFault):
+    """Of every ``lost`` + 1 frames of a COB-ID the first passes and the others are lost."""
+
+    kind = "periodic_loss"
+    logs = (LogKind("periodic_loss"),)
+    of_each_cob_id = True
+    lost: Count
+
+    def at_work(self, stream: UniformStream) -> Strike:  # noqa: ARG002
+        return PeriodicStrike(self.kind, self.window, self.lost)

@@ -1,0 +1,28 @@
+"""``[[reorder]]``: frames that others overtake."""
+
+from virtual_bus.faults.fault_streams import UniformStream
+from virtual_bus.faults.fault_table import Number, Probability, RangeRule
+from virtual_bus.faults.frame_fault import FrameFault
+from virtual_bus.faults.log_kind import LATER, UNDAMAGED, Copies, LogKind, LogNumber
+from virtual_bus.faults.strikes import NumberedStrike, Strike
+
+
+def _held_back(held_ns: int) -> Copies:
+    return ((UNDAMAGED, held_ns),)
+
+
+class Reorder(FrameFault):
+    """A frame is held back outside of its link's order, so that those behind it overtake it."""
+
+    kind = "reorder"
+    logs = (LogKind("reorder", (LogNumber("held_ns"), LATER), copies=_held_back, in_order=False),)
+    ranges = (RangeRule("held_us", low=1),)
+    rank = 3
+    probability: Probability
+    held_us: Number | None = None
+    held_min_us: Number | None = None
+    held_max_us: Number | None = None
+
+    def at_work(self, stream: UniformStream) -> Strike:
+        held = self.range("held_us")
+        return NumberedStrike(self.kind, self.window, self.probability, held.min_ns, held.width, stream)

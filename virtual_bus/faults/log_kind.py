@@ -1,0 +1,56 @@
+"""What the log of injected faults keeps of one kind, and what goes on in place of a frame that it struck."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+NONE: Final = -1
+"""A number that an entry does without: the bit of a frame that was lost, the recovery that never comes."""
+UNDAMAGED: Final = -1
+Copies = tuple[tuple[int, int], ...]
+"""What goes on in a frame's place: for each copy which bit of its data is inverted (UNDAMAGED: none), and how
+many ns after the frame's own turn it goes."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogNumber:
+    """One number of an entry, as it stands in a line of faults.jsonl."""
+
+    name: str
+    least: int = 0
+    optional: bool = False
+    """May be NONE. Only for the first number; the others are then left out with it."""
+    words: tuple[bool | str, ...] = ()
+    """What is written for 0, 1, 2 ... instead."""
+    usual: int | None = None
+    """The value that is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogKind:
+    """Entries of one kind."""
+
+    name: str
+    numbers: tuple[LogNumber, ...] = ()
+    """At most three."""
+    at: Literal["link", "node", "host"] = "link"
+    tells: Literal["frame", "count", "nothing"] = "frame"
+    """Which it was beside: the n-th frame of an identifier, the n-th of all, or nothing."""
+    copies: Callable[[int], Copies] | None = None
+    """What goes on in place of a struck frame by the entry's first number; None: nothing, it is lost."""
+    in_order: bool = True
+    """The frames behind it wait for what goes on."""
+
+    @property
+    def in_windows(self) -> bool:
+        """So many may strike in a row that a reader is told from when to when."""
+        return self.tells == "frame" or self.at == "host"
+
+
+LATER: Final = LogNumber("delay_ns")
+"""For how long a fault of the same frame delays it."""
+
+
+def node_event(name: str, *numbers: LogNumber) -> LogKind:
+    """Entries of something that befalls a node now and then."""
+    return LogKind(name, numbers, "node", "nothing")

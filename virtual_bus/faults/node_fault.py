@@ -1,0 +1,166 @@
+"""What all faults of a node itself, or of the host, have in common: when they strike, and what they then do.
+
+They act where the drive is simulated, those of the host in simulated time. Times count from the plan's time
+zero, except those of a slow drive, which is slow from power-on.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import ClassVar, NamedTuple, Protocol
+
+from pydantic import model_validator
+
+from drivers.errors import MISSING
+from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
+from virtual_bus.error_register import ErrorRegister
+from virtual_bus.faults.fault_table import FaultTable, NodeIds, Number, Seconds, Window, ns, require
+
+EVERY_MIN = Duration(100 * NS_PER_US)
+"""No cycle is shorter; after a pause each strike that was missed is looked at."""
+
+Draw = Callable[[], float]
+Streams = Callable[[str], Draw]
+"""Opens the random stream of a fault at a node that has this name behind its own."""
+
+
+class NodeEvent(NamedTuple):
+    """Something strikes; its numbers are those of an entry of the fault log."""
+
+    at_ns: int
+    """Since the plan's time zero."""
+    kind: str
+    a: int
+    b: int = 0
+    c: int = 0
+
+
+class StruckNode(Protocol):
+    """What a fault can do to a node."""
+
+    def silence(self, until: int) -> None:
+        """Neither hear nor send."""
+
+    def step_clock(self, step_ns: int) -> None: ...
+
+    def drift_clock(self, drift_ppb: int, now: Instant) -> None: ...
+
+    def go_bus_off(self, now: Instant, recover_after_ns: int | None) -> None: ...
+
+    def fail(self, code: int, register: ErrorRegister, now: Instant) -> None:
+        """The drive finds an error of its own."""
+
+    def hold_encoder(self, held: bool, now: Instant) -> None: ...
+
+    def later(self, due: int, action: Callable[[Instant], None]) -> None:
+        """Do something at ``due``."""
+
+
+class Slowness(Protocol):
+    """How slow a drive is."""
+
+    def lateness(self, can_id: int) -> int:
+        """For how many ns it keeps its next frame with ``can_id`` back."""
+
+    def boot_time(self) -> int:
+        """How long its next boot takes, ns."""
+
+
+class NodeFault(FaultTable):
+    """A fault of a node. A kind is one subclass, in a file of its own."""
+
+    nodes: NodeIds = ()
+    """Empty: each simulated drive, each by its own chance."""
+    needs_drive: ClassVar[bool] = False
+    """Only a device with a motor inside can have it."""
+
+    @property
+    def stream_name(self) -> str:
+        """Faults of one name are numbered: to add one shifts no draw of another name."""
+        return self.kind
+
+    def events(self, streams: Streams) -> Iterator[NodeEvent]:  # noqa: ARG002
+        """What strikes one node, in order of time."""
+        return iter(())
+
+    def slowness(self, streams: Streams) -> Slowness | None:  # noqa: ARG002
+        """How slow it makes one node; None: not at all."""
+        return None
+
+    @staticmethod
+    def befall(node: StruckNode, now: Instant, event: NodeEvent) -> None:
+        """Do it."""
+        raise NotImplementedError
+
+    @staticmethod
+    def in_words(kind: str, node: str, event: NodeEvent) -> str:
+        """What a reader of the run's events is told; ``kind``: of the entry in the log."""
+        return f"{kind.replace('_', ' ')} of {event.a / NS_PER_MS:g} ms, {node}"
+
+
+class Occasion(Window):
+    """Strikes once at ``at_s``, or again and again within a window, regularly or by chance.
+
+    By chance: no memory, so the gaps are exponential; ``probability_per_s`` is the chance that it strikes
+    at least once within a second.
+    """
+
+    at_s: Seconds | None = None
+    every_s: Seconds | None = None
+    """The first time so long after ``from_s``."""
+    probability_per_s: Number = 0.0
+
+    @model_validator(mode="after")
+    def _check_occasion(self) -> "Occasion":
+        chance = self.probability_per_s
+        other = "at_s" if self.at_s is not None else "every_s" if self.every_s is not None else ""
+        if other:
+            require(chance == 0.0, "probability_per_s", chance, f"no {other} beside")
+        if self.at_s is not None:
+            require(self.every_s is None, "every_s", self.every_s, "no at_s beside")
+            plain = self.from_s == 0.0 and self.until_s is None
+            require(plain, "from_s", self.from_s, "no window beside at_s")
+        elif self.every_s is not None:
+            least = f"a time from {EVERY_MIN / NS_PER_S:g} s"
+            require(ns(self.every_s) >= EVERY_MIN, "every_s", self.every_s, least)
+        else:
+            expected = "a probability from 0 to below 1, or at_s or every_s instead"
+            require(0.0 < chance < 1.0, "probability_per_s", chance or MISSING, expected)
+        return self
+
+    @property
+    def at_ns(self) -> Duration | None:
+        """``at_s``."""
+        return None if self.at_s is None else ns(self.at_s)
+
+    @property
+    def edges_ns(self) -> list[Duration]:
+        """When it opens and closes, or strikes."""
+        return super().edges_ns if self.at_ns is None else [self.at_ns]
+
+    def numbers(self, draw: Draw) -> tuple[int, ...]:
+        """Those of the next strike."""
+        raise NotImplementedError
+
+    def events(self, streams: Streams) -> Iterator[NodeEvent]:
+        """All strikes, in order of time."""
+        draw = streams("")
+        at_ns = self._next_strike(self.from_ns, draw)
+        while at_ns is not None:
+            yield NodeEvent(at_ns, self.kind, *self.numbers(draw))
+            at_ns = None if self.at_s is not None else self._next_strike(at_ns, draw)
+
+    def _next_strike(self, since_ns: int, draw: Draw) -> int | None:
+        """The next instant after ``since_ns`` (ns); None if there is none in the window."""
+        if self.at_ns is not None:
+            return self.at_ns
+        if self.every_s is not None:
+            at_ns = since_ns + ns(self.every_s)
+        else:
+            rate_per_s = -math.log1p(-self.probability_per_s)
+            gap_s = -math.log1p(-draw()) / rate_per_s
+            at_ns = since_ns + max(1, round(gap_s * 1e6) * NS_PER_US)
+        return None if self.until_ns is not None and at_ns >= self.until_ns else at_ns
+
+
+class NodeOccasion(Occasion, NodeFault):
+    """A fault of a node that strikes at certain times."""
