@@ -15,7 +15,7 @@ _BANDWIDTH_RAD_S: Final = 40.0
 _INTEGRAL_PART: Final = 0.2
 
 
-class Profile:
+class TimedSetPoint:
     """A set-point as a function of time."""
 
     def __init__(self, value: Callable[[float], float], period_s: float) -> None:

@@ -112,6 +112,11 @@ class CommissionRequest:
         """Where changes are noted."""
         return self.out / "journal.jsonl"
 
+    @property
+    def restore_command(self) -> str:
+        """What puts everything back that the journal tells of."""
+        return f"hil restore --bus {self.bus} --node {self.node} {self.journal}"
+
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:

@@ -104,20 +104,20 @@ def session_of(
     shaft = Shaft(quantity, mechanics, damping_nm_s)
 
     @contextmanager
-    def enabled() -> Iterator[None]:
-        yield
+    def exercising() -> Iterator[Shaft]:
+        yield shaft
 
     torque_mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE if quantity is Quantity.TORQUE else None
     session = SimpleNamespace(
         limits=replace(LIMITS, travel_rad=travel_rad),
         found=SimpleNamespace(
-            told=SimpleNamespace(position_rad=math.tau / 4096, rated_torque_nm=RATED_NM),
-            override=SimpleNamespace(position_rad=None, rated_torque_nm=None),
             mechanics=mechanics,
             rough=None,
         ),
-        enabled=enabled,
-        exerciser=lambda: shaft,
+        told=SimpleNamespace(position_rad=math.tau / 4096),
+        position_rad=math.tau / 4096,
+        rated_torque_nm=RATED_NM,
+        exercising=exercising,
         port=shaft.port,
         torque_mode=lambda: torque_mode,
     )
