@@ -1,6 +1,5 @@
 """``hil reproduce azaiz2007``: the paper's figures beside ours."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption
+from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,11 +28,8 @@ def azaiz2007(
             from hil.studies.current.pictures import draw_paper
 
             for path in draw_paper(designs, runs, figures):
-                typer.echo(f"written {path}", err=True)
-        if as_json:
-            typer.echo(json.dumps(found, allow_nan=False))
-        else:
-            _print(found)
+                say_written(path)
+        put(found, as_json, _print)
 
 
 def _print(found: dict[str, Any]) -> None:

@@ -1,6 +1,5 @@
 """``hil reproduce ling2012``: the paper's figures beside ours."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,7 +7,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption
-from hil.terminal.speed_options import print_figures
+from hil.terminal.output import print_figures, put, say_written
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,11 +31,8 @@ def ling2012(
             from hil.studies.papers.pictures import draw_ling2012
 
             for path in draw_ling2012(found, recorded, figures):
-                typer.echo(f"written {path}", err=True)
-        if as_json:
-            typer.echo(json.dumps(found, allow_nan=False))
-        else:
-            _print(found)
+                say_written(path)
+        put(found, as_json, _print)
 
 
 def _print(found: dict[str, Any]) -> None:
