@@ -15,18 +15,19 @@ import pytest
 from drivers.errors import BadInput
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, start_recording
-from hil.rows.records import record_of
+from hil.recording.recorder import ROWS_CAPACITY, Recorder, start_recording
 from hil.rows.records_file import read_records
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
+from tests.memory_recorder import MemoryRecorder
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
+from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 CYCLES = 500
 
 
-def play(recorder: Recorder, cycles: int = CYCLES) -> Summary:
+def play(recorder: Recorder | MemoryRecorder, cycles: int = CYCLES) -> Summary:
     """A short run, with what a loop would say of it."""
     recorder.event(Instant(-5), "INFO", "set up")
     recorder.begin(Instant(0))
@@ -187,6 +188,7 @@ from drivers.timebase import Instant
 from hil.recording.recorder import start_recording
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.synthetic_run import synthetic_records
+from tests.unit.hil.row_tools import record_of
 
 recorder = start_recording(plan_for(Path(sys.argv[1]), real_time=True))
 recorder.begin(Instant(0))
