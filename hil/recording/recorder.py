@@ -27,6 +27,7 @@ from hil.rows.side_rows import (
     TextEvent,
     event_row,
 )
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import BLOCK
@@ -140,7 +141,7 @@ class Recorder:
         if self._plan.folder is None:
             raise RecordingFailed(trouble)
         descriptors = [ring.descriptor for ring in self._rings]
-        return Summary.from_json(salvage(self._plan, descriptors, outcome, trouble))
+        return from_plain(Summary, salvage(self._plan, descriptors, outcome, trouble))
 
     @property
     def _rings(self) -> tuple[RingWriter, ...]:
