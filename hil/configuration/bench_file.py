@@ -13,6 +13,7 @@ from hil.configuration.config import BenchConfig, Faults
 from hil.configuration.config_axis import Controller, ControllerFile, StateFeedbackController
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
+from hil.configuration.config_files import load_file
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
@@ -63,11 +64,7 @@ def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig
 
 def load_controller(path: Path, named_by: NamedBy | None = None) -> Controller:
     """The controller file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "controller file", named_by)
-    try:
-        return ControllerFile.model_validate(tables).controller
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, ControllerFile))
+    return load_file(ControllerFile, path, "controller file", named_by).controller
 
 
 def strategy_of(
