@@ -26,14 +26,13 @@ from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import CommissionRequest, MotionLimits
 from hil.configuration.config import Guard
 from hil.configuration.network_file import Network
-from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME
 from hil.execution.bus_guard import BusGuard
+from hil.execution.segments import timing_without_bench
 from hil.execution.world import World
-from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.loop import LoopTiming
 from hil.machine.stopping import Interrupted
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import JournaledNetwork
-from virtual_bus.bus.bit_length import bits_duration, frame_bits
 
 P = ParamSpec("P")
 
@@ -251,17 +250,10 @@ class Session:
             "give a longer period, or a higher bit rate",
         )
 
-    def timing(self, decide_part: float = 0.7) -> LoopTiming:
+    def timing(self) -> LoopTiming:
         """The loop's times."""
-        period, bitrate = self.found.period, self.request.bitrate_bit_s
-        return LoopTiming(
-            period=period,
-            decide_after=Duration(round(decide_part * period)),
-            settle=Duration(max(3 * period, SETTLE)),
-            actuation=Actuation.ON_ARRIVAL,
-            sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
-            command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
-        )
+        settle = Duration(max(3 * self.found.period, SETTLE))
+        return timing_without_bench(self.found.period, self.request.bitrate_bit_s, settle)
 
     @contextmanager
     def enabled(self) -> Iterator[None]:

@@ -12,8 +12,8 @@ from hil.reviewing.certificate_meter import CertificateMeter
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
 from hil.rows.records import COMMAND_FATES, Rows
-from hil.verdict.certificate_text import certificate_lines
 from hil.verdict.plain_values import from_plain
+from hil.verdict.summary_text import certificate_lines
 from tests.unit.hil.row_tools import plain_rows
 
 SETTLING = Duration(100 * NS_PER_MS)

@@ -20,7 +20,7 @@ from hil.verdict.summary import (
     summarise,
     summary_without_run,
 )
-from hil.verdict.timing_text import timing_lines
+from hil.verdict.summary_text import timing_lines
 from hil.verdict.verdict import Check, LimitResult, RunOutcome, RunVerdict, VerdictKind, VerdictLimits
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
