@@ -53,13 +53,10 @@ class Pulse:
         self._start: float | None = None
         self._last = math.nan
         self._still = 0
-        self._held = 0
         self._stage = 0
         self._still_cycles = max(10, round(0.03 / period_s))
         self.moved = False
         """The shaft broke away."""
-        self.torque_at_start = 0.0
-        """Torque at which it did."""
 
     def output(self, estimate: StateEstimate, _reference: float) -> float:
         """The torque of this cycle."""
@@ -72,7 +69,7 @@ class Pulse:
         if self._stage == 0:
             self._torque += self._step
             if travel >= self._near:
-                self._stage, self.moved, self.torque_at_start = 1, True, self._torque
+                self._stage, self.moved = 1, True
             elif abs(self._torque) >= abs(self._peak):
                 self._stage = 2
         elif self._stage == 1 and travel >= self._far:

@@ -55,8 +55,6 @@ class Recording:
     """By the drive's 6077h."""
     sync_to_reading_us: Array
     """End of the SYNC on an idle bus to the arrival of its reading."""
-    stamp_to_reading_us: Array
-    """Sampling instant to arrival."""
     cycles: int
     lost: int
     """Readings that never came."""
@@ -300,7 +298,7 @@ def _unsaid(_text: str) -> None:
 def recording_of(records: list[CycleRecord]) -> Recording:
     """The records of one axis as arrays."""
     rows = []
-    delays = []
+    delays_us = []
     missing: list[bool] = []
     lost = 0
     origin = records[0].due_at if records else Instant(0)
@@ -321,18 +319,15 @@ def recording_of(records: list[CycleRecord]) -> Recording:
             )
         )
         if record.sync_on_bus_at is not None:
-            since_sync = reading.received_at - record.sync_on_bus_at
-            delays.append((since_sync / 1e3, (reading.received_at - observation.sampled_at) / 1e3))
+            delays_us.append((reading.received_at - record.sync_on_bus_at) / 1e3)
     samples = np.array(rows, dtype=float).reshape(-1, 4)
     samples = samples[np.argsort(samples[:, 0], kind="stable")]
-    measured = np.array(delays, dtype=float).reshape(-1, 2)
     return Recording(
         time=samples[:, 0].copy(),
         position=samples[:, 1].copy(),
         velocity=samples[:, 2].copy(),
         torque=samples[:, 3].copy(),
-        sync_to_reading_us=measured[:, 0].copy(),
-        stamp_to_reading_us=measured[:, 1].copy(),
+        sync_to_reading_us=np.array(delays_us, dtype=float),
         cycles=len(records),
         lost=lost,
         losses_in_a_row=runs_of(missing),

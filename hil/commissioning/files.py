@@ -99,12 +99,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
         },
         "scale": {
             key: value
-            for key, value in (
-                ("position_rad", override.position_rad),
-                ("velocity_rad_s", override.velocity_rad_s),
-                ("rated_torque_nm", override.rated_torque_nm),
-            )
-            if value is not None
+            for key in ("position_rad", "velocity_rad_s", "rated_torque_nm")
+            if (value := getattr(override, key)) is not None
         },
     }
     if override.torque_sign < 0.0 or override.velocity_sign < 0.0:

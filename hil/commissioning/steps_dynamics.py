@@ -25,29 +25,42 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 _BLOCK_S: Final = 1.0
+"""A period of the multisine: its lines are whole multiples of 1 Hz."""
 _BLOCKS: Final = 6
+"""Periods over which is averaged; a coherence of one alone would always be 1."""
 _LINES: Final = 28
 _LOWEST_HZ: Final = 2.0
 _NYQUIST_PART: Final = 0.4
+"""The highest line, of the sampling rate: below a half, or what is faster would be folded back onto it."""
 _BASE_SHARE: Final = 0.4
+"""Of the speed limit, that the shaft turns at: far enough from rest that no swing turns it round."""
 _GUIDE_RAD_S: Final = 4.0
+"""Bandwidth of what holds the speed: below the lowest line, 12.6 rad/s, so that it does not act on any."""
 _COHERENT: Final = 0.8
 _MIDDLE_HZ: Final = (4.0, 60.0)
+"""Where a shaft is rigid: above the guide, and below the resonances of couplings."""
 
 _SWITCHES: Final = 500
 _SWITCHES_MIN: Final = 150
+"""Fewer do not fill the ages between two SYNCs."""
 _SWITCHING_S: Final = 4.0
+"""In all, as long as that leaves enough switches."""
 _HOLD_CYCLES: Final = 4
 _GOLDEN: Final = 0.6180339887498949
+"""Golden section: steps of it fill an interval evenly, however many there are."""
 _CLEAR: Final = 1.25
+"""Command frames between a switch and its SYNC, at least: the SYNC must not wait for the command to leave."""
 _LONGEST_PART: Final = 0.7
+"""Of a period, from a switch to its SYNC, at most."""
 _LONGEST_NS: Final = 700_000.0
 """Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
 _FINEST_US: Final = 20.0
 """What an instant of sending may be off, see the delays of commands that commissioning finds."""
 _READINGS_S: Final = 1.0
 _SETTLED_LAGS: Final = 2.0
+"""Behind half of the answer: there 93 % of a first-order answer have come."""
 _LOST_PART: Final = 0.3
+"""Less of the step than this, so late, is none of it: noise of the torque feedback is well below."""
 
 
 class Response(Step):

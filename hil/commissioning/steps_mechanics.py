@@ -28,20 +28,31 @@ from hil.commissioning.session import Session, held_s
 from hil.loop.scenario import Ramp, Segment, SpeedStep
 
 _SPEED_SHARE: Final = 0.9
+"""Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""
 _TORQUE_SHARE: Final = 0.6
+"""Of the torque limit, for a ramp: the guide's feedback and friction that is not known yet need the rest."""
 _RAMP_S: Final = 0.25
+"""The shortest ramp: two windows of the identification and more."""
 _SLOWER: Final = 2.5
 _PLATEAU_S: Final = 0.4
 _PLATEAUS: Final = (0.3, 0.65, 1.0)
+"""Of the top speed: three speeds, or viscous and Coulomb friction could not be told apart."""
 _COAST_S_MAX: Final = 2.0
+"""A shaft that hardly slows down is not waited for."""
 _WINDOW_S: Final = 0.1
+"""Of the identification: long enough that an encoder's steps average out, short beside a ramp."""
 _WINDOW_PERIODS: Final = 20
+"""At a long period a window needs samples more than it needs to be short."""
 _SLOWEST: Final = 0.03
+"""Of the top speed: slower windows may hold a moment at rest, where sliding friction is not what acts."""
 _UNCERTAIN: Final = 0.05
 """An inertia with a larger relative error fails the step."""
 _SLOW_START_RPM: Final = 20.0
+"""A top speed below shows little but friction at the start."""
 _CURRENT_S: Final = 1.5
+"""Three swings at the slowest, of 2 Hz."""
 _CONSTANT_TOLERANCE: Final = 0.1
+"""Between the torque constant and the nameplate's: ratings are rounded, and magnets differ by percents."""
 
 
 class MechanicsStep(Step):

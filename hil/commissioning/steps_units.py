@@ -22,13 +22,21 @@ from hil.loop.scenario import Ramp, Segment
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40
 _NEAR_TURNS: Final = 0.003
+"""A degree: by it a shaft has broken away, and is not only twisted or has its play taken up."""
 _NEAR_UNITS: Final = 4
+"""The same for a coarse encoder, whose reading may jump to and fro by a unit or two at rest."""
 _PULSE_TURNS: Final = 0.05
+"""Enough to see a direction; the shaft may be coupled to something."""
 _LONG_PULSE_TURNS: Final = 0.25
+"""Enough to compare velocity and path to a percent."""
 _NUDGES: Final = 4
+"""Each three times as fast as the one before, 27 times at last: velocity units are wrong by as much."""
 _PULSE_S: Final = 6.0
+"""The torque rises by the rated one in a second, and the rest is for the shaft to come to a stop."""
 _RATIO_TOLERANCE: Final = 0.03
+"""Slips of units are factors of 1.25 and more; what is below is the measurement's."""
 _ROUGH_WINDOW_S: Final = 0.03
+"""A pulse is short; the fit needs several windows in it."""
 _ROUGH_PERIODS: Final = 15
 
 
