@@ -117,7 +117,7 @@ def measure(
 
 def _measured(request: "MeasureRequest") -> "Measured":
     from hil.machine.progress import TerminalProgress
-    from hil.measuring.command import run_measurement
+    from hil.measuring.measure import run_measurement
 
     progress = TerminalProgress(sys.stderr, request.cycles * request.period_us * 1e-6)
     try:
