@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -206,16 +207,12 @@ def run(
 def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine can do, and the exact command that mends each lack."""
     with reported_errors():
-        from hil.machine.doctor import run_checks
+        from hil.machine.doctor import print_checks, run_checks
 
         checks = run_checks()
         if as_json:
-            from dataclasses import asdict
-
             typer.echo(json.dumps([asdict(check) for check in checks]))
         else:
-            from hil.machine.doctor import print_checks
-
             print_checks(checks)
 
 

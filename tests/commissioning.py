@@ -11,12 +11,13 @@ import numpy as np
 from drivers.cia402.objects402 import Object
 from drivers.timebase import NS_PER_S, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import Commissioned, commission
+from hil.commissioning.commission import commission
 from hil.commissioning.dialog import EmergencyStop, Silent
-from hil.commissioning.outcome import Outcome
+from hil.commissioning.outcome import StepOutcome
+from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
@@ -166,12 +167,12 @@ class Watching(WrappedStep):
         super().__init__(inner)
         self._spy = spy
 
-    def run(self, session: Session) -> Outcome:
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         """As the inner one, with the spy awake."""
         session.world.link.tap(self._spy.tap)
         self._spy.watching = True
         try:
-            return self._inner.run(session)
+            self._inner.run(session, outcome)
         finally:
             self._spy.watching = False
 

@@ -12,6 +12,7 @@ OPTIONS = "hil/terminal/options.py"
 
 OTHER_MEANING = {
     "--gamma": "of hil design speed: the gain to keep, rad/s per N m",
+    "--motor": "a nameplate",
     "--node": "several nodes, or the node-ID for $NODEID of a data sheet",
     "--out": "a folder, or a measured network",
 }

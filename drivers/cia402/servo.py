@@ -182,7 +182,6 @@ class ServoDrive(Drive):
         to rest, it goes on watching, and the host's heartbeat ends, so that it stops by itself; so does every
         other drive of this network that is still watching.
         """
-        self._watch.active = False
         if self.identity is None:
             return Release(True, None, "it was never connected")
         deadline = self.network.deadline_after(limit)

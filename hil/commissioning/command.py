@@ -13,10 +13,10 @@ from drivers.errors import BadInput, PeerFault
 from drivers.sheets.dictionary import load_dictionary
 from drivers.timebase import NS_PER_S, Duration
 from drivers.wire.adapters import parse_bus_spec
-from hil.commissioning.commission import Commissioned, commission
+from hil.commissioning.commission import commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
-from hil.commissioning.outcome import Verdict
-from hil.commissioning.report import REPORT_FILE, as_json
+from hil.commissioning.outcome import StepVerdict
+from hil.commissioning.report import REPORT_FILE, Commissioned, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import timing_conditions
@@ -65,10 +65,10 @@ def run_command(
 
 
 def _conclude(request: CommissionRequest, result: Commissioned) -> tuple[int, dict[str, Any]]:
-    done = sum(record.verdict is Verdict.DONE for record in result.records)
+    done = sum(record.verdict is StepVerdict.DONE for record in result.records)
     faults = sum(len(record.outcome.faults) for record in result.records)
     say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / REPORT_FILE}")
-    figures = as_json(request, result.records, result.restoration, result.stored, result.error)
+    figures = as_json(request, result)
     if result.error is not None:
         say(f"hil: error: {result.error}")
         return result.error.exit_status, figures

@@ -1,47 +1,24 @@
 """A whole commissioning: from the first frame to the files, and back to how the drive was found."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 from drivers.errors import BenchError, PeerFault
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files
-from hil.commissioning.outcome import StepRecord, Verdict
-from hil.commissioning.report import write_report
+from hil.commissioning.report import Commissioned, write_report
 from hil.commissioning.request import CommissionRequest
-from hil.commissioning.sequence import run_sequence
-from hil.commissioning.session import Findings, Session
-from hil.commissioning.step import Step
+from hil.commissioning.sequence import Step, run_sequence
+from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World
 from hil.restoring.journaled import STORE_PARAMETERS, JournaledNetwork
-from hil.restoring.restore import Restoration, restore
+from hil.restoring.restore import restore
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""
 _STORE_LIMIT = Duration(2 * NS_PER_S)
-
-
-@dataclass(slots=True)
-class Commissioned:
-    """How it ended."""
-
-    records: list[StepRecord] = field(default_factory=list)
-    findings: Findings = field(default_factory=Findings)
-    restoration: Restoration | None = None
-    """None: nothing had been changed, or everything was stored."""
-    stored: bool = False
-    error: BenchError | None = None
-    """What ended it early."""
-
-    @property
-    def passed(self) -> bool:
-        """Every step that could be done was done, and the drive is as it was found, or stored."""
-        failed = any(record.verdict is Verdict.FAILED for record in self.records)
-        put_back = self.restoration is None or self.restoration.complete
-        return self.error is None and not failed and put_back
 
 
 def commission(
@@ -74,7 +51,7 @@ def commission(
             raise
     if not request.dry_run:
         write_files(session)
-    write_report(session, result.records, result.restoration, result.stored, result.error)
+    write_report(session, result)
     return result
 
 
@@ -101,7 +78,7 @@ def _finish(session: Session, result: Commissioned) -> None:
         journal.close()
         put_back = result.restoration is not None and result.restoration.complete
         if not (put_back or result.stored):
-            session.dialog.tell(f"not everything is as it was: {restore_command(session.request)}")
+            session.dialog.tell(f"not everything is as it was: {session.request.restore_command}")
 
 
 def _rest(session: Session) -> None:
@@ -127,8 +104,3 @@ def _store(session: Session, result: Commissioned) -> None:
         network.sdo_timeout_s = before
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
     result.stored = True
-
-
-def restore_command(request: CommissionRequest) -> str:
-    """What puts everything back."""
-    return f"hil restore --bus {request.bus} --node {request.node} {request.journal}"

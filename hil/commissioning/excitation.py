@@ -16,7 +16,7 @@ _BANDWIDTH_RAD_S: Final = 40.0
 _INTEGRAL_PART: Final = 0.2
 
 
-class Profile(Controller):
+class TimedTorque(Controller):
     """A torque as a function of time."""
 
     def __init__(self, value: Callable[[float], float], period_s: float) -> None:
@@ -54,13 +54,10 @@ class Pulse(Controller):
         self._start: float | None = None
         self._last = math.nan
         self._still = 0
-        self._held = 0
         self._stage = 0
         self._still_cycles = max(10, round(0.03 / period_s))
         self.moved = False
         """The shaft broke away."""
-        self.torque_at_start = 0.0
-        """Torque at which it did."""
 
     def output(self, context: Context) -> SetPoint:
         """The torque of this cycle."""
@@ -74,7 +71,7 @@ class Pulse(Controller):
         if self._stage == 0:
             self._torque += self._step
             if travel >= self._near:
-                self._stage, self.moved, self.torque_at_start = 1, True, self._torque
+                self._stage, self.moved = 1, True
             elif abs(self._torque) >= abs(self._peak):
                 self._stage = 2
         elif self._stage == 1 and travel >= self._far:

@@ -1,9 +1,9 @@
 """One stretch of motion: the bench's own loop around a drive, under host limits, recorded in memory."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
 from hil.commissioning.drive_port import DrivePort, Quantity
-from hil.commissioning.excitation import Profile, SpeedReference
+from hil.commissioning.excitation import SpeedReference, TimedTorque
 from hil.commissioning.request import MotionLimits
 from hil.control.compensation import Arrival
 from hil.execution.bus_guard import BusGuard
@@ -44,17 +44,6 @@ _RUN_UP_S: Final = 0.1
 """From rest to the limit of speed: a set-point of speed rises no faster."""
 
 
-class Tally(NamedTuple):
-    """What became of the readings of an exercise."""
-
-    cycles: int
-    lost: int
-    late: int
-    stale: int
-    in_a_row: tuple[int, ...]
-    """How often exactly 1, 2, ... were missing in a row."""
-
-
 @dataclass(frozen=True, slots=True)
 class Recording:
     """What was sampled; SI units, times in s from the first SYNC."""
@@ -67,14 +56,21 @@ class Recording:
     """By the drive's 6077h."""
     sync_to_reading_us: Array
     """End of the SYNC on an idle bus to the arrival of its reading."""
-    stamp_to_reading_us: Array
-    """Sampling instant to arrival."""
-    tally: Tally
+    cycles: int
+    lost: int
+    """Readings that never came."""
+    losses_in_a_row: tuple[int, ...]
+    """How often exactly 1, 2, ... readings were lost, late or stale in a row."""
 
     @property
     def speed(self) -> Array:
         """Smoothed derivative of the position."""
         return smooth_speed(self.time, self.position)
+
+
+def motions(recordings: Sequence[Recording]) -> list[tuple[Array, Array, Array]]:
+    """Time, position and torque of each, as :func:`.identify_mechanics` takes them."""
+    return [(each.time, each.position, each.torque) for each in recordings]
 
 
 def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:
@@ -237,7 +233,7 @@ class Exerciser:
     def rest(self, duration: float) -> Recording:
         """As :meth:`run`, with set-points of zero, torques or speeds."""
         if self.port.quantity is Quantity.TORQUE:
-            return self.run(Profile(lambda _time: 0.0, self.period_s), duration)
+            return self.run(TimedTorque(lambda _time: 0.0, self.period_s), duration)
         return self.run_speeds(duration)
 
     def _run(
@@ -303,14 +299,14 @@ def _unsaid(_text: str) -> None:
 def recording_of(records: list[CycleRecord]) -> Recording:
     """The records of one axis as arrays."""
     rows = []
-    delays = []
+    delays_us = []
     missing: list[bool] = []
-    causes = {cause.value: 0 for cause in DropoutCause}
+    lost = 0
     origin = records[0].due_at if records else Instant(0)
     for record in records:
         observation = record.observation
         if isinstance(observation, Dropout):
-            causes[observation.cause.value] += 1
+            lost += observation.cause in (DropoutCause.LOST, DropoutCause.MISSED)
             missing.append(True)
             continue
         missing.append(False)
@@ -324,21 +320,18 @@ def recording_of(records: list[CycleRecord]) -> Recording:
             )
         )
         if record.sync_on_bus_at is not None:
-            since_sync = reading.received_at - record.sync_on_bus_at
-            delays.append((since_sync / 1e3, (reading.received_at - observation.sampled_at) / 1e3))
+            delays_us.append((reading.received_at - record.sync_on_bus_at) / 1e3)
     samples = np.array(rows, dtype=float).reshape(-1, 4)
     samples = samples[np.argsort(samples[:, 0], kind="stable")]
-    measured = np.array(delays, dtype=float).reshape(-1, 2)
-    lost = causes["lost"] + causes["missed"]
-    tally = Tally(len(records), lost, causes["late"], causes["stale"], runs_of(missing))
     return Recording(
         time=samples[:, 0].copy(),
         position=samples[:, 1].copy(),
         velocity=samples[:, 2].copy(),
         torque=samples[:, 3].copy(),
-        sync_to_reading_us=measured[:, 0].copy(),
-        stamp_to_reading_us=measured[:, 1].copy(),
-        tally=tally,
+        sync_to_reading_us=np.array(delays_us, dtype=float),
+        cycles=len(records),
+        lost=lost,
+        losses_in_a_row=runs_of(missing),
     )
 
 

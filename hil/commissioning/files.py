@@ -8,7 +8,7 @@ from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import suggestion
-from hil.configuration.network_file import Network, network_text
+from hil.configuration.network_file import network_text
 from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import SET_POINTS
@@ -19,7 +19,6 @@ MOTOR_FILE: Final = "motor.toml"
 NETWORK_FILE: Final = "network.toml"
 BENCH_FILE: Final = "bench.toml"
 DCF_FILE: Final = "drive.dcf"
-FIGURES_FILE: Final = "figures.json"
 
 _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})
 """What only served the steps."""
@@ -27,8 +26,8 @@ _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
 
-def write_files(session: Session) -> list[str]:
-    """Write what can be written; the names of the files."""
+def write_files(session: Session) -> None:
+    """Write what can be written."""
     out = session.request.out
     texts: dict[str, str] = {}
     found = session.found
@@ -36,10 +35,9 @@ def write_files(session: Session) -> list[str]:
         texts[DRIVE_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
     if found.mechanics is not None:
         texts[MOTOR_FILE] = _motor_text(session)
-    if found.network:
-        network = Network.model_validate(found.network, strict=False)
+    if found.network is not None:
         texts[NETWORK_FILE] = (
-            f"# What the bus does to readings and commands, measured.\n\n{network_text(network)}"
+            f"# What the bus does to readings and commands, measured.\n\n{network_text(found.network)}"
         )
     journal = session.network.journal
     if journal is not None and journal.contents.changes:
@@ -57,7 +55,6 @@ def write_files(session: Session) -> list[str]:
         )
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
-    return list(texts)
 
 
 def _mandatory(session: Session) -> dict[ObjectKey, bytes]:
@@ -89,9 +86,8 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
 def drive_tables(session: Session) -> dict[str, Any]:
     """``drive.toml``."""
     found = session.found
-    identity, told, override = found.identity, found.told, found.override
+    identity, override = found.identity, found.override
     assert identity is not None
-    assert told is not None
     tables: dict[str, Any] = {
         "drive": {
             "node": session.request.node,
@@ -103,12 +99,8 @@ def drive_tables(session: Session) -> dict[str, Any]:
         },
         "scale": {
             key: value
-            for key, value in (
-                ("position_rad", override.position_rad),
-                ("velocity_rad_s", override.velocity_rad_s),
-                ("rated_torque_nm", override.rated_torque_nm),
-            )
-            if value is not None
+            for key in ("position_rad", "velocity_rad_s", "rated_torque_nm")
+            if (value := getattr(override, key)) is not None
         },
     }
     if override.torque_sign < 0.0 or override.velocity_sign < 0.0:
@@ -133,8 +125,7 @@ def drive_tables(session: Session) -> dict[str, Any]:
 def _motor_text(session: Session) -> str:
     """``motor.toml``: measured where it can be, off the nameplate where not, else a stand-in that says so."""
     found, plate = session.found, session.request.nameplate
-    mechanics = found.mechanics
-    assert mechanics is not None
+    mechanics = session.mechanics
     rated_nm = session.drive.rated_torque_nm
     winding, rating = plate.motor, plate.rating
     guesses = []

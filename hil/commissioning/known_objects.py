@@ -120,9 +120,3 @@ def missing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
         and variable.data_type != _DOMAIN
         and (variable.index, variable.subindex) not in found
     ]
-
-
-def whole(found: Dump, index: int, sub: int = 0, signed: bool = False) -> int | None:
-    """An integer out of a dump; None if it is not there."""
-    held = found.get((index, sub))
-    return None if not held else int.from_bytes(held[:8], "little", signed=signed)

@@ -11,7 +11,7 @@ class StepFailed(PeerFault):
     """A step found what it must not find; it may be repeated, or skipped with a reason."""
 
 
-class Verdict(Enum):
+class StepVerdict(Enum):
     """How a step ended."""
 
     DONE = "done"
@@ -25,7 +25,7 @@ class Verdict(Enum):
 
 
 @dataclass(slots=True)
-class Outcome:
+class StepOutcome:
     """What a step found."""
 
     lines: list[str] = field(default_factory=list)
@@ -52,7 +52,7 @@ class StepRecord:
     name: str
     title: str
     plan: str
-    verdict: Verdict
+    verdict: StepVerdict
     reason: str = ""
-    outcome: Outcome = field(default_factory=Outcome)
+    outcome: StepOutcome = field(default_factory=StepOutcome)
     attempts: int = 1

@@ -2,59 +2,69 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.errors import BenchError
-from hil.commissioning.outcome import StepRecord, Verdict
+from hil.commissioning.outcome import StepRecord, StepVerdict
 from hil.commissioning.request import CommissionRequest
-from hil.commissioning.session import Session
+from hil.commissioning.session import Findings, Session
 from hil.restoring.restore import Restoration
 
 REPORT_FILE = "report.md"
 FIGURES_FILE = "figures.json"
 
 
-def write_report(
-    session: Session,
-    records: Sequence[StepRecord],
-    restoration: Restoration | None,
-    stored: bool,
-    error: BenchError | None,
-) -> None:
+@dataclass(slots=True)
+class Commissioned:
+    """How it ended."""
+
+    records: list[StepRecord] = field(default_factory=list)
+    findings: Findings = field(default_factory=Findings)
+    restoration: Restoration | None = None
+    """None: nothing had been changed, or everything was stored."""
+    stored: bool = False
+    error: BenchError | None = None
+    """What ended it early."""
+
+    @property
+    def passed(self) -> bool:
+        """Every step that could be done was done, and the drive is as it was found, or stored."""
+        failed = any(record.verdict is StepVerdict.FAILED for record in self.records)
+        put_back = self.restoration is None or self.restoration.complete
+        return self.error is None and not failed and put_back
+
+
+def write_report(session: Session, result: Commissioned) -> None:
     """Write report.md and figures.json into the folder."""
-    request, identity = session.request, session.found.identity
+    request, identity, records = session.request, session.found.identity, result.records
     lines = [f"# Commissioning of node {request.node} on {request.bus}", ""]
     if identity is not None:
         lines += [f"{identity}, revision {identity.revision:08X}h.", ""]
     if request.dry_run:
         lines += ["A dry run: nothing was written, and nothing moved.", ""]
-    if error is not None:
-        lines += [f"**Ended early:** {error}", ""]
+    if result.error is not None:
+        lines += [f"**Ended early:** {result.error}", ""]
     lines += _summary(records)
     lines += _faults(records)
     lines += _missing(records)
-    lines += ["## How the drive was left", "", _left(session, restoration, stored), ""]
+    lines += ["## How the drive was left", "", _left(request, result), ""]
     for number, record in enumerate(records, start=1):
         lines += _step(number, record)
     request.out.mkdir(parents=True, exist_ok=True)
     (request.out / REPORT_FILE).write_text("\n".join(lines), encoding="utf-8")
-    figures = json.dumps(as_json(request, records, restoration, stored, error), indent=1)
+    figures = json.dumps(as_json(request, result), indent=1)
     (request.out / FIGURES_FILE).write_text(figures + "\n", encoding="utf-8")
 
 
-def as_json(
-    request: CommissionRequest,
-    records: Sequence[StepRecord],
-    restoration: Restoration | None,
-    stored: bool,
-    error: BenchError | None,
-) -> dict[str, Any]:
+def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     """The same for programs."""
+    restoration = result.restoration
     return {
         "bus": request.bus,
         "node": request.node,
-        "error": None if error is None else str(error),
-        "stored": stored,
+        "error": None if result.error is None else str(result.error),
+        "stored": result.stored,
         "restored": None if restoration is None else restoration.complete,
         "not_restored": [] if restoration is None else restoration.failures,
         "steps": [
@@ -65,7 +75,7 @@ def as_json(
                 "faults": record.outcome.faults,
                 "figures": record.outcome.figures,
             }
-            for record in records
+            for record in result.records
         ],
     }
 
@@ -80,22 +90,21 @@ def _summary(records: Sequence[StepRecord]) -> list[str]:
 
 
 def _faults(records: Sequence[StepRecord]) -> list[str]:
-    found = [fault for record in records for fault in record.outcome.faults]
-    if not found:
-        return ["## Faults in the drive's settings", "", "None was found.", ""]
-    return ["## Faults in the drive's settings", "", *(f"- {fault}" for fault in found), ""]
+    found = [f"- {fault}" for record in records for fault in record.outcome.faults] or ["None was found."]
+    return ["## Faults in the drive's settings", "", *found, ""]
 
 
 def _missing(records: Sequence[StepRecord]) -> list[str]:
-    absent = [record for record in records if record.verdict not in (Verdict.DONE, Verdict.FAILED)]
+    absent = [record for record in records if record.verdict not in (StepVerdict.DONE, StepVerdict.FAILED)]
     if not absent:
         return []
     listed = (f"- {record.title}: {record.verdict.value}, {record.reason}" for record in absent)
     return ["## Left out", "", *listed, ""]
 
 
-def _left(session: Session, restoration: Restoration | None, stored: bool) -> str:
-    if stored:
+def _left(request: CommissionRequest, result: Commissioned) -> str:
+    restoration = result.restoration
+    if result.stored:
         return "The settings were stored in the drive (1010h); the journal still holds what was there before."
     if restoration is None:
         return "Nothing was changed."
@@ -104,17 +113,16 @@ def _left(session: Session, restoration: Restoration | None, stored: bool) -> st
             f"All {restoration.objects} objects that were changed hold again, byte for byte, what they held "
             "before; each was read back."
         )
-    journal = session.request.journal
-    failures = "; ".join(restoration.failures)
-    command = f"hil restore --bus {session.request.bus} --node {session.request.node} {journal}"
-    return f"Not all is as it was: {failures}. `{command}` tries again."
+    return (
+        f"Not all is as it was: {'; '.join(restoration.failures)}. `{request.restore_command}` tries again."
+    )
 
 
 def _step(number: int, record: StepRecord) -> list[str]:
     lines = [f"## {number}. {record.title}", ""]
     if record.plan:
         lines += [f"*{record.plan[0].upper()}{record.plan[1:]}.*", ""]
-    if record.verdict is not Verdict.DONE:
+    if record.verdict is not StepVerdict.DONE:
         lines += [f"**{record.verdict.value}**: {record.reason}", ""]
     for line in record.outcome.lines:
         lines.append(line if line.startswith("- ") else f"- {line}")

@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
 
@@ -78,11 +77,7 @@ class Nameplate(Section):
 
 def load_nameplate(path: Path) -> Nameplate:
     """The nameplate in the file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "nameplate file", NamedBy("--motor", "", str(path)))
-    try:
-        return Nameplate.model_validate(tables)
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, Nameplate))
+    return load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +106,11 @@ class CommissionRequest:
     def journal(self) -> Path:
         """Where changes are noted."""
         return self.out / "journal.jsonl"
+
+    @property
+    def restore_command(self) -> str:
+        """What puts everything back that the journal tells of."""
+        return f"hil restore --bus {self.bus} --node {self.node} {self.journal}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,44 @@
 """The guided sequence: each step says what it will do, is asked for, done, checked, repeated or skipped."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 from drivers.errors import BusDown, PeerFault
 from hil.commissioning.dialog import Choice
-from hil.commissioning.outcome import Outcome, StepFailed, StepRecord, Verdict
+from hil.commissioning.outcome import StepFailed, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.session import EmergencyStopped, Session
-from hil.commissioning.step import Step
 from hil.machine.stopping import Interrupted
+
+
+class Step(ABC):
+    """One step. The attributes say what it is; the methods are called in the order in which they stand."""
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of steps that must have been done."""
+    writes: ClassVar[bool] = False
+    """It changes objects of the drive."""
+    moves: ClassVar[bool] = False
+    """The shaft may turn."""
+    essential: ClassVar[bool] = False
+    """What follows is not safe without it: it cannot be skipped."""
+
+    def left_out(self, session: Session) -> str | None:  # noqa: ARG002 - most steps can always be done
+        """Why this drive cannot have it, or None."""
+        return None
+
+    @abstractmethod
+    def plan(self, session: Session, /) -> str:
+        """What it will do, before it is asked for."""
+
+    @abstractmethod
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        """Do it, check it, and put into ``outcome`` what came of it.
+
+        Raises StepFailed, or another PeerFault of bus or drive.
+        """
 
 
 class Abandoned(PeerFault):
@@ -27,11 +58,11 @@ def run_sequence(session: Session, steps: Sequence[Step], records: list[StepReco
     """Steps of a dry run that were only told of."""
     for number, step in enumerate(steps, start=1):
         session.check_stop()
-        record = StepRecord(step.name, step.title, "", Verdict.NOT_DONE)
+        record = StepRecord(step.name, step.title, "", StepVerdict.NOT_DONE)
         records.append(record)
         reason = _why_not(session, step, done)
         if reason is not None:
-            record.verdict, record.reason = Verdict.LEFT_OUT, reason
+            record.verdict, record.reason = StepVerdict.LEFT_OUT, reason
             session.dialog.tell(f"{number:2}. {step.title}: left out, {reason}")
             continue
         record.plan = step.plan(session)
@@ -42,7 +73,7 @@ def run_sequence(session: Session, steps: Sequence[Step], records: list[StepReco
             shown.add(step.name)
             continue
         _carry_out(session, step, record)
-        if record.verdict is Verdict.DONE:
+        if record.verdict is StepVerdict.DONE:
             done.add(step.name)
 
 
@@ -60,7 +91,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
         if choice is Choice.QUIT:
             raise Abandoned("ended on request", f"at the step '{step.title}'")
         if choice is Choice.SKIP:
-            record.verdict = Verdict.SKIPPED
+            record.verdict = StepVerdict.SKIPPED
             record.reason = (
                 session.dialog.line("    why?", session.idle) or record.reason or "no reason given"
             )
@@ -69,7 +100,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
         if failure is None:
             _show(session, record.outcome)
             return
-        record.verdict, record.reason = Verdict.FAILED, str(failure)
+        record.verdict, record.reason = StepVerdict.FAILED, str(failure)
         session.dialog.tell(f"    failed: {failure}")
         if not session.dialog.attended:
             if record.attempts == 1 and not isinstance(failure, StepFailed):
@@ -89,18 +120,19 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
 def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | None:
     """Do the step once; what failed, if it did."""
     session.begin_step()
+    outcome = StepOutcome()
     try:
-        record.outcome = step.run(session)
+        step.run(session, outcome)
     except (BusDown, Interrupted, EmergencyStopped):
-        record.verdict, record.reason = Verdict.FAILED, "cut short"
+        record.verdict, record.reason = StepVerdict.FAILED, "cut short"
         raise
     except PeerFault as error:
         return error
-    record.verdict, record.reason = Verdict.DONE, ""
+    record.verdict, record.reason, record.outcome = StepVerdict.DONE, "", outcome
     return None
 
 
-def _show(session: Session, outcome: Outcome) -> None:
+def _show(session: Session, outcome: StepOutcome) -> None:
     for line in outcome.lines:
         session.dialog.tell(f"    {line}")
     for fault in outcome.faults:

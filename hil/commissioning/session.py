@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Concatenate, Final, ParamSpec
 
 from canopen.objectdictionary import ObjectDictionary
 
@@ -22,17 +22,19 @@ from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
 from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.identify import Mechanics
-from hil.commissioning.outcome import StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import CommissionRequest, MotionLimits
 from hil.configuration.config import Guard
-from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME
+from hil.configuration.network_file import Network
 from hil.execution.bus_guard import BusGuard
+from hil.execution.segments import timing_without_bench
 from hil.execution.world import World
-from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.loop import LoopTiming
 from hil.machine.stopping import Interrupted
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import JournaledNetwork
-from virtual_bus.bus.bit_length import bits_duration, frame_bits
+
+P = ParamSpec("P")
 
 ENABLE_LIMIT_S: Final = 3.0
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
@@ -75,7 +77,7 @@ class Findings:
     """N m per A rms, as the drive's own figures have it."""
     velocity_ratio: float | None = None
     """Velocity over position derivative, both as told."""
-    network: dict[str, Any] = field(default_factory=dict)
+    network: Network | None = None
     reading_delay_us: float | None = None
     effect_delay_us: float | None = None
     torque_lag_us: float | None = None
@@ -111,7 +113,7 @@ class Session:
         self.found = Findings()
         self.configured = False
         self.energy = EnergyMeter()
-        self.port: DrivePort | None = None
+        self._port: DrivePort | None = None
 
     def _tell(self, _at: Instant, _level: str, text: str) -> None:
         """What the guard saw."""
@@ -156,6 +158,39 @@ class Session:
         assert self.found.limits is not None, "the step 'limits' comes first"
         return self.found.limits
 
+    @property
+    def told(self) -> Scaling:
+        """The units by the drive's own objects."""
+        assert self.found.told is not None, "the step 'units' comes first"
+        return self.found.told
+
+    @property
+    def position_rad(self) -> float:
+        """One raw unit of the position, as far as it is known by now."""
+        return self.found.override.position_rad or self.told.position_rad
+
+    @property
+    def velocity_rad_s(self) -> float:
+        """One raw unit of the velocity, as far as it is known by now."""
+        return self.found.override.velocity_rad_s or self.told.velocity_rad_s
+
+    @property
+    def rated_torque_nm(self) -> float:
+        """The rated torque, as far as it is known by now."""
+        return self.found.override.rated_torque_nm or self.told.rated_torque_nm
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """The identified inertia and friction."""
+        assert self.found.mechanics is not None, "the step 'mechanics' comes first"
+        return self.found.mechanics
+
+    @property
+    def port(self) -> DrivePort:
+        """The drive as exercises command it."""
+        assert self._port is not None, "the drive is configured first"
+        return self._port
+
     def torque_mode(self) -> Mode | None:
         """A mode in which torque is commanded; None if the drive has none."""
         return self._mode_for((Quantity.TORQUE,))
@@ -196,7 +231,7 @@ class Session:
         notes = self.drive.configure(settings)
         found.plan = self.drive.plan
         self.configured = True
-        self.port = DrivePort(self.drive, mode, found.period / NS_PER_S)
+        self._port = DrivePort(self.drive, mode, found.period / NS_PER_S)
         self.guard.arm({}, own_sync=True)
         return notes
 
@@ -215,36 +250,14 @@ class Session:
             "give a longer period, or a higher bit rate",
         )
 
-    def timing(self, decide_part: float = 0.7) -> LoopTiming:
+    def timing(self) -> LoopTiming:
         """The loop's times."""
-        period, bitrate = self.found.period, self.request.bitrate_bit_s
-        return LoopTiming(
-            period=period,
-            decide_after=Duration(round(decide_part * period)),
-            settle=Duration(max(3 * period, SETTLE)),
-            actuation=Actuation.ON_ARRIVAL,
-            sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
-            command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
-        )
-
-    def exerciser(self, limits: MotionLimits | None = None) -> Exerciser:
-        """To run exercises with; the drive must be enabled."""
-        assert self.port is not None, "the drive is configured first"
-        return Exerciser(
-            self.network,
-            self.port,
-            self.timing(),
-            limits or self.limits,
-            self.stop,
-            self.check_stop,
-            self.energy,
-            self.guard,
-        )
+        settle = Duration(max(3 * self.found.period, SETTLE))
+        return timing_without_bench(self.found.period, self.request.bitrate_bit_s, settle)
 
     @contextmanager
     def enabled(self) -> Iterator[None]:
         """Inside, the drive is enabled, and a key stops it; afterwards it is at rest and disabled."""
-        assert self.port is not None
         self.check_temperature()
         with self.stop.armed():
             try:
@@ -253,6 +266,16 @@ class Session:
                 self.check_stop()
             finally:
                 self.calm()
+
+    @contextmanager
+    def exercising(self, limits: MotionLimits | None = None) -> Iterator[Exerciser]:
+        """As :meth:`enabled`, with what runs exercises."""
+        within = limits or self.limits
+        with self.enabled():
+            yield Exerciser(
+                self.network, self.port, self.timing(), within,
+                self.stop, self.check_stop, self.energy, self.guard,
+            )  # fmt: skip
 
     def check_temperature(self) -> None:
         """Raises StepFailed if the drive is hotter than the nameplate allows; nothing if none is named."""
@@ -282,12 +305,15 @@ class Session:
         """Take better factors or signs; they act from the next :meth:`configure` on."""
         self.found.override = replace(self.found.override, **changes)
 
-    def picture(self, name: str, draw: Callable[[Path], None]) -> str:
-        """Have a plot drawn into the report's folder; its name there."""
+    def picture(
+        self, outcome: StepOutcome, name: str, draw: Callable[Concatenate[Path, P], None],
+        *figures: P.args, **options: P.kwargs,
+    ) -> None:  # fmt: skip
+        """Have a plot drawn into the folder of the report, and shown there."""
         folder = self.request.out / "plots"
         folder.mkdir(parents=True, exist_ok=True)
-        draw(folder / f"{name}.png")
-        return f"plots/{name}.png"
+        draw(folder / f"{name}.png", *figures, **options)
+        outcome.pictures.append(f"plots/{name}.png")
 
 
 def held_s(session: Session) -> float | None:

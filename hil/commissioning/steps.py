@@ -1,6 +1,6 @@
 """The steps of commissioning, in order."""
 
-from hil.commissioning.step import Step
+from hil.commissioning.sequence import Step
 from hil.commissioning.steps_design import Suggest, Verify
 from hil.commissioning.steps_dynamics import Delays, Response
 from hil.commissioning.steps_mechanics import MechanicsStep, TorqueConstant

@@ -12,10 +12,10 @@ from design.speed.speed_design import least_gain
 from drivers.canopen.pdo import bus_load_percent_max
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.plots import draw_verification
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import PERIODS_US, Session
-from hil.commissioning.step import Step
 from hil.commissioning.steps_dynamics import total_delay_s
 from hil.control.controllers import Pid, PidGains
 from hil.loop.scenario import Ramp, Segment, SpeedProfile
@@ -49,15 +49,12 @@ class Suggest(Step):
         )
 
     def plan(self, session: Session, /) -> str:
-        if session.found.reading_delay_us is None:
-            return f"design a PI speed controller for {_MARGIN:g} times the measured delay"
-        delay_us = 1e6 * total_delay_s(session)
-        return f"design a PI speed controller for {_MARGIN:g} times the measured delay of {delay_us:.0f} us"
+        known = session.found.reading_delay_us is not None
+        delay = f" of {1e6 * total_delay_s(session):.0f} us" if known else ""
+        return f"design a PI speed controller for {_MARGIN:g} times the measured delay{delay}"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
-        mechanics, found = session.found.mechanics, session.found
-        assert mechanics is not None
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        mechanics, found = session.mechanics, session.found
         designed_s = _MARGIN * total_delay_s(session)
         lag_s = max(1e-5, 1e-6 * (found.torque_lag_us or 100.0))
         viscous = max(mechanics.viscous_friction_nm_s, 1e-9)
@@ -82,7 +79,7 @@ class Suggest(Step):
             "integral_nm_rad": integral,
             "feedforward_nm_s_rad": mechanics.viscous_friction_nm_s,
         }
-        period_us = _period_us(session)
+        period_us, limits = _period_us(session), _suggested_limits(session)
         crossing = proportional / mechanics.inertia_kg_m2
         outcome.say(
             f"PI: {proportional:.4g} N m s/rad and {integral:.4g} N m/rad, crossing at {crossing:.0f} rad/s; "
@@ -95,14 +92,12 @@ class Suggest(Step):
             "crossing_rad_s": crossing,
             "designed_for_delay_us": 1e6 * delay_s,
             "period_us": period_us,
-            **_suggested_limits(session),
+            **limits,
         }
-        limits = _suggested_limits(session)
         outcome.say(
             f"limits: {limits['speed_max_rpm']:.0f} r/min, {limits['torque_max_nm']:.4g} N m, "
             f"{limits['torque_slew_max_nm_s']:.4g} N m/s"
         )
-        return outcome
 
 
 def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
@@ -139,15 +134,12 @@ def _period_us(session: Session) -> int:
 
 
 def _suggested_limits(session: Session) -> dict[str, float]:
-    plate, found = session.request.nameplate, session.found
-    rated_nm = session.drive.rated_torque_nm
-    assert found.limits is not None
-    speed_rpm = plate.rating.speed_rpm or 2.0 * found.limits.speed_rad_s / RAD_S_PER_RPM
+    rating, rated_nm = session.request.nameplate.rating, session.drive.rated_torque_nm
     peak = 2.0
-    if plate.rating.current_max_a and plate.rating.current_a:
-        peak = min(peak, plate.rating.current_max_a / plate.rating.current_a)
+    if rating.current_max_a and rating.current_a:
+        peak = min(peak, rating.current_max_a / rating.current_a)
     return {
-        "speed_max_rpm": speed_rpm,
+        "speed_max_rpm": rating.speed_rpm or 2.0 * session.limits.speed_rad_s / RAD_S_PER_RPM,
         "torque_max_nm": peak * rated_nm,
         "torque_slew_max_nm_s": rated_nm / 0.005,
     }
@@ -173,13 +165,9 @@ class Verify(Step):
             speed = min(speed, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
         return speed
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         speed = self._speed(session)
-        mechanics, told = session.found.mechanics, session.found.told
-        assert mechanics is not None
-        assert told is not None
-        over = max(_RAMP_S, mechanics.inertia_kg_m2 * speed / (0.5 * session.limits.torque_nm))
+        over = max(_RAMP_S, session.mechanics.inertia_kg_m2 * speed / (0.5 * session.limits.torque_nm))
         reference: list[Segment] = []
         time = 0.1
         plateaus = []
@@ -187,29 +175,23 @@ class Verify(Step):
             reference.append(Ramp(time, target, over))
             plateaus.append((time + over + 0.5 * _HOLD_S, time + over + _HOLD_S, target))
             time += over + _HOLD_S
-        gains = dict(session.found.controller)
-        gains.pop("kind")
-        with session.enabled():
-            exerciser = session.exerciser()
+        gains = {name: gain for name, gain in session.found.controller.items() if name != "kind"}
+        with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
         wanted = SpeedProfile(reference)
         at = recording.time
-        errors = np.array([wanted.value(float(t)) for t in at]) - recording.speed
+        asked = np.array([wanted.value(float(t)) for t in at])
+        errors = asked - recording.speed
         settled = [errors[(at >= low) & (at < high)] for low, high, target in plateaus if target]
         rms = max(float(np.sqrt(np.mean(part**2))) for part in settled)
-        unit = session.found.override.velocity_rad_s or told.velocity_rad_s
         outcome.say(
             f"on the plateaus the speed is off by {rms:.3g} rad/s rms ({100.0 * rms / speed:.2f} %), "
             f"on the way by at most {float(np.abs(errors).max()):.3g} rad/s"
         )
         outcome.figures = {"plateau_rms_rad_s": rms, "error_max_rad_s": float(np.abs(errors).max())}
-        reference_drawn = np.array([wanted.value(float(t)) for t in at])
-        outcome.pictures.append(
-            session.picture("verify", lambda path: draw_verification(path, recording, at, reference_drawn))
-        )
-        if rms > _ERROR_MAX * speed + _UNITS_MAX * unit or math.isnan(rms):
+        session.picture(outcome, "verify", draw_verification, recording, at, asked)
+        if rms > _ERROR_MAX * speed + _UNITS_MAX * session.velocity_rad_s or math.isnan(rms):
             raise StepFailed("the suggested controller does not hold the speed", outcome.lines[0])
-        return outcome
 
 
 def suggestion(session: Session) -> dict[str, Any]:

@@ -13,11 +13,11 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from hil.commissioning.excitation import SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
 
@@ -25,29 +25,42 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 _BLOCK_S: Final = 1.0
+"""A period of the multisine: its lines are whole multiples of 1 Hz."""
 _BLOCKS: Final = 6
+"""Periods over which is averaged; a coherence of one alone would always be 1."""
 _LINES: Final = 28
 _LOWEST_HZ: Final = 2.0
 _NYQUIST_PART: Final = 0.4
+"""The highest line, of the sampling rate: below a half, or what is faster would be folded back onto it."""
 _BASE_SHARE: Final = 0.4
+"""Of the speed limit, that the shaft turns at: far enough from rest that no swing turns it round."""
 _GUIDE_RAD_S: Final = 4.0
+"""Bandwidth of what holds the speed: below the lowest line, 12.6 rad/s, so that it does not act on any."""
 _COHERENT: Final = 0.8
 _MIDDLE_HZ: Final = (4.0, 60.0)
+"""Where a shaft is rigid: above the guide, and below the resonances of couplings."""
 
 _SWITCHES: Final = 500
 _SWITCHES_MIN: Final = 150
+"""Fewer do not fill the ages between two SYNCs."""
 _SWITCHING_S: Final = 4.0
+"""In all, as long as that leaves enough switches."""
 _HOLD_CYCLES: Final = 4
 _GOLDEN: Final = 0.6180339887498949
+"""Golden section: steps of it fill an interval evenly, however many there are."""
 _CLEAR: Final = 1.25
+"""Command frames between a switch and its SYNC, at least: the SYNC must not wait for the command to leave."""
 _LONGEST_PART: Final = 0.7
+"""Of a period, from a switch to its SYNC, at most."""
 _LONGEST_NS: Final = 700_000.0
 """Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
 _FINEST_US: Final = 20.0
 """What an instant of sending may be off, see the delays of commands that commissioning finds."""
 _READINGS_S: Final = 1.0
 _SETTLED_LAGS: Final = 2.0
+"""Behind half of the answer: there 93 % of a first-order answer have come."""
 _LOST_PART: Final = 0.3
+"""Less of the step than this, so late, is none of it: noise of the torque feedback is well below."""
 
 
 class Response(Step):
@@ -73,14 +86,11 @@ class Response(Step):
             f"for {_BLOCKS * _BLOCK_S:g} s"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
-        mechanics = session.found.mechanics
-        assert mechanics is not None
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        mechanics = session.mechanics
         limits = session.limits
         base = _BASE_SHARE * limits.speed_rad_s
-        with session.enabled():
-            exerciser = session.exerciser(_roomy(limits))
+        with session.exercising(_roomy(limits)) as exerciser:
             period = exerciser.period_s
             lines = lines_hz(_LOWEST_HZ, _NYQUIST_PART / period, _LINES, _BLOCK_S)
             room = mechanics.inertia_kg_m2 * math.tau * _LOWEST_HZ * 0.3 * base
@@ -105,8 +115,7 @@ class Response(Step):
             mechanics.inertia_kg_m2 * 1j * math.tau * found.frequency_hz + mechanics.viscous_friction_nm_s
         )
         _judge_response(found.frequency_hz, found.response, found.coherence, model, outcome)
-        outcome.pictures.append(session.picture("response", lambda path: draw_response(path, found, model)))
-        return outcome
+        session.picture(outcome, "response", draw_response, found, model)
 
 
 def _roomy(limits: MotionLimits) -> MotionLimits:
@@ -116,7 +125,7 @@ def _roomy(limits: MotionLimits) -> MotionLimits:
 
 def _judge_response(
     frequency: Array, response: ComplexArray, coherence: Array,
-    model: ComplexArray, outcome: Outcome,
+    model: ComplexArray, outcome: StepOutcome,
 ) -> None:  # fmt: skip
     middle = (frequency >= _MIDDLE_HZ[0]) & (frequency <= _MIDDLE_HZ[1]) & (coherence > _COHERENT)
     if not middle.any():
@@ -163,10 +172,10 @@ class Delays(Step):
             "and see in the readings when it arrives"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         if session.torque_mode() is None:
-            return _time_readings(session, outcome)
+            _time_readings(session, outcome)
+            return
         with session.enabled():
             probe = _Probe(session)
             probe.run()
@@ -179,23 +188,19 @@ class Delays(Step):
         except ValueError as error:
             raise StepFailed("the torque does not follow its command", str(error)) from error
         found = session.found
-        found.reading_delay_us = float(np.median(readings))
         found.current_bandwidth_hz = _bandwidth_hz(session, lag)
         probe.judge_commands(lag)
         found.effect_delay_us, found.torque_lag_us = lag.half_us, lag.lag_us
-        network = probe.network(readings, lag.half_us)
-        found.network = network.model_dump(mode="json", exclude_none=True)
-        outcome.say(
-            f"readings arrive {found.reading_delay_us:.0f} us after the SYNC, 99 % within "
-            f"{np.percentile(readings, 99):.0f} us; {network.lost} of {network.cycles} were lost"
-        )
+        lost, commands_lost = sum(probe.missing), probe.commands_lost
+        in_a_row = runs_of(probe.missing)
+        _keep_readings(session, outcome, readings, in_a_row, lost, probe.cycles, lag.half_us, commands_lost)
         outcome.say(
             f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
             f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
         )
         if found.current_bandwidth_hz is not None:
             outcome.say(f"the drive follows it like a current loop of {found.current_bandwidth_hz:.0f} Hz")
-        outcome.say(f"{probe.commands_lost} of {probe.commands} commands were lost")
+        outcome.say(f"{commands_lost} of {probe.commands} commands were lost")
         outcome.figures = {
             "reading_delay_us": found.reading_delay_us,
             "reading_delay_p99_us": float(np.percentile(readings, 99)),
@@ -203,15 +208,12 @@ class Delays(Step):
             "dead_time_us": lag.dead_us,
             "lag_us": lag.lag_us,
             "current_bandwidth_hz": found.current_bandwidth_hz,
-            "readings_lost": network.lost,
-            "commands_lost": probe.commands_lost,
+            "readings_lost": lost,
+            "commands_lost": commands_lost,
             "commands": probe.commands,
             "cycles": probe.cycles,
         }
-        outcome.pictures.append(
-            session.picture("delays", lambda path: draw_delays(path, readings, age, part, lag))
-        )
-        return outcome
+        session.picture(outcome, "delays", draw_delays, readings, age, part, lag)
 
 
 def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
@@ -220,47 +222,45 @@ def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
     return 1e6 / (math.tau * in_drive_us) if in_drive_us > _FINEST_US else None
 
 
-def _time_readings(session: Session, outcome: Outcome) -> Outcome:
+def _time_readings(session: Session, outcome: StepOutcome) -> None:
     """Only the way of the readings, with the drive at rest."""
-    with session.enabled():
-        recording = session.exerciser().rest(_READINGS_S)
+    with session.exercising() as exerciser:
+        recording = exerciser.rest(_READINGS_S)
     readings = recording.sync_to_reading_us
     if len(readings) < 100:
-        raise StepFailed("too few readings came", f"{len(readings)} of {recording.tally.cycles}")
-    tally = recording.tally
-    network = network_of(readings, tally.in_a_row, tally.lost, tally.cycles, session.found.period, 0.0, 0)
-    found = session.found
-    found.reading_delay_us = float(np.median(readings))
-    found.network = network.model_dump(mode="json", exclude_none=True)
-    outcome.say(
-        f"readings arrive {found.reading_delay_us:.0f} us after the SYNC, 99 % within "
-        f"{np.percentile(readings, 99):.0f} us; {tally.lost} of {tally.cycles} were lost"
-    )
-    outcome.figures = {"reading_delay_us": found.reading_delay_us, "readings_lost": tally.lost}
-    return outcome
+        raise StepFailed("too few readings came", f"{len(readings)} of {recording.cycles}")
+    _keep_readings(session, outcome, readings, recording.losses_in_a_row, recording.lost, recording.cycles)
+    delay_us = session.found.reading_delay_us
+    outcome.figures = {"reading_delay_us": delay_us, "readings_lost": recording.lost}
 
 
-def network_of(
+def _keep_readings(
+    session: Session,
+    outcome: StepOutcome,
     readings_us: Array,
     in_a_row: tuple[int, ...],
     lost: int,
     cycles: int,
-    period: Duration,
-    effect_us: float,
-    commands_lost: int,
-) -> Network:
-    """What was measured, as a network file has it."""
-    tail = [float(np.percentile(readings_us, level)) for level in (50, 99, 99.9, 100)]
-    return Network(
-        period_us=max(1, round(period / 1000)),
+    effect_us: float = 0.0,
+    commands_lost: int = 0,
+) -> None:
+    """What was measured of the readings, as a network file has it, and in words."""
+    p50, p99, p999, largest = (float(np.percentile(readings_us, level)) for level in (50, 99, 99.9, 100))
+    session.found.reading_delay_us = float(np.median(readings_us))
+    session.found.network = Network(
+        period_us=max(1, round(session.found.period / 1000)),
         losses_in_a_row_max=len(in_a_row),
-        delay_max_us=math.ceil(tail[-1] + effect_us),
+        delay_max_us=math.ceil(largest + effect_us),
         command_losses_in_a_row_max=1 if commands_lost else 0,
         cycles=cycles,
         lost=lost,
         loss_percent=100.0 * lost / max(1, cycles),
         losses_in_a_row=in_a_row,
-        reading_delay_us=DelayFigures(p50=tail[0], p99=tail[1], p999=tail[2], max=tail[3]),
+        reading_delay_us=DelayFigures(p50=p50, p99=p99, p999=p999, max=largest),
+    )
+    outcome.say(
+        f"readings arrive {session.found.reading_delay_us:.0f} us after the SYNC, "
+        f"99 % within {p99:.0f} us; {lost} of {cycles} were lost"
     )
 
 
@@ -280,22 +280,21 @@ class _Probe:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._network = session.network
-        assert session.port is not None
         self._port = session.port
         self._period = session.found.period
         self._latency = session.timing().sync_latency
-        assert session.found.told is not None
         rated = session.drive.rated_torque_nm
         self._step_nm = max(0.02 * rated, min(0.25 * session.limits.torque_nm, 0.1 * rated))
         self.delays_us: list[float] = []
         self.answers: list[tuple[float, float]] = []
         self.cycles = 0
+        self.missing: list[bool] = []
+        """Of each cycle: its reading did not come in time."""
         self.firsts: list[tuple[float, float]] = []
         """Of the answers, those of the first SYNC after a switch: before it is repeated."""
         self.commands = 0
         """Switches old enough at that SYNC to be judged."""
         self.commands_lost = 0
-        self._missing: list[bool] = []
 
     def run(self) -> None:
         due = Instant(self._session.clock_now + self._period)
@@ -339,7 +338,7 @@ class _Probe:
         delays = [reading.received_at - sync_at - self._latency for reading in self._port.take_readings()]
         answers = [delay for delay in delays if delay >= 0]
         self.delays_us += [delay / 1e3 for delay in answers]
-        self._missing.append(not answers)
+        self.missing.append(not answers)
         torque_nm, told_at = self._port.torque_shown
         return torque_nm if told_at - sync_at >= self._latency else None
 
@@ -363,19 +362,6 @@ class _Probe:
         judged = [part for age_us, part in self.firsts if age_us > old_us]
         self.commands = len(judged)
         self.commands_lost = sum(part < _LOST_PART for part in judged)
-
-    def network(self, readings_us: Array, effect_us: float) -> Network:
-        """What was measured, as a network file has it."""
-        missing = self._missing
-        return network_of(
-            readings_us,
-            runs_of(missing),
-            sum(missing),
-            self.cycles,
-            self._period,
-            effect_us,
-            self.commands_lost,
-        )
 
 
 def total_delay_s(session: Session) -> float:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Final
 
 import numpy as np
@@ -18,30 +18,41 @@ from drivers.errors import TransferAborted
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import Quantity
-from hil.commissioning.excitation import Profile, SpeedGuide
-from hil.commissioning.exercise import Recording
+from hil.commissioning.excitation import SpeedGuide, TimedTorque
+from hil.commissioning.exercise import Recording, motions
 from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.plots import draw_current, draw_mechanics
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s
-from hil.commissioning.step import Step
 from hil.loop.scenario import Ramp, Segment, SpeedStep
 
 _SPEED_SHARE: Final = 0.9
+"""Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""
 _TORQUE_SHARE: Final = 0.6
+"""Of the torque limit, for a ramp: the guide's feedback and friction that is not known yet need the rest."""
 _RAMP_S: Final = 0.25
+"""The shortest ramp: two windows of the identification and more."""
 _SLOWER: Final = 2.5
 _PLATEAU_S: Final = 0.4
 _PLATEAUS: Final = (0.3, 0.65, 1.0)
+"""Of the top speed: three speeds, or viscous and Coulomb friction could not be told apart."""
 _COAST_S_MAX: Final = 2.0
+"""A shaft that hardly slows down is not waited for."""
 _WINDOW_S: Final = 0.1
+"""Of the identification: long enough that an encoder's steps average out, short beside a ramp."""
 _WINDOW_PERIODS: Final = 20
+"""At a long period a window needs samples more than it needs to be short."""
 _SLOWEST: Final = 0.03
+"""Of the top speed: slower windows may hold a moment at rest, where sliding friction is not what acts."""
 _UNCERTAIN: Final = 0.05
 """An inertia with a larger relative error fails the step."""
 _SLOW_START_RPM: Final = 20.0
+"""A top speed below shows little but friction at the start."""
 _CURRENT_S: Final = 1.5
+"""Three swings at the slowest, of 2 Hz."""
 _CONSTANT_TOLERANCE: Final = 0.1
+"""Between the torque constant and the nameplate's: ratings are rounded, and magnets differ by percents."""
 
 
 class MechanicsStep(Step):
@@ -58,18 +69,18 @@ class MechanicsStep(Step):
         coast = ", and let the shaft coast" if session.torque_mode() is not None else ""
         return f"ramp to {speed / RAD_S_PER_RPM:.0f} r/min and back, both ways, with stops on the way{coast}"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         speed = top_speed(session)
         if speed < _SLOW_START_RPM * RAD_S_PER_RPM:
             raise StepFailed("too little travel or speed is allowed", f"{speed:.3g} rad/s could be reached")
         recordings = _ramps(session, speed)
         if session.torque_mode() is not None:
             recordings += _coasts(session, speed)
-        data = [(recording.time, recording.position, recording.torque) for recording in recordings]
         try:
             window_s = max(_WINDOW_S, _WINDOW_PERIODS * session.found.period / NS_PER_S)
-            found = identify_mechanics(data, window_s, _SLOWEST * speed, held_s=held_s(session))
+            found = identify_mechanics(
+                motions(recordings), window_s, _SLOWEST * speed, held_s=held_s(session)
+            )
         except NotIdentifiable as error:
             raise StepFailed("inertia and friction cannot be told from this motion", str(error)) from error
         if session.torque_mode() is None and found.inertia_kg_m2 < 0.0:
@@ -79,10 +90,7 @@ class MechanicsStep(Step):
         session.found.speed_noise_rad_s = noise = _speed_noise(recordings)
         outcome.figures["speed_noise_rad_s"] = noise
         outcome.say(f"the velocity 606Ch scatters by {noise:.3g} rad/s rms")
-        outcome.pictures.append(
-            session.picture("mechanics", lambda path: draw_mechanics(path, recordings, found))
-        )
-        return outcome
+        session.picture(outcome, "mechanics", draw_mechanics, recordings, found)
 
 
 def _speed_noise(recordings: list[Recording]) -> float:
@@ -131,7 +139,6 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
     A drive that plans its own ramps is given steps, lest it plan one for each cycle.
     """
     port = session.port
-    assert port is not None
     own_ramps = port.mode is Mode.PROFILE_VELOCITY
     slower = _slower(session)
     if own_ramps:
@@ -146,8 +153,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
             reference.append(SpeedStep(time, target) if own_ramps else Ramp(time, target, over))
             time += over + slower * _PLATEAU_S
             last = share
-        with session.enabled():
-            exerciser = session.exerciser()
+        with session.exercising() as exerciser:
             if exerciser.port.quantity is Quantity.TORQUE:
                 guide = SpeedGuide(_guide_mechanics(session), exerciser.period_s)
                 recordings.append(exerciser.run(guide, time, reference))
@@ -157,9 +163,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
 
 
 def _write_ramps(session: Session, acceleration_rad_s2: float) -> None:
-    told = session.found.told
-    assert told is not None
-    raw = max(1, round(acceleration_rad_s2 / told.acceleration_rad_s2))
+    raw = max(1, round(acceleration_rad_s2 / session.told.acceleration_rad_s2))
     for index in (Object.PROFILE_ACCELERATION, Object.PROFILE_DECELERATION):
         write_optional(session.objects, index, "I", raw, "ramp")
 
@@ -178,14 +182,13 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
         start = 0.05 + over + 0.1
         end = start + coast_s
         reference: list[Segment] = [Ramp(0.05, direction * speed, over), Ramp(end - 1e-6, 0.0, 1e-6)]
-        with session.enabled():
-            exerciser = session.exerciser()
+        with session.exercising() as exerciser:
             guide = SpeedGuide(known, exerciser.period_s, free=_between(start, end))
             recordings.append(exerciser.run(guide, end + 0.3, reference))
     return recordings
 
 
-def _turned_round(session: Session, found: Mechanics, outcome: Outcome) -> Mechanics:
+def _turned_round(session: Session, found: Mechanics, outcome: StepOutcome) -> Mechanics:
     """Torque against motion shows only here in a drive that is never given a torque."""
     session.overridden(torque_sign=-session.found.override.torque_sign)
     session.configure()
@@ -203,18 +206,8 @@ def _between(low: float, high: float) -> Callable[[float], bool]:
     return lambda time: low <= time < high
 
 
-def _judge(found: Mechanics, outcome: Outcome) -> None:
-    outcome.figures = {
-        "inertia_kg_m2": found.inertia_kg_m2,
-        "viscous_friction_nm_s": found.viscous_friction_nm_s,
-        "coulomb_friction_nm": found.coulomb_friction_nm,
-        "offset_nm": found.offset_nm,
-        "inertia_error": found.inertia_error,
-        "viscous_error": found.viscous_error,
-        "coulomb_error": found.coulomb_error,
-        "equations": found.equations,
-        "residual_nm": found.residual_nm,
-    }
+def _judge(found: Mechanics, outcome: StepOutcome) -> None:
+    outcome.figures = asdict(found)
     outcome.say(f"inertia {found.inertia_kg_m2:.5g} kg m^2 +- {found.inertia_error:.2g}")
     outcome.say(f"viscous friction {found.viscous_friction_nm_s:.4g} N m s/rad +- {found.viscous_error:.2g}")
     outcome.say(f"Coulomb friction {found.coulomb_friction_nm:.4g} N m +- {found.coulomb_error:.2g}")
@@ -244,8 +237,7 @@ class TorqueConstant(Step):
     def plan(self, session: Session, /) -> str:
         return f"map 6078h beside 6077h and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         mode = session.torque_mode()
         assert mode is not None
         try:
@@ -268,11 +260,10 @@ class TorqueConstant(Step):
             session.configure(mode)
         torque, current = _paired(readings, currents)
         self._judge(session, torque, current, outcome)
-        return outcome
 
     def _judge(
         self, session: Session, torque: np.typing.NDArray[np.float64],
-        permille: np.typing.NDArray[np.float64], outcome: Outcome,
+        permille: np.typing.NDArray[np.float64], outcome: StepOutcome,
     ) -> None:  # fmt: skip
         rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
         rating = session.request.nameplate.rating
@@ -305,11 +296,7 @@ class TorqueConstant(Step):
                     f"torque and current contradict the nameplate by {by:.4g}: "
                     f"6075h, 6076h or the nameplate is wrong{f' ({slip})' if slip else ''}"
                 )
-        outcome.pictures.append(
-            session.picture(
-                "torque_constant", lambda path: draw_current(path, current, torque, slope, offset)
-            )
-        )
+        session.picture(outcome, "torque_constant", draw_current, current, torque, slope, offset)
 
 
 def _plan_with_current(session: Session) -> PdoPlan:
@@ -339,16 +326,14 @@ def _swing(session: Session) -> list[tuple[Instant, float]]:
     omega = max(math.tau * 2.0, amplitude / (known.inertia_kg_m2 * 0.4 * limits.speed_rad_s))
     readings: list[tuple[Instant, float]] = []
     port = session.port
-    assert port is not None
     sign = session.found.override.torque_sign  # as the drive counts: 6078h beside it is taken raw
     port.listener = lambda taken: readings.extend(
         (each.torque_told_at, sign * each.torque_nm) for each in taken
     )
-    with session.enabled():
-        exerciser = session.exerciser()
+    with session.exercising() as exerciser:
         # By the cosine the speed has no mean.
         exerciser.run(
-            Profile(
+            TimedTorque(
                 lambda time: amplitude * math.cos(omega * time) * min(1.0, time / 0.1), exerciser.period_s
             ),
             _CURRENT_S,

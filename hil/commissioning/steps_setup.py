@@ -9,9 +9,9 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import HaltOption, Mode, State, state_of
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 
 _PATIENCE: Final = 4.0
 """So many time-outs are waited for the drive to react."""
@@ -39,8 +39,7 @@ class SetUp(Step):
             f"{limits.torque_nm:.4g} N m and {limits.speed_rad_s:.4g} rad/s, and the PDOs"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         mode = self._first_mode_taken(session, outcome)
         for note in _extra_limits(session):
             outcome.say(note)
@@ -55,9 +54,8 @@ class SetUp(Step):
         )
         outcome.headline = outcome.lines[-1]
         outcome.figures = {"mode": mode.name.lower(), "bus_load_percent_max": load}
-        return outcome
 
-    def _first_mode_taken(self, session: Session, outcome: Outcome) -> Mode:
+    def _first_mode_taken(self, session: Session, outcome: StepOutcome) -> Mode:
         """Configure in the first mode that the drive takes; those that it does not are struck out."""
         while True:
             mode = session.motion_mode()
@@ -76,9 +74,7 @@ class SetUp(Step):
 
 def _extra_limits(session: Session) -> list[str]:
     """Limits that the drive need not have, beside those of the drive client."""
-    objects, limits, found = session.objects, session.limits, session.found
-    assert found.told is not None
-    rated = found.override.rated_torque_nm or found.told.rated_torque_nm
+    objects, limits, rated = session.objects, session.limits, session.rated_torque_nm
     share = min(0xFFFF, round(1000.0 * limits.torque_nm / rated))
     held = objects.read_if_there(Object.MAX_CURRENT, 0, "H")
     notes = []
@@ -89,13 +85,13 @@ def _extra_limits(session: Session) -> list[str]:
         notes += write_optional(objects, Object.TORQUE_SLOPE, "I", slope, "torque slope of the host's")
     option = HaltOption.QUICK_STOP_RAMP
     notes += write_optional(objects, Object.HALT_OPTION, "h", int(option), "halt by quick stop ramp")
-    window = max(1, round(limits.following_rad / found.told.position_rad))
+    window = max(1, round(limits.following_rad / session.told.position_rad))
     notes += write_optional(
         objects, Object.FOLLOWING_ERROR_WINDOW, "I", min(window, 0xFFFF_FFFE), "following error"
     )
     if limits.travel_rad is not None:
         here = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
-        reach = round(limits.travel_rad / found.told.position_rad)
+        reach = round(limits.travel_rad / session.told.position_rad)
         for sub, bound in ((1, here - reach), (2, here + reach)):
             bound = min(max(bound, -0x8000_0000), 0x7FFF_FFFF)
             notes += write_optional(
@@ -120,8 +116,7 @@ class Watchdog(Step):
             f"({timeout} ms are set in 1016h); a fault that this causes is reset"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         timeout_ms = session.request.heartbeat_timeout_ms
         with session.stop.armed():
             try:
@@ -142,7 +137,6 @@ class Watchdog(Step):
         outcome.figures = {"reaction_ms": reaction_ms, "timeout_ms": timeout_ms}
         if reaction_ms > _LATE * timeout_ms + 20.0:
             raise StepFailed("the drive reacts too late", f"{reaction_ms:.0f} ms, {timeout_ms} ms were set")
-        return outcome
 
 
 def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | None]:
@@ -203,10 +197,9 @@ class EnableAtZero(Step):
         what = "torque" if session.torque_mode() is not None else "speed"
         return f"enable with {what} 0 for {_REST_S:g} s; the shaft must stay within {_REST_TURNS:g} turns"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
-        with session.enabled():
-            recording = session.exerciser().rest(_REST_S)
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        with session.exercising() as exerciser:
+            recording = exerciser.rest(_REST_S)
         if not len(recording.position):
             raise StepFailed("no reading came while the drive was enabled")
         crept = float(recording.position.max() - recording.position.min()) / math.tau
@@ -218,4 +211,3 @@ class EnableAtZero(Step):
                 f"mean torque {recording.torque.mean():.4g} N m",
                 "take the load off, or hold it: the figures would be worth nothing",
             )
-        return outcome

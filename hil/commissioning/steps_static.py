@@ -11,10 +11,10 @@ from drivers.errors import PeerFault
 from drivers.rotation import RAD_S_PER_RPM
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import motion_limits
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
@@ -37,8 +37,7 @@ class BusCheck(Step):
             f"listen for {LISTEN_S:g} s, then ask node {session.request.node} {ROUND_TRIPS} times for 1000h"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         network = session.network
         began = session.clock_now
         before = network.link.received_frames
@@ -57,7 +56,6 @@ class BusCheck(Step):
         outcome.figures = {"frames": heard, "error_frames": errors, "sdo_us": float(np.median(trips_us))}
         if errors:
             raise StepFailed(f"{errors} error frames on the bus", "", "check bit rate, termination and cable")
-        return outcome
 
 
 class IdentityCheck(Step):
@@ -74,8 +72,7 @@ class IdentityCheck(Step):
             f", and compare with {sheet.name}" if sheet else "; no data sheet"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
         session.found.identity = identity
         outcome.say(str(identity))
@@ -99,7 +96,6 @@ class IdentityCheck(Step):
         if not session.request.dry_run:
             head = head_of(session.objects, session.request.bus, identity)
             session.network.begin_journal(Journal(session.request.journal, head))
-        return outcome
 
 
 class DumpStep(Step):
@@ -114,8 +110,7 @@ class DumpStep(Step):
             return "read the objects of CiA 301 and CiA 402 into parameters.txt"
         return "read every object of the data sheet into parameters.txt, and compare with its defaults"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         found = dump(session.network, session.request.node, session.dictionary, session.check_stop)
         session.found.dump = found
         lines = [f"{index:04X}h:{sub:02X} {value.hex()}" for (index, sub), value in sorted(found.items())]
@@ -131,7 +126,6 @@ class DumpStep(Step):
             if gone:
                 outcome.say(f"{len(gone)} objects of the data sheet cannot be read: {', '.join(gone[:5])}")
             outcome.figures |= {"differing": len(others), "missing": len(gone)}
-        return outcome
 
 
 class UnitsTold(Step):
@@ -147,8 +141,7 @@ class UnitsTold(Step):
             "read ratings, resolutions, gear, feed, unit words and polarity, and compare with the nameplate"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         found, plate, objects = session.found, session.request.nameplate, session.objects
         values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
         override = ScaleOverride()
@@ -185,10 +178,8 @@ class UnitsTold(Step):
         found.modes = _modes(session)
         named = ", ".join(mode.name.lower().replace("_", " ") for mode in found.modes) or "none of use here"
         outcome.say(f"modes: {named}")
-        rated = found.override.rated_torque_nm or told.rated_torque_nm
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
-        found.limits = motion_limits(plate, rated, rpm)
-        limits = found.limits
+        found.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
         outcome.say(
             f"host limits: {limits.torque_nm:.4g} N m, {limits.speed_rad_s / RAD_S_PER_RPM:.0f} r/min, "
             f"{limits.power_w:.4g} W, {limits.energy_j:.4g} J a step"
@@ -197,10 +188,9 @@ class UnitsTold(Step):
         if mode is not None:
             found.period, load = session.choose_period(mode)
             outcome.say(f"period {found.period / 1e3:.0f} us, at most {load:.0f} % bus load")
-        return outcome
 
 
-def _compare_ratings(session: Session, outcome: Outcome, torque_nm: float) -> None:
+def _compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
     """6076h and 6075h against the nameplate; the nameplate is believed for the torque."""
     rating = session.request.nameplate.rating
     if rating.torque_nm is None:

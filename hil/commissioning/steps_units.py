@@ -11,24 +11,32 @@ from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Pulse
-from hil.commissioning.exercise import Exerciser, Recording
+from hil.commissioning.exercise import Exerciser, Recording, motions
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
-from hil.commissioning.outcome import Outcome, StepFailed
+from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s
-from hil.commissioning.step import Step
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.loop.scenario import Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40
 _NEAR_TURNS: Final = 0.003
+"""A degree: by it a shaft has broken away, and is not only twisted or has its play taken up."""
 _NEAR_UNITS: Final = 4
+"""The same for a coarse encoder, whose reading may jump to and fro by a unit or two at rest."""
 _PULSE_TURNS: Final = 0.05
+"""Enough to see a direction; the shaft may be coupled to something."""
 _LONG_PULSE_TURNS: Final = 0.25
+"""Enough to compare velocity and path to a percent."""
 _NUDGES: Final = 4
+"""Each three times as fast as the one before, 27 times at last: velocity units are wrong by as much."""
 _PULSE_S: Final = 6.0
+"""The torque rises by the rated one in a second, and the rest is for the shaft to come to a stop."""
 _RATIO_TOLERANCE: Final = 0.03
+"""Slips of units are factors of 1.25 and more; what is below is the measurement's."""
 _ROUGH_WINDOW_S: Final = 0.03
+"""A pulse is short; the fit needs several windows in it."""
 _ROUGH_PERIODS: Final = 15
 
 
@@ -51,27 +59,25 @@ class Polarity(Step):
             f"{_PULSE_TURNS:g} turns, the same backwards; then put 607Eh right"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         position, against = _signs(session, outcome)
         velocity = position * against
         outcome.figures = {"position_sign": position, "velocity_sign": velocity}
         if position > 0 and velocity > 0:
             outcome.say("positive set-points turn the shaft towards positive positions, at positive velocity")
-            return outcome
+            return
         wrong = (POSITION_BIT if position < 0 else 0) | (VELOCITY_BIT if velocity < 0 else 0)
         outcome.faults.append(
             f"polarity: a positive set-point turns the position {'up' if position > 0 else 'down'} "
             f"and shows {'positive' if velocity > 0 else 'negative'} velocity"
         )
         if self._by_object(session, wrong, outcome):
-            return outcome
+            return
         session.overridden(torque_sign=float(position), velocity_sign=float(against))
         session.configure()
         outcome.say("607Eh does not help; the bench turns the signs itself")
-        return outcome
 
-    def _by_object(self, session: Session, wrong: int, outcome: Outcome) -> bool:
+    def _by_object(self, session: Session, wrong: int, outcome: StepOutcome) -> bool:
         """Turn bits of 607Eh over, and look whether that helped; else put the object back."""
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
@@ -80,7 +86,7 @@ class Polarity(Step):
         if write_optional(session.objects, Object.POLARITY, "B", wanted, "polarity"):
             return False
         session.configure()
-        if _signs(session, Outcome()) == (1, 1):
+        if _signs(session, StepOutcome()) == (1, 1):
             outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {wanted:02X}h now"
             outcome.figures["polarity"] = wanted
             return True
@@ -88,7 +94,7 @@ class Polarity(Step):
         return False
 
 
-def _signs(session: Session, outcome: Outcome) -> tuple[int, int]:
+def _signs(session: Session, outcome: StepOutcome) -> tuple[int, int]:
     """Sign of the position against the set-point, and of the velocity against the position."""
     recordings = pulses(session, _PULSE_TURNS)
     signs = []
@@ -106,20 +112,17 @@ def _signs(session: Session, outcome: Outcome) -> tuple[int, int]:
 
 def pulses(session: Session, far_turns: float) -> list[Recording]:
     """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
-    limits, found = session.limits, session.found
+    limits = session.limits
     far = far_turns * math.tau
     if limits.travel_rad is not None:
         far = min(far, 0.4 * limits.travel_rad)
     recordings = []
-    with session.enabled():
-        exerciser = session.exerciser()
+    with session.exercising() as exerciser:
         for direction in (1.0, -1.0):
             if exerciser.port.quantity is not Quantity.TORQUE:
                 recordings.append(_nudges(exerciser, direction, far))
                 continue
-            assert found.told is not None
-            unit = found.override.position_rad or found.told.position_rad
-            near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * unit)
+            near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
             rise = limits.torque_slew_nm_s * 0.02  # the rated torque in a second
             pulse = Pulse(direction * limits.torque_nm, rise, near, max(far, 2.0 * near), exerciser.period_s)
             recording = exerciser.run(pulse, _PULSE_S, done=pulse.done, guard_speed=False)
@@ -170,13 +173,11 @@ class MotionUnits(Step):
     def plan(self, _session: Session, /) -> str:
         return f"turn {_LONG_PULSE_TURNS:g} turns each way and compare the velocity with the path"
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         found = session.found
         recordings = pulses(session, _LONG_PULSE_TURNS)
-        told = found.told
-        assert told is not None
-        used = (found.override.velocity_rad_s or told.velocity_rad_s) / told.velocity_rad_s
+        told = session.told
+        used = session.velocity_rad_s / told.velocity_rad_s
         found.velocity_ratio = ratio = abs(_velocity_ratio(recordings)) / used
         outcome.figures = {"velocity_over_path": ratio}
         outcome.say(f"velocity 606Ch is {ratio:.4g} of the derivative of the position 6064h")
@@ -190,18 +191,15 @@ class MotionUnits(Step):
             session.configure()
         if session.torque_mode() is not None:
             self._rough(session, recordings, outcome)
-        return outcome
 
-    def _rough(self, session: Session, recordings: list[Recording], outcome: Outcome) -> None:
-        data = [(recording.time, recording.position, recording.torque) for recording in recordings]
+    def _rough(self, session: Session, recordings: list[Recording], outcome: StepOutcome) -> None:
         try:
             window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
-            session.found.rough = identify_mechanics(
-                data, window_s, with_viscous=False, with_offset=False, held_s=held_s(session)
+            session.found.rough = rough = identify_mechanics(
+                motions(recordings), window_s, with_viscous=False, with_offset=False, held_s=held_s(session)
             )
         except NotIdentifiable as error:
             raise StepFailed("the pulses tell nothing of the inertia", str(error)) from error
-        rough = session.found.rough
         if rough.inertia_kg_m2 <= 0.0:
             raise StepFailed("the pulses give no positive inertia", f"{rough.inertia_kg_m2:.3g} kg m^2")
         outcome.say(
@@ -234,11 +232,8 @@ class Turn(Step):
             "or have the shaft turned by hand; compare with the position unit"
         )
 
-    def run(self, session: Session) -> Outcome:
-        outcome = Outcome()
-        found = session.found
-        told = found.told
-        assert told is not None
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        told = session.told
         units, how = index_turn(session)
         if units is None and session.dialog.attended:
             units, how = hand_turn(session)
@@ -255,13 +250,11 @@ class Turn(Step):
         outcome.say(f"one turn is {units:.6g} position units ({how}); the drive's objects say {believed:.6g}")
         self._judge(session, ratio, outcome)
         session.configure()
-        return outcome
 
-    def _judge(self, session: Session, ratio: float, outcome: Outcome) -> None:
+    def _judge(self, session: Session, ratio: float, outcome: StepOutcome) -> None:
         """Position by the turn, and velocity by the position."""
         found = session.found
-        told = found.told
-        assert told is not None
+        told = session.told
         assert found.velocity_ratio is not None
         position = told.position_rad
         if abs(ratio - 1.0) > _RATIO_TOLERANCE:
@@ -287,17 +280,11 @@ class Turn(Step):
             velocity = told.velocity_rad_s
         session.overridden(position_rad=position, velocity_rad_s=velocity)
         outcome.figures |= {"position_rad": position, "velocity_rad_s": velocity}
-        if found.rough is not None:
-            _rescale(session, position / told.position_rad)
+        if found.rough is not None:  # by the old position unit
+            inertia = found.rough.inertia_kg_m2 / (position / told.position_rad)
+            found.rough = replace(found.rough, inertia_kg_m2=inertia)
 
 
 def _because(factor: float, told: Scaling) -> str:
     slip = likely_slip(factor, gear_ratio=told.gear_ratio)
     return f" (a factor of {factor:.6g}: {slip or 'no usual one'})"
-
-
-def _rescale(session: Session, ratio: float) -> None:
-    """What the pulses told of the inertia was by the old position unit."""
-    rough = session.found.rough
-    assert rough is not None
-    session.found.rough = replace(rough, inertia_kg_m2=rough.inertia_kg_m2 / ratio)

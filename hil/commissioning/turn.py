@@ -50,15 +50,11 @@ def can_home(session: Session) -> bool:
 
 def index_turn(session: Session) -> tuple[float | None, str]:
     """Position units of one turn, and how they were found; None with the reason if they were not."""
-    drive, objects, found = session.drive, session.objects, session.found
-    told = found.told
-    assert told is not None
+    drive, objects = session.drive, session.objects
     if not can_home(session):
         return None, "the drive has no homing"
-    unit_rad = found.override.position_rad or told.position_rad
-    velocity_rad_s = found.override.velocity_rad_s or told.velocity_rad_s
     for turns_s in _SPEEDS_TURNS_S:
-        raw = max(1, round(turns_s * math.tau / velocity_rad_s))
+        raw = max(1, round(turns_s * math.tau / session.velocity_rad_s))
         refused = write_optional(objects, Object.HOMING_METHOD, "b", INDEX_POSITIVE, "homing on the index")
         for sub in (1, 2):
             refused += write_optional(objects, Object.HOMING_SPEEDS, "I", raw, "homing speed", sub)
@@ -70,7 +66,7 @@ def index_turn(session: Session) -> tuple[float | None, str]:
                 drive.enable(session.deadline(3.0))
                 turn_rad = _by_searches(session)
                 if turn_rad is not None:
-                    return turn_rad / unit_rad, f"index pulses at {turns_s:g} turns/s"
+                    return turn_rad / session.position_rad, f"index pulses at {turns_s:g} turns/s"
             except Interrupted:
                 raise
             except PeerFault as error:

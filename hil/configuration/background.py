@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 from virtual_bus.device.background import Stream
 
 
@@ -68,9 +67,5 @@ class BackgroundFile(Section):
 
 def load_background(path: Path, named_by: NamedBy | None = None) -> tuple[Stream, ...]:
     """The streams of the file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "file of background traffic", named_by)
-    try:
-        made = BackgroundFile.model_validate(tables)
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, BackgroundFile))
-    return tuple(entry.stream for entry in made.background)
+    file = load_file(BackgroundFile, path, "file of background traffic", named_by)
+    return tuple(entry.stream for entry in file.background)

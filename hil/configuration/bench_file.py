@@ -13,6 +13,7 @@ from drivers.errors import BadInput, BenchError
 from hil.configuration.config import BenchConfig, Faults
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
+from hil.configuration.config_files import validated
 from hil.configuration.controller_kinds import ControllerFile, ControllerSection, StateFeedbackController
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
@@ -70,10 +71,7 @@ def load_controller(path: Path, named_by: NamedBy | None = None) -> ControllerSe
     tables = dict(read_toml(path, "controller file", named_by))
     if isinstance(tables.get("controller"), Mapping):
         tables["controller"] = own_code_at(tables["controller"], path.parent)
-    try:
-        return ControllerFile.model_validate(tables).controller
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, ControllerFile))
+    return validated(ControllerFile, tables, str(path)).controller
 
 
 def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -108,10 +106,7 @@ def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
             controller = load_controller(Path(name), NamedBy("--controller", "", text))
         else:
             tables = {"controller": {"kind": "python", "object": name}}
-            try:
-                controller = ControllerFile.model_validate(tables).controller
-            except ValidationError as error:
-                raise_all(translate(error, "--controller", tables, ControllerFile))
+            controller = validated(ControllerFile, tables, "--controller").controller
         drives[axis] = drives[axis].model_copy(update={"controller": controller})
     return config.model_copy(update={"drive": drives})
 

@@ -69,11 +69,6 @@ class Host(Section):
     connect_timeout_s: float = Field(default=3.0, gt=0, le=600)
     """How long a drive may take to answer for the first time."""
 
-    @property
-    def heartbeat(self) -> Duration:
-        """Period of the host's heartbeat, ns."""
-        return Duration(self.heartbeat_ms * NS_PER_MS)
-
 
 class LoopConfig(Section):
     """``[loop]``: the cycle, and what still counts as a reading."""

@@ -1,6 +1,13 @@
-"""What every table of a configuration file has in common."""
+"""What every configuration file has in common: how its tables are read, and what they may hold."""
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from drivers.bounded_file import NamedBy, read_toml
+from hil.configuration.config_errors import raise_all, translate
 
 
 class Section(BaseModel):
@@ -9,3 +16,19 @@ class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
+
+
+F = TypeVar("F", bound=Section)
+
+
+def load_file(model: type[F], path: Path, kind: str, named_by: NamedBy | None) -> F:
+    """The file at ``path``; ``kind``: which it is, ``named_by``: by whom. Raises BadInput or BadInputs."""
+    return validated(model, read_toml(path, kind, named_by), str(path))
+
+
+def validated(model: type[F], tables: Mapping[str, Any], source: str) -> F:
+    """The ``tables`` of the file ``source``. Raises BadInput or BadInputs."""
+    try:
+        return model.model_validate(tables)
+    except ValidationError as error:
+        raise_all(translate(error, source, tables, model))

@@ -1,15 +1,14 @@
 """Files of a current controller: what ``hil design current --out`` writes and a simulated drive runs."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from design.statespace import StateSpace, from_zpk
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.errors import BadInput
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import Coefficient
 
 ORDER_MAX = 64
@@ -104,11 +103,8 @@ def load_current_controller(path: Path, named_by: NamedBy, axis: str) -> Current
 
 def read_current_controller(path: Path, named_by: NamedBy) -> CurrentController:
     """The controller file at ``path``, whichever axis it is for. Raises BadInput or BadInputs."""
-    tables: dict[str, Any] = read_toml(path, "current controller file", named_by)
-    try:
-        controller = CurrentControllerFile.model_validate(tables).current_controller
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, CurrentControllerFile))
+    file = load_file(CurrentControllerFile, path, "current controller file", named_by)
+    controller = file.current_controller
     try:
         controller.at_rate(controller.sample_rate_hz if controller.kind == "sampled" else 1_000_000)
     except ValueError as error:

@@ -6,12 +6,11 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.cia402.scaling import ScaleOverride
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 
 Sign = Literal[-1, 1]
 
@@ -77,20 +76,13 @@ class DriveFile(Section):
     @property
     def override(self) -> ScaleOverride:
         """``scale`` and ``signs`` as the drive client takes them."""
-        scale, signs = self.scale, self.signs
         return ScaleOverride(
-            position_rad=scale.position_rad,
-            velocity_rad_s=scale.velocity_rad_s,
-            rated_torque_nm=scale.rated_torque_nm,
-            velocity_sign=float(signs.velocity),
-            torque_sign=float(signs.torque),
+            **self.scale.model_dump(),
+            velocity_sign=float(self.signs.velocity),
+            torque_sign=float(self.signs.torque),
         )
 
 
 def load_drive_file(path: Path, named_by: NamedBy | None = None) -> DriveFile:
     """The drive file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "drive file", named_by)
-    try:
-        return DriveFile.model_validate(tables)
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, DriveFile))
+    return load_file(DriveFile, path, "drive file", named_by)

@@ -1,15 +1,14 @@
 """Motor files: the parameters of a PMSM in TOML, turned into :class:`design.motor.PmsmParameters`."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from design.motor import PmsmParameters, Transform
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.rotation import RAD_S_PER_RPM
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import (
     CoulombFriction,
     Current,
@@ -102,16 +101,7 @@ LING2012 = MotorFile(
 
 def load_motor(path: Path, named_by: NamedBy | None = None) -> MotorFile:
     """The motor file at ``path``; ``named_by``: who names it. Raises BadInput or BadInputs."""
-    raw = read_toml(path, "motor file", named_by)
-    return motor_from(raw, str(path))
-
-
-def motor_from(raw: dict[str, Any], source: str) -> MotorFile:
-    """A motor from the tables of a file. Raises BadInput or BadInputs."""
-    try:
-        return MotorFile.model_validate(raw)
-    except ValidationError as error:
-        raise_all(translate(error, source, raw, MotorFile))
+    return load_file(MotorFile, path, "motor file", named_by)
 
 
 def speed_max_rpm(motor: PmsmParameters) -> float:

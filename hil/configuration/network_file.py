@@ -8,12 +8,11 @@ before anything moves.
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, validated
 from hil.configuration.toml_text import toml_text
 
 NETWORK_FILE = "network.toml"
@@ -161,10 +160,7 @@ def load_network(path: Path, option: str = "--network") -> Network:
             "a network file, as a run leaves it in its recording: network.toml",
             f"hil run {path} --record DIR makes one",
         )
-    try:
-        found = NetworkFile.model_validate(tables).network
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, NetworkFile))
+    found = validated(NetworkFile, tables, str(path)).network
     if found.histogram and len(found.histogram.edges_us) != len(found.histogram.counts) + 1:
         raise BadInput(
             str(path),

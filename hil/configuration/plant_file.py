@@ -3,14 +3,13 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from design.hinf.plant import GeneralisedPlant
 from design.statespace import state_space
 from drivers.bounded_file import NamedBy, parse_json, read_text, read_toml
 from drivers.errors import BadInput
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, validated
 from hil.configuration.quantities import Coefficient
 
 ORDER_MAX = 100
@@ -34,10 +33,7 @@ class PlantFile(Section):
 def load_plant(path: Path) -> GeneralisedPlant:
     """The plant in the file at ``path``. Raises BadInput or BadInputs."""
     tables = _tables(path, NamedBy("PLANT.toml", "", str(path)))
-    try:
-        found = PlantFile.model_validate(tables)
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, PlantFile))
+    found = validated(PlantFile, tables, str(path))
     for name in "ABCD":
         if len({len(row) for row in getattr(found, name)}) > 1:
             raise BadInput(str(path), name, "rows of different lengths", "rows of one length")

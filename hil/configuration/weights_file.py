@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from design.hinf.weights import Weight, Weights, crossing_weight, error_weight, slope_weight
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.errors import BadInput
-from hil.configuration.config_errors import raise_all, translate
-from hil.configuration.config_files import Section
+from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import Coefficient
 
 
@@ -99,11 +98,7 @@ class WeightsFile(Section):
 
 def load_weights(path: Path) -> Weights:
     """The weights in the file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "weights file", NamedBy("--weights", "", str(path)))
-    try:
-        found = WeightsFile.model_validate(tables)
-    except ValidationError as error:
-        raise_all(translate(error, str(path), tables, WeightsFile))
+    found = load_file(WeightsFile, path, "weights file", NamedBy("--weights", "", str(path)))
     made = []
     for name in ("error", "control", "output"):
         try:

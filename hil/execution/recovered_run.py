@@ -16,6 +16,7 @@ from hil.recording.run_folder import BENCH_FILE, SUMMARY_FILE
 from hil.recording.run_metadata import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 
@@ -27,8 +28,8 @@ def refuse_whole(folder: Path) -> None:
     if not (folder / BENCH_FILE).is_file():
         raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {BENCH_FILE}")
     try:
-        Summary.from_json(json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError):
+        from_plain(Summary, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
+    except (OSError, ValueError):
         return
     raise BadInput("RUN", "", str(folder), "a recording without a summary", "this one is whole")
 

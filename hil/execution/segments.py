@@ -15,11 +15,25 @@ from drivers.exchange import Master
 from drivers.timebase import Clock, Duration, Instant
 from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
-from hil.execution.assembly import sync_latency
+from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME, sync_latency
 from hil.execution.sync_source import SyncSource
 from hil.execution.world import FurtherSegment, World
+from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.pace import HeardSync, OwnSync, Pace, Stall
 from hil.loop.syncs import SyncLog
+from virtual_bus.bus.bit_length import bits_duration, frame_bits
+
+
+def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration) -> LoopTiming:
+    """Of a loop that no bench file tells of: as a bench has it that says nothing of its own."""
+    return LoopTiming(
+        period=period,
+        decide_after=Duration(7 * period // 10),
+        settle=settle,
+        actuation=Actuation.ON_ARRIVAL,
+        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate_bit_s),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate_bit_s),
+    )
 
 
 class SegmentMasters(Master):

@@ -1,28 +1,33 @@
 """A whole measurement: from the first frame to the figures, and the drives back as they were found."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from drivers.cia402.objects402 import Object
 from drivers.cia402.servo import ServoDrive
-from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
+from drivers.errors import BadInput, PeerFault
+from drivers.timebase import NS_PER_S, Duration, Instant, duration_s, utc_stamp
+from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.config import Guard
+from hil.configuration.motor_file import LING2012
+from hil.execution.bench import RUNS_FOLDER
 from hil.execution.bus_guard import BusGuard
 from hil.execution.connecting import connect
 from hil.execution.segments import sync_log
+from hil.execution.simulated_drives import drive_parameters
 from hil.execution.stopping_drives import stop_all
 from hil.execution.timing_report import distrust, timing_report
-from hil.execution.world import World
+from hil.execution.world import World, WorldPlan, open_world
 from hil.loop.axis import Axis
 from hil.loop.loop import Loop, LoopOutcome
 from hil.loop.pace import OwnSync
 from hil.loop.syncs import SyncLog
 from hil.machine.progress import Progress
-from hil.machine.stopping import StopRequest
+from hil.machine.realtime import timing_conditions
+from hil.machine.stopping import StopRequest, stop_signals
 from hil.measuring import stages
 from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
 from hil.measuring.loss_model import Outcomes, losses_of
@@ -34,11 +39,37 @@ from hil.restoring.journal import Journal
 from hil.restoring.journaled import JournaledNetwork
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
+from virtual_bus.drive.servo import SimulatedServo
 
 CONNECT_LIMIT_S: Final = 5.0
 ENABLE_LIMIT_S: Final = 2.0
 
 Say = Callable[[str], None]
+
+
+def run_measurement(request: MeasureRequest, say: Say, progress: Progress) -> Measured:
+    """Measure on the bus of the request; the drives of a simulated one are made here.
+
+    Raises BadInput for a request that does not fit the bus, otherwise as
+    :func:`measure`.
+    """
+    spec = parse_bus_spec(request.bus, "--bus")
+    if request.motor is not None and not spec.simulated:
+        raise BadInput("--motor", "", request.bus, "the bus 'simulated': other drives have their own motors")
+    devices: Sequence[SimulatedServo] = ()
+    if spec.simulated:
+        motor, drive = request.motor or LING2012.parameters, drive_parameters(())
+        devices = [SimulatedServo(node, motor, drive, request.seed) for node in request.nodes]
+    plan = WorldPlan(spec, request.bitrate_bit_s, False, request.faults, request.seed)
+    folder = RUNS_FOLDER / f"measure-{utc_stamp()}"
+    with (
+        stop_signals() as stop,
+        open_world(plan, devices) as world,
+        timing_conditions(world.real_time) as refused,
+    ):
+        for wish in refused:
+            say(f"not granted by the kernel: {wish}")
+        return measure(request, world, stop, folder, say, progress)
 
 
 def measure(

@@ -106,11 +106,12 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) ->
     found: dict[int, TimedDemandChange] = {}
     for change in changes:
         candidates = by_value.get(change.demand_raw, [])
-        place = bisect_right(candidates, change.at + BEFORE_NS + change.error_ns, key=_on_its_way)
+        place = bisect_right(candidates, change.at + BEFORE_NS + change.error_ns, key=on_its_way)
         if place:
             found.setdefault(candidates[place - 1].sequence, change)
     return found
 
 
-def _on_its_way(command: SentCommand) -> int:
+def on_its_way(command: SentCommand) -> int:
+    """When it was on the bus, or at least handed over."""
     return command.handed_at if command.on_bus_at is None else command.on_bus_at

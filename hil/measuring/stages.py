@@ -17,7 +17,7 @@ from drivers.exchange import SentCommand
 from drivers.wire.frame_port import EchoBasis
 from hil.loop.samples import CommandFate, DropoutCause
 from hil.measuring.loss_model import CAME, LOST, UNKNOWN, Outcomes
-from hil.measuring.probe import TimedDemandChange
+from hil.measuring.probe import TimedDemandChange, on_its_way
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import action_delays_ns
 from hil.rows.records import CAUSES, COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
@@ -131,11 +131,6 @@ def command_stages(
     basis = "the most that it may be" if whole.size else why_not
     stages.append(stage("sample_to_acting", "sample to acting", whole, basis))
     return stages
-
-
-def on_its_way(command: SentCommand) -> int:
-    """When it was on the bus, or at least handed over."""
-    return command.handed_at if command.on_bus_at is None else command.on_bus_at
 
 
 def refined(rows: Rows, changes: Mapping[int, TimedDemandChange], sent: Sequence[SentCommand]) -> Rows:

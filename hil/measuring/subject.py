@@ -20,12 +20,13 @@ from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BadInput, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, Duration
-from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME, command_duration, shortest_transit
+from hil.execution.assembly import command_duration, shortest_transit
+from hil.execution.segments import timing_without_bench
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.clock_map import ClockMap
 from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter
-from hil.loop.loop import Actuation, LoopTiming
+from hil.loop.loop import LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
@@ -36,7 +37,6 @@ from hil.measuring.excitation import Excitation, steps_of
 from hil.measuring.probe import ProbedDrive
 from hil.measuring.request import MeasureRequest
 from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
-from virtual_bus.bus.bit_length import bits_duration, frame_bits
 
 HORIZON: Final = 50
 """Cycles after which a reading or a command is lost: more than the 20 of a bench, so that a slow gateway is
@@ -56,16 +56,9 @@ _MODE: Final = Mode.CYCLIC_SYNCHRONOUS_TORQUE
 
 
 def timing_of(request: MeasureRequest) -> LoopTiming:
-    """As a bench has it that says nothing of its own."""
-    period, bitrate = request.period, request.bitrate_bit_s
-    return LoopTiming(
-        period=period,
-        decide_after=Duration(7 * period // 10),
-        settle=Duration(max(10 * period, SETTLE)),
-        actuation=Actuation.ON_ARRIVAL,
-        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate),
-        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
-    )
+    """Of the loop of a measurement."""
+    settle = Duration(max(10 * request.period, SETTLE))
+    return timing_without_bench(request.period, request.bitrate_bit_s, settle)
 
 
 def affordable(request: MeasureRequest) -> tuple[bool, int]:

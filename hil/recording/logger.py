@@ -34,6 +34,7 @@ from hil.rows.records_file import RECORDS_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.set_points import SetPointTeller
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 
@@ -94,7 +95,7 @@ class Logger:
             if line == CONFIRM:
                 self._confirm()
             elif line is not None:
-                outcome = RunOutcome.from_json(json.loads(line))
+                outcome = from_plain(RunOutcome, json.loads(line))
             wait_s = 0.0 if self._drain() > _BUSY_ROWS else _DRAIN_PERIOD_S
             if self._clock.now() - self._flushed_at >= _FLUSH_PERIOD_NS:
                 self._flush()
@@ -216,7 +217,7 @@ def main() -> int:
     if line is None:
         return 1
     try:
-        logger = Logger(RecordingPlan.from_json(json.loads(line)), *descriptors, tell=_tell)
+        logger = Logger(from_plain(RecordingPlan, json.loads(line)), *descriptors, tell=_tell)
     except OSError as error:
         _tell(f"{FAILED}{error}")
         return 1

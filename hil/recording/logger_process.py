@@ -13,6 +13,7 @@ from drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from hil.recording.line_reader import LineReader
 from hil.recording.run_folder import LOGGER_LOG
 from hil.rows.recording_plan import RecordingPlan
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.child_python import python_command, python_environment
@@ -96,7 +97,7 @@ class LoggerProcess:
             answer = self._listen(1.0)
             if answer is not None and answer not in (READY, STORED):
                 self._end()
-                return Summary.from_json(json.loads(answer))
+                return from_plain(Summary, json.loads(answer))
         if not self._told.ended:
             self._trouble = self._trouble or f"the logger did not finish within {_FINISH_MAX_S:.0f} s"
         self._end()

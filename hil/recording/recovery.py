@@ -55,6 +55,7 @@ from hil.rows.side_rows import (
     RunEvent,
     events_of,
 )
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import RunOutcome
 from virtual_bus.faults.fault_log import FAULTS_FILE
@@ -257,7 +258,7 @@ def main() -> int:
     """Entry point of the process."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     wanted = json.loads(sys.stdin.readline())
-    plan, outcome = RecordingPlan.from_json(wanted["plan"]), RunOutcome.from_json(wanted["outcome"])
+    plan, outcome = from_plain(RecordingPlan, wanted["plan"]), from_plain(RunOutcome, wanted["outcome"])
     rings = Rings(*(int(argument) for argument in sys.argv[1:5]))
     summary = recover(plan, outcome, [wanted["trouble"]], rings)
     print(json.dumps(summary.as_json()))

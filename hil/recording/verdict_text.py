@@ -1,9 +1,8 @@
 """The verdict of a run as a page of Markdown."""
 
 from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.certificate_text import certificate_lines
 from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.timing_text import timing_lines
+from hil.verdict.summary_text import certificate_lines, timing_lines
 from hil.verdict.verdict import Check, LimitResult, verdict_title
 
 

@@ -45,16 +45,6 @@ class AxisPlan:
     certified: CertifiedPlan | None = None
     """None: its controller has no certificate."""
 
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "AxisPlan":
-        """Inverse of asdict, by way of JSON."""
-        certified = found["certified"]
-        if certified is not None:
-            bandwidths_hz = certified["bandwidths_hz"]
-            held = bandwidths_hz if bandwidths_hz is None else tuple(bandwidths_hz)
-            certified = CertifiedPlan(**{**certified, "bandwidths_hz": held})
-        return cls(**{**found, "certified": certified})
-
 
 @dataclass(frozen=True, slots=True)
 class ReviewPlan:
@@ -127,21 +117,3 @@ class RecordingPlan:
         found = asdict(self)
         found["folder"] = None if self.folder is None else str(self.folder)
         return found
-
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "RecordingPlan":
-        """Inverse of :meth:`as_json`."""
-        review = found["review"]
-        return cls(
-            **{
-                **found,
-                "folder": None if found["folder"] is None else Path(found["folder"]),
-                "segments": tuple(found["segments"]),
-                "set_points": tuple(PlannedSetPoint(*each) for each in found["set_points"]),
-                "review": ReviewPlan(
-                    tuple(AxisPlan.from_json(axis) for axis in review["axes"]),
-                    VerdictLimits(**review["limits"]),
-                    review["settling"],
-                ),
-            }
-        )

@@ -7,14 +7,13 @@ hashes them, the summary is computed from them, and ``records.arrow`` holds them
 import math
 import struct
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from numpy.typing import NDArray
 
-from drivers.exchange import Command, Reading
-from drivers.timebase import Duration, Instant
+from drivers.exchange import Command
 from hil.loop.context import CHANNELS_MAX
 from hil.loop.samples import (
     CommandFate,
@@ -22,7 +21,6 @@ from hil.loop.samples import (
     Dropout,
     DropoutCause,
     Observation,
-    Sample,
     Sending,
     StateEstimate,
 )
@@ -221,97 +219,3 @@ def _place_of(fate: CommandFate) -> int:
     if fate is CommandFate.NOT_IDENTIFIABLE:
         return 3
     return 2 if fate is CommandFate.LOST else 0
-
-
-def record_of(row: np.void) -> CycleRecord:
-    """The record that was packed into ``row``; inverse of :func:`row_of`."""
-    field = {name: row[name].item() for name, _ in LAYOUT}
-    return CycleRecord(
-        sequence=field["sequence"],
-        axis=field["axis"],
-        due_at=Instant(field["due_at"]),
-        woke_at=_instant(field["woke_at"]),
-        sync_handed_at=_instant(field["sync_handed_at"]),
-        sync_on_bus_at=_instant(field["sync_on_bus_at"]),
-        observation=_observation_of(field),
-        delay=_duration(field["delay_ns"]),
-        estimate=_estimate_of(field),
-        reference_rad_s=field["reference_rad_s"],
-        load_torque_nm=field["load_torque_nm"],
-        command=_command_of(field),
-        sending=_sending_of(field),
-        clock_offset_ns=_duration(field["clock_offset_ns"]),
-        clock_error_ns=_duration(field["clock_error_ns"]),
-        compute_ns=_duration(field["compute_ns"]),
-        channels=_channels_of(field),
-    )
-
-
-def _instant(value: int) -> Instant | None:
-    return None if value == NOTHING else Instant(value)
-
-
-def _duration(value: int) -> Duration | None:
-    return None if value == NOTHING else Duration(value)
-
-
-def _observation_of(field: dict[str, Any]) -> Sample | Dropout:
-    sequence, certain = field["sequence"], bool(field["certain"])
-    if field["fate"] != FATE_SAMPLE:
-        return Dropout(sequence, Instant(field["due_at"]), CAUSES[field["fate"] - 1], certain)
-    reading = Reading(
-        velocity_rad_s=field["velocity_rad_s"],
-        device_time_ns=_duration(field["device_time_ns"]),
-        received_at=Instant(field["received_at"]),
-        position_rad=field["position_rad"],
-        position_told_at=Instant(field["position_told_at"]),
-        torque_nm=field["torque_nm"],
-        torque_told_at=Instant(field["torque_told_at"]),
-        statusword=field["statusword"],
-        status_told_at=Instant(field["status_told_at"]),
-    )
-    at, error_ns = Instant(field["sampled_at"]), field["sampled_at_error_ns"]
-    return Sample(sequence, reading, at, error_ns, certain)
-
-
-def _estimate_of(field: dict[str, Any]) -> StateEstimate | None:
-    if field["estimate_sequence"] == NOTHING:
-        return None
-    return StateEstimate(
-        field["estimate_position_rad"],
-        field["estimate_velocity_rad_s"],
-        field["estimate_torque_nm"],
-        Instant(field["estimate_valid_at"]),
-        field["estimate_sequence"],
-    )
-
-
-def _channels_of(field: dict[str, Any]) -> tuple[float, ...]:
-    values = [field[f"channel_{number}"] for number in range(CHANNELS_MAX)]
-    while values and math.isnan(values[-1]):
-        values.pop()
-    return tuple(values)
-
-
-def _command_of(field: dict[str, Any]) -> Command | None:
-    if field["command_expires_at"] == NOTHING:
-        return None
-    return Command(
-        field["sequence"],
-        field["command_torque_nm"],
-        Instant(field["command_effective_at"]),
-        Instant(field["command_expires_at"]),
-    )
-
-
-def _sending_of(field: dict[str, Any]) -> Sending | None:
-    if field["command_fate"] == NOTHING:
-        return None
-    return Sending(
-        field["command_raw"],
-        Instant(field["command_handed_at"]),
-        _instant(field["command_on_bus_at"]),
-        COMMAND_FATES[field["command_fate"]],
-        _instant(field["command_acts_after"]),
-        _instant(field["command_acts_by"]),
-    )

@@ -1,6 +1,5 @@
 """``hil adapter``: an emulated SLCAN adapter on a pseudo-terminal."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +7,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import bitrate_option, bus_option, seed_option
+from hil.terminal.output import say
 
 
 def adapter(
@@ -50,7 +50,7 @@ def adapter(
         faults = LineFaults.parse(fault or [])
         with stop_signals() as stop, realtime_process() as refused:
             for request in refused:
-                print(f"not granted by the kernel: {request}", file=sys.stderr)
+                say(f"not granted by the kernel: {request}")
             serve_adapter(
                 spec,
                 bitrate_bit_s=bitrate,
@@ -64,5 +64,5 @@ def adapter(
 
 
 def _announce(port: str, text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    say(text)
     print(port, flush=True)

@@ -1,6 +1,5 @@
 """``hil analyse speed``: what delay, sampling and loss do to a speed loop."""
 
-import json
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,14 +14,12 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, seed_option
+from hil.terminal.options import JsonOption, MotorArgument, motor_file, seed_option
+from hil.terminal.output import print_figures, put
 from hil.terminal.speed_options import (
     LoadOption,
-    MotorArgument,
     SpeedOption,
     gain_of,
-    motor_of,
-    print_figures,
 )
 
 if TYPE_CHECKING:
@@ -108,7 +105,7 @@ def speed(
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
     with reported_errors():
-        gains, parameters = gain_of(gain), motor_of(motor)
+        gains, parameters = gain_of(gain), motor_file(motor).parameters
         network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
         delay_s = _delay_s(delay_ms, network)
@@ -144,10 +141,7 @@ def speed(
                     figures["monte_carlo"] = chance_figures(request, network, chance)
         except DesignError as error:
             raise BadInput(str(motor), "", str(error), "a loop that can be analysed") from error
-        if as_json:
-            typer.echo(json.dumps(figures, allow_nan=False))
-        else:
-            print_figures(figures)
+        put(figures, as_json, print_figures)
 
 
 def _network(

@@ -1,7 +1,5 @@
 """``hil commission`` and ``hil restore``."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +12,10 @@ from hil.terminal.options import (
     DriveFaultsOption,
     DriveNodeOption,
     JsonOption,
+    fault_plan,
     seed_option,
 )
+from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
 
 
@@ -78,8 +78,7 @@ def commission(
         from hil.commissioning.command import run_command
 
         result, figures = run_command(request, yes=yes, rehearse=rehearse, plate_given=motor is not None)
-        if as_json:
-            typer.echo(json.dumps(figures, allow_nan=False))
+        put(figures, as_json, lambda _figures: None)
         raise typer.Exit(result)
 
 
@@ -97,11 +96,7 @@ def restore(
         from hil.commissioning.command import run_restore
 
         outcome: dict[str, Any] = run_restore(bus, node, journal, bitrate)
-        if as_json:
-            typer.echo(json.dumps(outcome))
-        else:
-            for line in outcome["text"]:
-                print(line, file=sys.stderr)
+        put(outcome, as_json, lambda _figures: say("\n".join(outcome["text"])))
         raise typer.Exit(ExitStatus.PASSED if outcome["complete"] else ExitStatus.FAILED)
 
 
@@ -127,19 +122,16 @@ def rehearse(
 ) -> None:
     """A simulated drive that nobody has described, with faults in what it tells, until Ctrl-C."""
     with reported_errors():
-        from drivers.bounded_file import NamedBy
         from hil.commissioning.rehearsal import rehearse as serve_unknown
-        from hil.configuration.bench_file import load_faults
 
-        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
         serve_unknown(
             bus_spec=bus,
             node=node,
             seed=seed,
             nameplate=nameplate,
             truth_file=truth,
-            faults=plan,
+            faults=fault_plan(faults),
             clock_drift_ppm=drift_ppm,
             bitrate_bit_s=bitrate,
-            announce=lambda text: print(text, file=sys.stderr, flush=True),
+            announce=say,
         )

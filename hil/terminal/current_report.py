@@ -6,6 +6,7 @@ import numpy as np
 import typer
 
 from design.hinf.mixed_sensitivity import loop_functions
+from hil.terminal.output import print_figures
 from hil.terminal.plot import plot
 
 if TYPE_CHECKING:
@@ -17,36 +18,22 @@ _POINTS = 220
 
 def print_result(result: "CurrentResult") -> None:
     """Everything, the figures in the order of ``--json``."""
-    print_figures(result.figures)
+    print_current(result.figures)
     typer.echo("")
     typer.echo(bounds_picture(result.chosen))
     for line in advice(result.figures):
         typer.echo(line)
 
 
-def print_figures(figures: dict[str, Any], indent: str = "") -> None:
+def print_current(figures: dict[str, Any]) -> None:
     """A figure a line, tables indented."""
-    for key, value in figures.items():
-        if isinstance(value, dict):
-            typer.echo(f"{indent}{key}")
-            print_figures(value, indent + "  ")
-        elif isinstance(value, float):
-            typer.echo(f"{indent}{key:<28} {value:.6g}")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            typer.echo(f"{indent}{key}")
-            for row in value:
-                typer.echo(f"{indent}  " + "  ".join(f"{name} {item:.6g}" for name, item in row.items()))
-        elif isinstance(value, list):
-            texts = [_number(item) for item in value]
-            typer.echo(f"{indent}{key:<28} {'  '.join(texts)}")
-        else:
-            typer.echo(f"{indent}{key:<28} {value}")
+    print_figures(figures, text=_text, width=28, gap="  ")
 
 
-def _number(item: Any) -> str:
-    if isinstance(item, list):
-        return f"{item[0]:.6g}" if item[1] == 0.0 else f"{item[0]:.6g}{item[1]:+.6g}j"
-    return f"{item:.6g}"
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"{value[0]:.6g}" if value[1] == 0.0 else f"{value[0]:.6g}{value[1]:+.6g}j"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def bounds_picture(design: "AxisDesign") -> str:

@@ -1,6 +1,5 @@
 """``hil design current``: an H-infinity current controller for one axis of a motor."""
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import ControllerOutOption, JsonOption, gamma_option
+from hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, gamma_option, motor_file
+from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
     from hil.studies.current.design import CurrentResult
@@ -82,7 +82,7 @@ PictureOption = Annotated[
 
 
 def current(
-    motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
+    motor: MotorArgument,
     axis: Annotated[CurrentAxis, typer.Option("--axis", help="The current to control.")],
     weights: WeightsOption = None,
     gamma: Annotated[float | None, gamma_option(1e-9)] = None,
@@ -105,10 +105,8 @@ def current(
     """Design a current controller: synthesis, reduction, sampling, margins and robustness."""
     with reported_errors():
         from design.hinf.reduction import Method
-        from drivers.bounded_file import NamedBy
         from drivers.errors import BadInput
         from drivers.rotation import RAD_S_PER_RPM
-        from hil.configuration.motor_file import load_motor
         from hil.configuration.weights_file import load_weights
         from hil.studies.current.design import design_current
         from hil.studies.current.request import CurrentRequest
@@ -119,7 +117,7 @@ def current(
         if discrete and sample_rate_hz is None:
             raise BadInput("--discrete", "", discrete, "--sample-rate-hz with it")
         request = CurrentRequest(
-            motor=load_motor(motor, NamedBy("MOTOR.toml", "", str(motor))).parameters,
+            motor=motor_file(motor).parameters,
             axis=axis.value,
             weights=load_weights(weights) if weights else None,
             gamma=gamma,
@@ -156,19 +154,16 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
 def _finish(
     result: "CurrentResult", axis: str, out: Path | None, picture: Path | None, as_json: bool
 ) -> None:
-    if as_json:
-        typer.echo(json.dumps(result.figures, allow_nan=False))
-    else:
-        from hil.terminal.current_report import print_result
+    from hil.terminal.current_report import print_result
 
-        print_result(result)
+    put(result.figures, as_json, lambda _figures: print_result(result))
     if out is not None:
         from hil.studies.current.design import write_controller
 
         write_controller(out, result, axis)
-        typer.echo(f"written {out}", err=True)
+        say_written(out)
     if picture is not None:
         from hil.studies.current.pictures import draw_bounds
 
         draw_bounds(result.chosen, picture)
-        typer.echo(f"written {picture}", err=True)
+        say_written(picture)

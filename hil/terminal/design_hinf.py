@@ -1,6 +1,5 @@
 """``hil design hinf``: H-infinity synthesis for a plant of one's own."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, gamma_option
+from hil.terminal.output import put
 
 
 def hinf(
@@ -24,7 +24,7 @@ def hinf(
     with reported_errors():
         from design.hinf.synthesis import gamma_min, synthesise, verified_norm
         from hil.configuration.plant_file import load_plant
-        from hil.terminal.current_report import print_figures
+        from hil.terminal.current_report import print_current
         from hil.terminal.design_errors import refused
 
         loaded = load_plant(plant)
@@ -38,11 +38,12 @@ def hinf(
             "closed_loop_norm": verified_norm(loaded, K),
             "controller": {name: getattr(K, name).tolist() for name in "ABCD"},
         }
-        if as_json:
-            typer.echo(json.dumps(figures, allow_nan=False))
-        else:
+
+        def show(_figures: dict[str, Any]) -> None:
             matrices = figures.pop("controller")
-            print_figures(figures)
+            print_current(figures)
             for name, rows in matrices.items():
                 for k, row in enumerate(rows):
                     typer.echo(f"{name if k == 0 else '':<3} {'  '.join(f'{value:.6g}' for value in row)}")
+
+        put(figures, as_json, show)

@@ -1,6 +1,5 @@
 """``hil design pid``: a PID speed loop for a drive behind the bus, by a stated rule."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,14 +16,15 @@ from hil.terminal.current_loop_options import (
     loop_of_bench,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import ControllerOutOption, JsonOption
+from hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, motor_file
+from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
     from hil.configuration.current_controller_file import CurrentController
 
 
 def pid(
-    motor: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")],
+    motor: MotorArgument,
     current_control: Annotated[
         Path | None,
         typer.Option(
@@ -52,16 +52,14 @@ def pid(
 ) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     with reported_errors():
-        from drivers.bounded_file import NamedBy
-        from hil.configuration.motor_file import load_motor
         from hil.studies.current.design import write_text
         from hil.studies.speed.pid import PidRequest, controller_text, design_pid, pid_figures
-        from hil.terminal.current_report import print_figures
+        from hil.terminal.current_report import print_current
         from hil.terminal.design_errors import refused
 
         controller, loop_hz = _current_loop(current_control, bench, axis, commissioned, current_bandwidth_hz)
         request = PidRequest(
-            motor=load_motor(motor, NamedBy("MOTOR.toml", "", str(motor))).parameters,
+            motor=motor_file(motor).parameters,
             current_control=controller,
             current_bandwidth_hz=loop_hz,
             period_s=1e-3 * period_ms,
@@ -71,13 +69,10 @@ def pid(
         )
         with refused(str(motor)):
             found = design_pid(request)
-        if as_json:
-            typer.echo(json.dumps(pid_figures(found), allow_nan=False))
-        else:
-            print_figures(pid_figures(found))
+        put(pid_figures(found), as_json, print_current)
         if out is not None:
             write_text(out, controller_text(request, found))
-            typer.echo(f"written {out}", err=True)
+            say_written(out)
 
 
 def _current_loop(

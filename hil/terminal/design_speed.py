@@ -18,13 +18,11 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, controller_out_option
+from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, motor_file
+from hil.terminal.output import print_figures, put, say_written
 from hil.terminal.speed_options import (
     LoadOption,
-    MotorArgument,
     SpeedOption,
-    motor_of,
-    print_figures,
 )
 from hil.verdict.verdict import ExitStatus
 
@@ -150,7 +148,7 @@ def speed(
             )
         if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
             raise BadInput("--target", "", target.value, "--network and --method exact with it")
-        parameters = motor_of(motor)
+        parameters = motor_file(motor).parameters
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
 
         from design.delay.speed_loop import Feedback, gain_for_error
@@ -244,10 +242,7 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
     figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
-    if as_json:
-        typer.echo(json.dumps(figures, allow_nan=False))
-    else:
-        print_figures(figures)
+    put(figures, as_json, print_figures)
     if out is not None:
         from hil.studies.speed.controller_text import write_controller
 
@@ -255,4 +250,4 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
             expected = "a loop that is certified; another --strategy or a shorter period may be"
             raise BadInput("--out", "", result.sampled.without_certificate, expected)
         write_controller(out, result)
-        typer.echo(f"written {out}", err=True)
+        say_written(out)

@@ -1,6 +1,5 @@
 """``hil eds``: a data sheet read, mended, and held against what a bench needs."""
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +8,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, bitrate_option
+from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
 
 ANY_NODE = 1
@@ -58,13 +58,9 @@ def eds(
             loaded = load_dictionary(file, ANY_NODE)
         node_id = loaded.dictionary.node_id or ANY_NODE
         fitness = assess(loaded, node_id)
-        planned = (
-            plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
-            if plan or mode
-            else None
-        )
-        if as_json:
-            typer.echo(json.dumps(sheet(file, loaded, fitness, planned), allow_nan=False))
-        else:
-            print_sheet(file, loaded, fitness, planned)
+        planned = None
+        if plan or mode:
+            planned = plan_for(loaded, fitness, node_id, mode.value if mode else None, period_us, bitrate)
+        figures = sheet(file, loaded, fitness, planned)
+        put(figures, as_json, lambda _figures: print_sheet(file, loaded, fitness, planned))
         raise typer.Exit(ExitStatus.PASSED if fitness.serves else ExitStatus.FAILED)

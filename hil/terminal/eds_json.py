@@ -9,8 +9,7 @@ from drivers.canopen.pdo_budget import Budget, content_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.sections import section_name
 from drivers.sheets.fitness import FileIdentity, Fitness, SheetPdo, mode_name
-from hil.terminal.eds_sheet import Planned
-from hil.terminal.eds_units import unit_lines
+from hil.terminal.eds_sheet import Planned, unit_lines
 
 
 def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Planned | None) -> dict[str, Any]:

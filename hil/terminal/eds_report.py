@@ -11,8 +11,8 @@ from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
 from drivers.sheets.fitness import FileIdentity, Fitness, mode_name
-from hil.terminal.eds_sheet import Planned
-from hil.terminal.eds_units import unit_lines
+from hil.terminal.eds_sheet import Planned, unit_lines
+from hil.terminal.output import columns
 
 
 def print_sheet(
@@ -110,9 +110,8 @@ def _commissioning(loaded: LoadedDictionary) -> str:
 def _pdo_table(fitness: Fitness) -> Table | Text:
     if not fitness.pdos:
         return Text("none", style="yellow")
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for title in ("PDO", "COB-ID", "type", "inhibit", "event", "mapping"):
-        table.add_column(title, justify="right" if title in ("type", "inhibit", "event") else "left")
+    figures = ("type", "inhibit", "event")
+    table = columns("PDO", "COB-ID", *figures, "mapping", right=figures)
     for pdo in fitness.pdos:
         identifier = "-" if pdo.cob_id is None else f"{pdo.cob_id:03X}h"
         inhibit = "-" if not pdo.inhibit_time_us else f"{pdo.inhibit_time_us / 1000:g} ms"
@@ -135,9 +134,8 @@ def _print_plan(console: Console, planned: Planned) -> None:
 
 
 def _budget_table(budget: Budget) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for name in ("frame", "COB-ID", "bytes", "bits", "us", "a cycle", "content"):
-        table.add_column(name, justify="left" if name in ("frame", "content") else "right")
+    figures = ("COB-ID", "bytes", "bits", "us", "a cycle")
+    table = columns("frame", *figures, "content", right=figures)
     for line in budget.lines:
         table.add_row(
             line.name,
@@ -171,7 +169,7 @@ def _budget_lines(budget: Budget) -> list[Text]:
 
 def _print_units(console: Console, loaded: LoadedDictionary, fitness: Fitness) -> None:
     lines, notes = unit_lines(loaded, fitness)
-    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    table = columns()
     for line in lines:
         value = "" if line.value is None else f"{line.value:.6g} {line.unit}"
         table.add_row(line.name, value, Text(line.source))
@@ -186,7 +184,7 @@ def _print_units(console: Console, loaded: LoadedDictionary, fitness: Fitness) -
 def _print_lacks(console: Console, fitness: Fitness) -> None:
     if not fitness.lacks:
         return
-    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    table = columns()
     for lack in fitness.lacks:
         table.add_row(f"{lack.index:04X}h", Text(lack.name), Text(lack.consequence))
     _say(console, Text("Recommended objects that it does not have", style="bold"), table)
@@ -198,7 +196,7 @@ def _print_repairs(console: Console, repairs: Iterable[Repair]) -> None:
         _say(console, Text("The file needed no repair."))
         return
     title = Text(f"{len(made)} {'repair' if len(made) == 1 else 'repairs'} to read the file", style="bold")
-    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    table = columns()
     for repair in made:
         line = f"line {repair.line}" if repair.line else ""
         table.add_row(line, Text(f"[{repair.section}]"), Text(f"{repair.fault}: {repair.action}"))

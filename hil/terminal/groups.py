@@ -6,8 +6,7 @@ from hil.terminal import analyse_speed, design_speed
 from hil.terminal.design_current import current
 from hil.terminal.design_hinf import hinf
 from hil.terminal.design_pid import pid
-from hil.terminal.reproduce_azaiz2007 import azaiz2007
-from hil.terminal.reproduce_ling2012 import ling2012
+from hil.terminal.reproduce import azaiz2007, ling2012
 
 reproduce = typer.Typer(name="reproduce", help="The papers' own results beside ours.", no_args_is_help=True)
 reproduce.command()(azaiz2007)

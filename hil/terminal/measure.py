@@ -1,21 +1,32 @@
 """``hil measure``: what a network does to a cycle, stage by stage."""
 
-import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import EVERY_STREAM, BitrateOption, JsonOption, bus_option, faults_option
-from hil.terminal.simulate import MotorOption
+from hil.terminal.options import (
+    EVERY_STREAM,
+    BitrateOption,
+    DriveMotorOption,
+    JsonOption,
+    bus_option,
+    fault_plan,
+    faults_option,
+    motor_file,
+)
+from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from hil.measuring.figures import Measured
     from hil.measuring.request import MeasureRequest
 
+PICTURES = (".png", ".svg", ".pdf")
 CYCLES_MAX = 1_000_000
 """Each takes half a kilobyte of memory a drive, which is taken before the first."""
 
@@ -63,7 +74,7 @@ def measure(
     out: OutOption = None,
     faults_out: FaultsOutOption = None,
     picture: PictureOption = None,
-    motor: MotorOption = None,
+    motor: DriveMotorOption = None,
     faults: FaultsOption = None,
     bitrate: BitrateOption = 1_000_000,
     seed: SeedOption = 0,
@@ -77,17 +88,12 @@ def measure(
     Exit status: 0 measured, 1 not to be trusted, 2 bad input, 3 bus or drive fault, 130 ended by a signal.
     """
     with reported_errors():
-        from drivers.bounded_file import NamedBy
         from drivers.rotation import RAD_S_PER_RPM
-        from hil.configuration.bench_file import load_faults
-        from hil.configuration.motor_file import load_motor
         from hil.measuring.request import MeasureRequest
-        from hil.terminal.measure_files import require_places, write_files
+        from hil.terminal.measure_report import print_measured
         from hil.terminal.node_list import drive_ids
 
-        require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
-        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
-        motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else None
+        _require_places({"--out": out, "--faults-out": faults_out, "--picture": picture})
         request = MeasureRequest(
             bus=bus,
             nodes=tuple(drive_ids([*node, *(more_nodes or [])])),
@@ -97,37 +103,58 @@ def measure(
             enable=enable,
             torque_max_nm=torque_max_nm,
             speed_max_rad_s=speed_max_rpm * RAD_S_PER_RPM,
-            motor=motor_file.parameters if motor_file else None,
-            faults=plan,
+            motor=motor_file(motor, "--motor").parameters if motor else None,
+            faults=fault_plan(faults),
             seed=seed,
         )
         measured = _measured(request)
-        _show(measured, as_json=as_json)
-        if not measured.interrupted:
-            for line in write_files(measured, out, faults_out, picture):
-                print(line, file=sys.stderr)
+        put(measured.as_json(), as_json, lambda _figures: print_measured(measured))
         if measured.interrupted:
             raise typer.Exit(ExitStatus.INTERRUPTED)
+        _write_files(measured, out, faults_out, picture)
         raise typer.Exit(ExitStatus.FAILED if measured.distrust else ExitStatus.PASSED)
 
 
 def _measured(request: "MeasureRequest") -> "Measured":
     from hil.machine.progress import TerminalProgress
-    from hil.measuring.command import run_measurement
+    from hil.measuring.measure import run_measurement
 
     progress = TerminalProgress(sys.stderr, request.cycles * request.period_us * 1e-6)
     try:
-        return run_measurement(
-            request, lambda text: print(f"hil: {text}", file=sys.stderr, flush=True), progress
-        )
+        return run_measurement(request, lambda text: say(f"hil: {text}"), progress)
     finally:
         progress.clear()
 
 
-def _show(measured: "Measured", *, as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(measured.as_json(), allow_nan=False))
-        return
-    from hil.terminal.measure_report import print_measured
+def _require_places(files: Mapping[str, Path | None]) -> None:
+    """Raises BadInput for an option whose file could not be written, before anything is measured."""
+    for option, path in files.items():
+        if path is None:
+            continue
+        if path.is_dir() or not path.parent.is_dir():
+            raise BadInput(option, "", str(path), "a file in a folder that is there")
+        if option == "--picture" and path.suffix not in PICTURES:
+            raise BadInput(option, "", str(path), f"a file that ends in {', '.join(PICTURES)}")
 
-    print_measured(measured)
+
+def _write_files(
+    measured: "Measured", out: Path | None, faults_out: Path | None, picture: Path | None
+) -> None:
+    """Write what is asked for. Raises BadInput for a file that cannot be written."""
+    from hil.configuration.network_file import network_text
+    from hil.measuring.network import fault_plan_text
+    from hil.measuring.picture import draw_stages
+
+    try:
+        if out is not None and measured.network is not None:
+            head = f"# Measured on {measured.request.bus} by hil measure.\n\n"
+            out.write_text(head + network_text(measured.network), encoding="utf-8")
+            say(f"written: {out}")
+        if faults_out is not None:
+            faults_out.write_text(fault_plan_text(measured), encoding="utf-8")
+            say(f"written: {faults_out}")
+        if picture is not None:
+            draw_stages(picture, measured)
+            say(f"written: {picture}")
+    except OSError as error:
+        raise BadInput(str(error.filename), "", error.strerror, "a place to write to") from error

@@ -9,6 +9,7 @@ from hil.measuring.figures import Measured, MeasuredDrive
 from hil.measuring.loss_model import Losses, LossModel
 from hil.measuring.stages import WAYS, Stage
 from hil.reviewing.network_meter import delays_of
+from hil.terminal.output import columns
 
 RUNS_SHOWN = 8
 
@@ -45,10 +46,8 @@ def print_measured(measured: Measured, console: Console | None = None) -> None:
 
 
 def _stages(stages: list[Stage]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    table.add_column("us", no_wrap=True)
-    for title in ("p50", "p99", "p99.9", "max", "within"):
-        table.add_column(title, justify="right", no_wrap=True)
+    quantiles = ("p50", "p99", "p99.9", "max", "within")
+    table = columns("us", *quantiles, right=quantiles, no_wrap=True)
     table.add_column("")
     for each in stages:
         found = delays_of(each.times)
@@ -62,9 +61,7 @@ def _stages(stages: list[Stage]) -> Table:
 
 
 def _losses(drive: MeasuredDrive) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for title in ("losses", "lost", "of", "%", "true %", "runs of 1, 2, ...", "model (maximum likelihood)"):
-        table.add_column(title)
+    table = columns("losses", "lost", "of", "%", "true %", "runs of 1, 2, ...", "model (maximum likelihood)")
     for way, title in WAYS.items():
         losses = drive.losses[way]
         if losses.interval is None:

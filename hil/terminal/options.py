@@ -1,9 +1,13 @@
 """Options that several commands have, each declared once; what a function takes differs by command."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from hil.configuration.motor_file import MotorFile
+    from virtual_bus.hosting.injection import Faults
 
 
 def bus_option(text: str) -> Any:
@@ -49,3 +53,23 @@ BitrateOption = Annotated[int, bitrate_option("Bit rate of the bus, bit/s.")]
 SeedOption = Annotated[int | None, EVERY_STREAM]
 DriveFaultsOption = Annotated[Path | None, faults_option("drive")]
 ControllerOutOption = Annotated[Path | None, controller_out_option("FILE")]
+MotorArgument = Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The motor file.")]
+DriveMotorOption = Annotated[
+    Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
+]
+
+
+def motor_file(path: Path, option: str = "MOTOR.toml") -> "MotorFile":
+    """The motor file of an argument or option. Raises BadInput or BadInputs."""
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.motor_file import load_motor
+
+    return load_motor(path, NamedBy(option, "", str(path)))
+
+
+def fault_plan(path: Path | None) -> "Faults | None":
+    """The plan of ``--faults``, if it is given. Raises BadInput or BadInputs."""
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.bench_file import load_faults
+
+    return load_faults(path, NamedBy("--faults", "", str(path))).plan if path else None

@@ -1,6 +1,5 @@
 """``hil recover``: ends the recording of a run whose recorder did not live to the end of it."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +7,7 @@ import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption
+from hil.terminal.output import put
 
 
 def recover(
@@ -26,7 +26,4 @@ def recover(
         refuse_whole(run)
         config = load_bench(run / "bench.toml")
         summary = recover_run(config, run)
-        if as_json:
-            typer.echo(json.dumps(summary.as_json(), allow_nan=False))
-        else:
-            print_run(config, summary)
+        put(summary.as_json(), as_json, lambda _figures: print_run(config, summary))

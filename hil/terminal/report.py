@@ -12,9 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.configuration.config import BenchConfig
-from hil.verdict.certificate_text import certificate_lines
 from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.timing_text import timing_lines
+from hil.verdict.summary_text import certificate_lines, timing_lines
 from hil.verdict.verdict import Check, LimitResult, VerdictKind, verdict_title
 
 WIDTH_MAX = 100

@@ -1,17 +1,15 @@
 """``hil scan``: adapters of this machine, and nodes on a bus."""
 
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, bitrate_option, bus_option
+from hil.terminal.output import columns, put, say
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.inspecting.scanning import Adapters, BusReport
 
 
@@ -57,23 +55,20 @@ def scan(
             raise BadInput("--bus", "", None, "the bus to look at")
         if plan is None:
             adapters = find_adapters()
-            if as_json:
-                typer.echo(json.dumps({"adapters": adapters.as_json(), "bus": None}))
-            else:
-                _print_adapters(adapters)
-            return
-        report = scan_bus(plan, lambda text: print(text, file=sys.stderr, flush=True))
-        if as_json:
+            figures = {"adapters": adapters.as_json(), "bus": None}
+            put(figures, as_json, lambda _figures: _print_adapters(adapters))
+        elif as_json:
+            report = scan_bus(plan, say)
             typer.echo(json.dumps({"adapters": find_adapters().as_json(), "bus": report.as_json()}))
         else:
-            _print_bus(report)
+            _print_bus(scan_bus(plan, say))
 
 
 def _print_adapters(adapters: "Adapters") -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
-    table = _table("adapter", "what", "bit rate", "state")
+    table = columns("adapter", "what", "bit rate", "state", overflow="fold")
     for link in adapters.can_links:
         rate = f"{link.bitrate_bit_s}" if link.bitrate_bit_s else "-"
         state = f"up, {link.state.lower()}" if link.up and link.state else "up" if link.up else "down"
@@ -118,15 +113,6 @@ def _print_bus(report: "BusReport") -> None:
         print(f"\nnode {node_id} is now the device with {address}")
     for note in report.notes:
         print(f"\n{note}")
-
-
-def _table(*titles: str) -> "Table":
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for title in titles:
-        table.add_column(title, overflow="fold")
-    return table
 
 
 def _hex(value: int | None, digits: int) -> str:

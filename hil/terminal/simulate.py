@@ -1,13 +1,21 @@
 """``hil simulate``: simulated drives as a process of their own."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import BitrateOption, DriveFaultsOption, SeedOption, bus_option
+from hil.terminal.options import (
+    BitrateOption,
+    DriveFaultsOption,
+    DriveMotorOption,
+    SeedOption,
+    bus_option,
+    fault_plan,
+    motor_file,
+)
+from hil.terminal.output import say
 
 BusOption = Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
 NodeOption = Annotated[
@@ -18,9 +26,6 @@ NodeOption = Annotated[
         help="Node ids: 1, or 1,2, or 1-3, or unconfigured (LSS gives one); may be repeated. "
         "If absent: the one of the DCF.",
     ),
-]
-MotorOption = Annotated[
-    Path | None, typer.Option("--motor", metavar="MOTOR.toml", help="Motor file; [Ling2012]'s if absent.")
 ]
 EdsOption = Annotated[
     Path | None,
@@ -62,7 +67,7 @@ def simulate(
     bus: BusOption,
     node: NodeOption = None,
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
-    motor: MotorOption = None,
+    motor: DriveMotorOption = None,
     faults: DriveFaultsOption = None,
     eds: EdsOption = None,
     store: StoreOption = None,
@@ -80,8 +85,7 @@ def simulate(
     with reported_errors():
         from drivers.bounded_file import NamedBy
         from hil.configuration.background import load_background
-        from hil.configuration.bench_file import load_faults
-        from hil.configuration.motor_file import LING2012, load_motor
+        from hil.configuration.motor_file import LING2012
         from hil.execution.device_files import DeviceFiles
         from hil.terminal.node_list import node_ids
 
@@ -90,25 +94,22 @@ def simulate(
         if not typed and (commissioned := files.commissioned_node()) is not None:
             typed = [str(commissioned)]
         nodes = node_ids(typed)
-        motor_file = load_motor(motor, NamedBy("--motor", "", str(motor))) if motor else LING2012
-        plan = load_faults(faults, NamedBy("--faults", "", str(faults))).plan if faults else None
+        parameters = (motor_file(motor, "--motor") if motor else LING2012).parameters
         named_by = NamedBy("--background", "", str(background))
         others = load_background(background, named_by) if background else ()
 
         from hil.execution.simulated_drives import simulate as simulate_drives
         from hil.load.simulated_load import SimulatedLoadMachine
 
-        instrument = SimulatedLoadMachine.wanted(
-            load_machine, load_machine_fault or [], motor_file.parameters
-        )
+        instrument = SimulatedLoadMachine.wanted(load_machine, load_machine_fault or [], parameters)
         simulate_drives(
             bus_spec=bus,
             nodes=nodes,
-            motor=motor_file.parameters,
-            faults=plan,
+            motor=parameters,
+            faults=fault_plan(faults),
             bitrate_bit_s=bitrate,
             seed=seed or 0,
-            announce=lambda text: print(text, file=sys.stderr, flush=True),
+            announce=say,
             files=files,
             background=others,
             current_control=current_control or (),

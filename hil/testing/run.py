@@ -25,6 +25,7 @@ from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 
@@ -66,7 +67,7 @@ class Run:
     def summary(self) -> Summary:
         """What ``hil run --json`` prints."""
         found = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
-        return Summary.from_json(found)
+        return from_plain(Summary, found)
 
     @property
     def digest(self) -> str:

@@ -152,21 +152,6 @@ class Summary:
                 del found[name]
         return found
 
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "Summary":
-        """Inverse of :meth:`as_json`."""
-        values = dict(found)
-        values["dropouts"] = DropoutCounts(**values["dropouts"])
-        values["delay_us"] = Percentiles(**values["delay_us"])
-        values["lateness_us"] = Percentiles(**values["lateness_us"])
-        values["compute_us"] = Percentiles(**values["compute_us"])
-        values["speed_error"] = SpeedError(**values["speed_error"])
-        values["verdict"] = RunVerdict.from_json(values["verdict"])
-        values["drives"] = tuple(DriveEnd(**drive) for drive in values["drives"])
-        for name in ("recording_faults", "network_notes"):
-            values[name] = tuple(values.get(name, ()))
-        return cls(**values)
-
 
 def summarise(
     figures: Figures,
@@ -187,9 +172,9 @@ def summarise(
         verdict=judge(outcome, count, values, limits, recording_lacks="; ".join(recording_faults)),
         recording=recording,
         seed=seed,
-        drives=tuple(outcome.drives),
+        drives=outcome.drives,
         recording_faults=recording_faults,
-        network_notes=tuple(outcome.network_notes),
+        network_notes=outcome.network_notes,
         load_machine=outcome.load_machine,
         timing=outcome.timing,
     )

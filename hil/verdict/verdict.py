@@ -131,24 +131,18 @@ class RunOutcome:
     """What that comes to; of no meaning where it did."""
     cycles_planned: int | None = None
     """Of each axis."""
-    drives: Sequence[DriveEnd] = ()
+    drives: tuple[DriveEnd, ...] = ()
     """One for each axis."""
-    emergencies: Sequence[str] = ()
+    emergencies: tuple[str, ...] = ()
     """EMCYs of the drives that no drive fault of the plan names."""
-    network_notes: Sequence[str] = ()
+    network_notes: tuple[str, ...] = ()
     """In what the network was worse than a controller was made for; only where the run was to go on."""
     load_machine: Mapping[str, Any] | None = None
     """What the instrument that made the load came to, if there was one."""
     timing: Mapping[str, Any] | None = None
     """What the timing rests on (:mod:`hil.execution.timing_report`)."""
-    distrust: Sequence[str] = ()
+    distrust: tuple[str, ...] = ()
     """Why what the run says of its timing is not to be trusted."""
-
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "RunOutcome":
-        """Inverse of ``asdict`` and JSON."""
-        drives = tuple(DriveEnd(**drive) for drive in found["drives"])
-        return cls(**{**found, "cause": VerdictKind(found["cause"]), "drives": drives})
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,14 +208,6 @@ class RunVerdict:
     def of(self, outcome: VerdictKind) -> tuple[str, ...]:
         """The findings of one kind, in words."""
         return tuple(finding.text for finding in self.findings if finding.outcome is outcome)
-
-    @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> "RunVerdict":
-        """Inverse of ``asdict`` and JSON."""
-        checks = [Check(**{**check, "result": LimitResult(check["result"])}) for check in found["limits"]]
-        findings = [Finding(VerdictKind(each["outcome"]), each["text"]) for each in found["findings"]]
-        plain = {**found, "outcome": VerdictKind(found["outcome"])}
-        return cls(**{**plain, "limits": tuple(checks), "findings": tuple(findings)})
 
 
 def judge(

@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.commissioning.outcome import Verdict
+from hil.commissioning.outcome import StepVerdict
 from tests.commissioning import LOSS, Errors, errors_of, unknown_world
 
 LIMITS = {"inertia": 0.03, "viscous": 0.08, "coulomb": 0.08}
@@ -30,7 +30,9 @@ def measured(seed: int, lossy: bool, drift_ppm: float) -> tuple[int, Errors | No
             seed, Path(folder), faults=LOSS if lossy else None, drift_ppm=drift_ppm, spied=True
         )
     failed = [
-        f"{record.name}: {record.reason}" for record in result.records if record.verdict is not Verdict.DONE
+        f"{record.name}: {record.reason}"
+        for record in result.records
+        if record.verdict is not StepVerdict.DONE
     ]
     if result.restoration is None or not result.restoration.complete:
         failed.append("not put back")

@@ -22,8 +22,9 @@ from hil.configuration.motor_file import LING2012
 from hil.machine.compiled import MANIFEST, compiled_modules
 from hil.recording.ring import RingReader, RingWriter
 from hil.recording.row_writer import RowWriter
-from hil.rows.records import ROW, ROW_DTYPE, record_of
+from hil.rows.records import ROW, ROW_DTYPE
 from hil.rows.side_rows import FRAME, FRAME_DTYPE
+from tests.unit.hil.row_tools import record_of
 from virtual_bus.bus.host_port import HostPort
 from virtual_bus.bus.judge import Direction
 from virtual_bus.bus.segment import CanSegment

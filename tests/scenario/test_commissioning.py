@@ -12,7 +12,7 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, supported_mode_bit
 from drivers.sheets.dictionary import load_dictionary
 from hil.cli import app
-from hil.commissioning.outcome import Verdict
+from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.report import REPORT_FILE
 from hil.configuration.bench_file import load_bench
 from hil.configuration.drive_file import load_drive_file
@@ -30,7 +30,7 @@ from virtual_bus.drive.unknown_drive import unknown_drive
 def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) -> None:
     truth, result, spy = unknown_world(seed, tmp_path, spied=True)
     assert truth.faults == hidden
-    assert [(r.name, r.reason) for r in result.records if r.verdict is not Verdict.DONE] == []
+    assert [(r.name, r.reason) for r in result.records if r.verdict is not StepVerdict.DONE] == []
     errors = errors_of(truth, result, spy)
     assert within(errors), row(seed, errors)
     assert result.restoration is not None
@@ -59,10 +59,10 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     only = supported_mode_bit(Mode.CYCLIC_SYNCHRONOUS_VELOCITY) | supported_mode_bit(Mode.HOMING)
     truth, result, _ = unknown_world(3, tmp_path, modes=only)
     verdicts = {record.name: record.verdict for record in result.records}
-    assert verdicts["mechanics"] is Verdict.DONE
-    left_out = [name for name, verdict in verdicts.items() if verdict is Verdict.LEFT_OUT]
+    assert verdicts["mechanics"] is StepVerdict.DONE
+    left_out = [name for name, verdict in verdicts.items() if verdict is StepVerdict.LEFT_OUT]
     assert left_out == ["torque_constant", "response", "suggest", "verify"]
-    assert not [name for name, verdict in verdicts.items() if verdict is Verdict.FAILED]
+    assert not [name for name, verdict in verdicts.items() if verdict is StepVerdict.FAILED]
     errors = errors_of(truth, result)
     assert abs(errors.inertia) < 0.03
     assert abs(errors.position) < 0.005

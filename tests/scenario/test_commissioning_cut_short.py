@@ -23,12 +23,13 @@ from drivers.wire.adapters import parse_bus_spec
 from drivers.wire.frame_port import FramePort, WireFrame
 from drivers.wire.link import BusLink, StampSource
 from hil.commissioning.command import check_mark
-from hil.commissioning.commission import Commissioned, commission
+from hil.commissioning.commission import commission
 from hil.commissioning.dialog import EmergencyStop, Silent
-from hil.commissioning.outcome import Outcome, Verdict
+from hil.commissioning.outcome import StepOutcome, StepVerdict
+from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
+from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.stopping import Interrupted
@@ -118,11 +119,11 @@ class InTheMiddle(WrappedStep):
         self._arm = arm
         self._note = note
 
-    def run(self, session: Session) -> Outcome:
+    def run(self, session: Session, outcome: StepOutcome) -> None:
         self._arm()
         before = session.network.link.sent_frames
         try:
-            return self._inner.run(session)
+            self._inner.run(session, outcome)
         finally:
             self._note(self.name, session.network.link.sent_frames - before)
 
@@ -194,7 +195,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
         rig = Rig(world, servo, tmp_path_factory.mktemp("whole"))
         before = rig.memory()
         result = rig.commission()
-        assert [(r.name, r.reason) for r in result.records if r.verdict is not Verdict.DONE] == []
+        assert [(r.name, r.reason) for r in result.records if r.verdict is not StepVerdict.DONE] == []
         assert result.passed
         assert rig.memory() == before
         return rig.sent

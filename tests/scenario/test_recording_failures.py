@@ -17,7 +17,7 @@ from hil.execution.bench import run_bench
 from hil.execution.bus_guard import BusGuard
 from hil.machine.progress import no_progress
 from hil.recording.logger_process import RecordingFailed
-from hil.recording.recorder import FolderRecorder, start_recording
+from hil.recording.recorder import Recorder, start_recording
 from hil.recording.tail import TAIL_FILE, read_tail
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE
@@ -95,9 +95,9 @@ def run_and_kill(
     number: signal.Signals = signal.SIGKILL,
 ) -> Summary:
     """A run in simulated time whose logger is killed in a phase of it; in "running" after 0.3 s."""
-    started: list[FolderRecorder] = []
+    started: list[Recorder] = []
 
-    def start(plan: RecordingPlan) -> FolderRecorder:
+    def start(plan: RecordingPlan) -> Recorder:
         started.append(start_recording(plan))
         return started[0]
 

@@ -16,9 +16,9 @@ from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
 from hil.loop.samples import CycleRecord
 from hil.machine.progress import no_progress
-from hil.recording.recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows, row_of
+from tests.memory_recorder import MemoryRecorder
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.drive.servo import SimulatedServo
 

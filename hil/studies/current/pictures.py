@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 
 from design.current.current_design import AxisDesign, complementary
@@ -12,30 +11,22 @@ from design.hinf.mixed_sensitivity import loop_functions
 from design.hinf.step_response import step_response
 from design.papers.azaiz2007 import DriveRun
 from design.statespace import series
-from drivers.errors import BadInput
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-_SIZE = (8.0, 5.0)
-
+from hil.studies.drawing import draw_all, picture
 
 _BOUNDED = ("S", "KS", "T")
 
 
 def draw_bounds(design: AxisDesign, path: Path) -> None:
     """|S|, |KS| and |T| beside their bounds 1/|w|, in one picture."""
-    figure, axes = plt.subplots(1, 3, figsize=(12.0, 4.0), sharex=True, layout="constrained")
-    for axis, name in zip(axes, _BOUNDED, strict=True):
-        _bound_on(axis, design, name)
-    _save(figure, path)
+    with picture(path, 1, 3, size=(12.0, 4.0), sharex=True) as axes:
+        for axis, name in zip(axes, _BOUNDED, strict=True):
+            _bound_on(axis, design, name)
 
 
 def draw_bound(design: AxisDesign, name: str, path: Path) -> None:
     """One of |S|, |KS| and |T| beside its bound: Fig. 9, 10 or 11."""
-    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
-    _bound_on(axis, design, name)
-    _save(figure, path)
+    with picture(path) as axis:
+        _bound_on(axis, design, name)
 
 
 def _bound_on(axis: Any, design: AxisDesign, name: str) -> None:
@@ -59,60 +50,49 @@ def draw_open_loop(design: AxisDesign, path: Path) -> None:
     """Bode diagram of L = G K: Fig. 7."""
     omega = np.logspace(-2, 5, 1500)
     loop = series(design.plant, design.controller).response(omega)[:, 0, 0]
-    figure, (gain, phase) = plt.subplots(2, 1, figsize=_SIZE, sharex=True, layout="constrained")
-    found = design.margins
-    gain.semilogx(omega, _db(np.abs(loop)))
-    gain.axhline(0.0, color="grey", linewidth=0.8)
-    gain.set(
-        ylabel="|L|, dB",
-        title=f"gain margin {found.gain_margin_db:.2f} dB, phase margin {found.phase_margin_deg:.2f} degrees",
-    )
-    phase.semilogx(omega, np.degrees(np.unwrap(np.angle(loop))))
-    phase.set(ylabel="degrees", xlabel="rad/s")
-    for axis in (gain, phase):
-        axis.grid(alpha=0.3)
-    _save(figure, path)
+    phase_deg, gain_db = design.margins.phase_margin_deg, design.margins.gain_margin_db
+    with picture(path, 2, sharex=True) as (gain, phase):
+        gain.semilogx(omega, _db(np.abs(loop)))
+        gain.axhline(0.0, color="grey", linewidth=0.8)
+        gain.set(
+            ylabel="|L|, dB",
+            title=f"gain margin {gain_db:.2f} dB, phase margin {phase_deg:.2f} degrees",
+        )
+        phase.semilogx(omega, np.degrees(np.unwrap(np.angle(loop))))
+        phase.set(ylabel="degrees", xlabel="rad/s")
 
 
 def draw_step(design: AxisDesign, path: Path) -> None:
     """Answer of the current to a unit step of its reference: Fig. 8."""
     time_s = np.linspace(0.0, 3.0 * design.step.settling_time_s, 800)
-    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
-    axis.plot(1e3 * time_s, step_response(complementary(design.plant, design.controller), time_s))
-    axis.set(
-        xlabel="ms",
-        ylabel="A",
-        title=f"rise {1e3 * design.step.rise_time_s:.2f} ms, "
-        f"settling {1e3 * design.step.settling_time_s:.2f} ms",
-    )
-    axis.grid(alpha=0.3)
-    _save(figure, path)
+    with picture(path) as axis:
+        axis.plot(1e3 * time_s, step_response(complementary(design.plant, design.controller), time_s))
+        axis.set(
+            xlabel="ms",
+            ylabel="A",
+            title=f"rise {1e3 * design.step.rise_time_s:.2f} ms, "
+            f"settling {1e3 * design.step.settling_time_s:.2f} ms",
+        )
 
 
 def draw_runs(runs: Mapping[str, DriveRun], path: Path) -> None:
     """Torque, currents and speed of the drive: Figs. 12 and 13."""
-    figure, axes = plt.subplots(2, 2, figsize=(10.0, 6.5), sharex=True, layout="constrained")
-    for name, run in runs.items():
-        shown = (run.torque_nm, run.current_q_a, run.current_d_a, run.speed_rad_s)
-        for axis, values in zip(axes.flat, shown, strict=True):
-            axis.plot(1e3 * run.time_s, values, label=name.replace("_", " "), linewidth=1.0)
-    for axis, label in zip(axes.flat, ("torque, N m", "i_q, A", "i_d, A", "speed, rad/s"), strict=True):
-        axis.set_ylabel(label)
-        axis.grid(alpha=0.3)
-    for axis in axes[1]:
-        axis.set_xlabel("ms")
-    axes[0, 0].legend(fontsize=8)
-    _save(figure, path)
+    with picture(path, 2, 2, size=(10.0, 6.5), sharex=True) as axes:
+        for name, run in runs.items():
+            shown = (run.torque_nm, run.current_q_a, run.current_d_a, run.speed_rad_s)
+            for axis, values in zip(axes.flat, shown, strict=True):
+                axis.plot(1e3 * run.time_s, values, label=name.replace("_", " "), linewidth=1.0)
+        for axis, label in zip(axes.flat, ("torque, N m", "i_q, A", "i_d, A", "speed, rad/s"), strict=True):
+            axis.set_ylabel(label)
+        for axis in axes[1]:
+            axis.set_xlabel("ms")
+        axes[0, 0].legend(fontsize=8)
 
 
 def draw_paper(
     designs: Mapping[str, tuple[AxisDesign, AxisDesign]], runs: Mapping[str, DriveRun], folder: Path
 ) -> list[Path]:
     """Every figure of the paper into ``folder``; returns the files."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput("--figures", "", str(folder), f"a folder ({error.strerror})") from None
     q = designs["q"][0]
     files: dict[str, Callable[[Path], None]] = {
         "fig07-open-loop-q.png": lambda path: draw_open_loop(q, path),
@@ -126,21 +106,8 @@ def draw_paper(
         "step-d.png": lambda path: draw_step(designs["d"][0], path),
         "bounds-d.png": lambda path: draw_bounds(designs["d"][0], path),
     }
-    for name, draw in files.items():
-        draw(folder / name)
-    return [folder / name for name in files]
+    return draw_all(folder, files)
 
 
 def _db(values: Any) -> Any:
     return 20.0 * np.log10(np.maximum(values, 1e-20))
-
-
-def _save(figure: Any, path: Path) -> None:
-    try:
-        figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:
-        raise BadInput(
-            "picture", "", str(path), f"the path of a PNG file that can be written ({error})"
-        ) from None
-    finally:
-        plt.close(figure)

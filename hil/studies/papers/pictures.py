@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 
+from design.delay.delay_response import DelayResponse
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_ON_S,
@@ -15,12 +15,9 @@ from design.papers.ling2012 import (
     start_up,
 )
 from drivers.rotation import RAD_S_PER_RPM
+from hil.studies.drawing import draw_all, picture
 from hil.studies.papers.runs import LOAD_AT_S, PaperRun
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-_SIZE = (8.0, 5.0)
 _LABELS = {
     "stamp": "stamp, 5 of 6 lost",
     "arrival": "arrival, 5 of 6 lost",
@@ -39,92 +36,80 @@ _METHODS = {
 
 def draw_table(table: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
     """Table 2 by every method, in both conventions of units."""
-    figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.5), layout="constrained")
-    titles = {"published": "gamma in r/min per N m, as printed", "si": "gamma in rad/s per N m"}
-    for axis, (units, rows) in zip(axes, table.items(), strict=True):
-        for key, (label, style) in _METHODS.items():
-            axis.plot(
-                [row["error_percent"] for row in rows],
-                [1e3 * row[key] for row in rows],
-                style,
-                label=label,
-                ms=4,
+    with picture(path, 1, 2, size=(11.0, 4.5)) as axes:
+        titles = {"published": "gamma in r/min per N m, as printed", "si": "gamma in rad/s per N m"}
+        for axis, (units, rows) in zip(axes, table.items(), strict=True):
+            for key, (label, style) in _METHODS.items():
+                axis.plot(
+                    [row["error_percent"] for row in rows],
+                    [1e3 * row[key] for row in rows],
+                    style,
+                    label=label,
+                    ms=4,
+                )
+            axis.set(
+                title=titles[units],
+                xlabel="speed error, % of 1500 r/min",
+                ylabel="largest delay, ms",
+                yscale="log",
             )
-        axis.set(
-            title=titles[units],
-            xlabel="speed error, % of 1500 r/min",
-            ylabel="largest delay, ms",
-            yscale="log",
-        )
-        axis.grid(alpha=0.3, which="both")
-    axes[0].legend(fontsize=8)
-    _save(figure, path)
+            axis.grid(alpha=0.3, which="both")
+        axes[0].legend(fontsize=8)
 
 
 def draw_start(runs: Sequence[PaperRun], path: Path) -> None:
     """Case 1: Fig. 5."""
-    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
-    found = start_up()
-    axis.plot(
-        found.time_s, 100.0 * found.x[:, 1] / SPEED_RAD_S, "k", label="continuous, constant delay of 64 ms"
-    )
-    _plot_errors(axis, [run for run in runs if run.case == "case1"], 0.0)
-    axis.axvline(0.15, color="grey", linestyle=":", label="0.15 s, printed")
-    axis.set(xlabel="s", ylabel="speed error, % of 1500 r/min", xlim=(0.0, 1.5))
-    _finish(axis)
-    _save(figure, path)
+    with picture(path) as axis:
+        _plot_continuous(axis, start_up())
+        _plot_errors(axis, [run for run in runs if run.case == "case1"], 0.0)
+        axis.axvline(0.15, color="grey", linestyle=":", label="0.15 s, printed")
+        axis.set(xlabel="s", ylabel="speed error, % of 1500 r/min", xlim=(0.0, 1.5))
+        axis.legend(fontsize=8)
 
 
 def draw_comparison(runs: Sequence[PaperRun], path: Path) -> None:
     """Case 2: Fig. 6."""
-    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
     shown = [run for run in runs if run.case == "case2" or (run.case == "case1" and run.variant == "stamp")]
-    for run in shown:
-        speed_rpm = (SPEED_RAD_S - run.error_rad_s) / RAD_S_PER_RPM
-        label = _LABELS[run.variant] if run.case == "case2" else "robust controller, stamp, 5 of 6 lost"
-        axis.plot(run.time_s, speed_rpm, label=label, linewidth=1.0)
-    axis.set(xlabel="s", ylabel="speed, r/min", xlim=(0.0, 1.5))
-    _finish(axis)
-    _save(figure, path)
+    with picture(path) as axis:
+        for run in shown:
+            speed_rpm = (SPEED_RAD_S - run.error_rad_s) / RAD_S_PER_RPM
+            label = _LABELS[run.variant] if run.case == "case2" else "robust controller, stamp, 5 of 6 lost"
+            axis.plot(run.time_s, speed_rpm, label=label, linewidth=1.0)
+        axis.set(xlabel="s", ylabel="speed, r/min", xlim=(0.0, 1.5))
+        axis.legend(fontsize=8)
 
 
 def draw_load(runs: Sequence[PaperRun], path: Path) -> None:
     """Case 3: Fig. 7."""
-    figure, axis = plt.subplots(figsize=_SIZE, layout="constrained")
-    found = load_pulse()
-    axis.plot(
-        found.time_s, 100.0 * found.x[:, 1] / SPEED_RAD_S, "k", label="continuous, constant delay of 64 ms"
-    )
-    _plot_errors(axis, [run for run in runs if run.case == "case3"], LOAD_AT_S)
-    axis.axhline(5.0, color="grey", linestyle=":", label="5 %, printed")
-    axis.axvspan(0.0, LOAD_ON_S, alpha=0.1, color="C3", label="0.6 N m")
-    axis.axvline(
-        DELAY_S, color="C3", linestyle="--", linewidth=0.8, label="first reaction at a delay of 64 ms"
-    )
-    axis.set(
-        xlabel="s after the load",
-        ylabel="speed error, % of 1500 r/min",
-        xlim=(-0.05, 0.8),
-        ylim=(-15.0, 35.0),
-    )
-    _finish(axis)
-    _save(figure, path)
+    with picture(path) as axis:
+        _plot_continuous(axis, load_pulse())
+        _plot_errors(axis, [run for run in runs if run.case == "case3"], LOAD_AT_S)
+        axis.axhline(5.0, color="grey", linestyle=":", label="5 %, printed")
+        axis.axvspan(0.0, LOAD_ON_S, alpha=0.1, color="C3", label="0.6 N m")
+        axis.axvline(
+            DELAY_S, color="C3", linestyle="--", linewidth=0.8, label="first reaction at a delay of 64 ms"
+        )
+        axis.set(
+            xlabel="s after the load",
+            ylabel="speed error, % of 1500 r/min",
+            xlim=(-0.05, 0.8),
+            ylim=(-15.0, 35.0),
+        )
+        axis.legend(fontsize=8)
 
 
 def draw_strategies(analyses: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
     """Decay and gain of the sampled loop with d lost of every d + 1, by strategy."""
-    figure, axes = plt.subplots(1, 2, figsize=(11.0, 4.5), layout="constrained")
-    most = max(len(rows) for rows in analyses.values())
-    for name, rows in analyses.items():
-        # with history losses make no difference
-        shown = list(rows) if len(rows) == most else list(rows) * most
-        for axis, key in zip(axes, ("decay_per_s", "gamma"), strict=True):
-            axis.plot([np.nan if row[key] is None else row[key] for row in shown], "-o", ms=4, label=name)
-    for axis, label in zip(axes, ("decay, 1/s", "gain, rad/s per N m"), strict=True):
-        axis.set(xlabel="d: lost of every d + 1", ylabel=label, ylim=(0.0, None))
-        axis.grid(alpha=0.3)
-    axes[0].legend()
-    _save(figure, path)
+    with picture(path, 1, 2, size=(11.0, 4.5)) as axes:
+        most = max(len(rows) for rows in analyses.values())
+        for name, rows in analyses.items():
+            # with history losses make no difference
+            shown = list(rows) if len(rows) == most else list(rows) * most
+            for axis, key in zip(axes, ("decay_per_s", "gamma"), strict=True):
+                axis.plot([np.nan if row[key] is None else row[key] for row in shown], "-o", ms=4, label=name)
+        for axis, label in zip(axes, ("decay, 1/s", "gain, rad/s per N m"), strict=True):
+            axis.set(xlabel="d: lost of every d + 1", ylabel=label, ylim=(0.0, None))
+        axes[0].legend()
 
 
 def draw_ling2012(
@@ -133,7 +118,6 @@ def draw_ling2012(
     folder: Path,
 ) -> list[Path]:
     """Every picture into ``folder``; returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
     strategies = {name: item["by_losses"] for name, item in found["strategies"].items()}
     files: dict[str, Callable[[Path], None]] = {
         "table2.png": lambda path: draw_table(found["table2"], path),
@@ -142,22 +126,15 @@ def draw_ling2012(
         "fig07-load.png": lambda path: draw_load(runs, path),
         "strategies.png": lambda path: draw_strategies(strategies, path),
     }
-    for name, draw in files.items():
-        draw(folder / name)
-    return [folder / name for name in files]
+    return draw_all(folder, files)
+
+
+def _plot_continuous(axis: Any, found: DelayResponse) -> None:
+    error_percent = 100.0 * found.x[:, 1] / SPEED_RAD_S
+    axis.plot(found.time_s, error_percent, "k", label="continuous, constant delay of 64 ms")
 
 
 def _plot_errors(axis: Any, runs: Sequence[PaperRun], from_s: float) -> None:
     for run in runs:
         label = f"bench: {_LABELS[run.variant]}"
         axis.plot(run.time_s - from_s, 100.0 * run.error_rad_s / SPEED_RAD_S, label=label, linewidth=1.0)
-
-
-def _finish(axis: Any) -> None:
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
-
-
-def _save(figure: Any, path: Path) -> None:
-    figure.savefig(path, dpi=120)
-    plt.close(figure)

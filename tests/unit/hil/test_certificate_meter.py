@@ -12,7 +12,8 @@ from hil.reviewing.certificate_meter import CertificateMeter
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, ReviewPlan
 from hil.rows.records import COMMAND_FATES, Rows
-from hil.verdict.certificate_text import certificate_lines
+from hil.verdict.plain_values import from_plain
+from hil.verdict.summary_text import certificate_lines
 from tests.unit.hil.row_tools import plain_rows
 
 SETTLING = Duration(100 * NS_PER_MS)
@@ -113,4 +114,4 @@ def test_delay_and_losses_are_of_its_own_axis() -> None:
 
 def test_a_plan_goes_to_the_logger_and_back() -> None:
     for axis in (AxisPlan("axis1", 1.0, 2.0, CERTIFIED), AxisPlan("axis1", 1.0)):
-        assert AxisPlan.from_json(json.loads(json.dumps(asdict(axis)))) == axis
+        assert from_plain(AxisPlan, json.loads(json.dumps(asdict(axis)))) == axis

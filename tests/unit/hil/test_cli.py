@@ -18,6 +18,7 @@ from hil.machine.capability import Capability, CapabilityStatus
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
 from hil.terminal.node_list import node_ids
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
 from tests.unit.hil.test_report import summary
@@ -179,7 +180,7 @@ def test_json_is_one_object_at_every_exit(
 ) -> None:
     bench.error, bench.begins = error, begins
     result = hil("run", BENCH, "--json")
-    told = Summary.from_json(json.loads(result.stdout))
+    told = from_plain(Summary, json.loads(result.stdout))
     assert result.exit_code == told.verdict.exit_status == status
     assert str(error) in told.verdict.reason or isinstance(error, KeyboardInterrupt)
     assert not told.verdict.passed
@@ -194,7 +195,7 @@ def test_of_an_error_and_what_the_run_came_to_the_gravest_is_the_status(bench: B
     result = hil("run", BENCH, *(["--json"] if as_json else []))
     assert result.exit_code == ExitStatus.PEER_FAULT
     if as_json:
-        assert Summary.from_json(json.loads(result.stdout)) == bench.summary, "as in summary.json"
+        assert from_plain(Summary, json.loads(result.stdout)) == bench.summary, "as in summary.json"
 
 
 @pytest.mark.usefixtures("bench")

@@ -158,7 +158,7 @@ def test_readings_of_before_are_let_go_and_the_bus_is_guarded_while_it_runs(benc
 def test_the_clock_of_the_drive_is_learnt_before_the_first_command(bench: Bench) -> None:
     recording = bench.exerciser.run(Asked(0.5), 0.02, [SpeedStep(0.01, 3.0)])
     assert bench.notes[: bench.notes.index("command")].count("SYNC") == CALIBRATION_SYNCS + 1
-    assert recording.tally.cycles == 20
+    assert recording.cycles == 20
     sent = [command.torque_nm for command in bench.port.commands]
     assert sent[:6] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.5])
 
@@ -166,7 +166,7 @@ def test_the_clock_of_the_drive_is_learnt_before_the_first_command(bench: Bench)
 def test_speeds_follow_their_reference_for_the_whole_time(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, Quantity.SPEED)
     recording = bench.exerciser.run_speeds(0.02, [SpeedStep(0.01, 0.5)])
-    assert recording.tally.cycles == 20
+    assert recording.cycles == 20
     assert (bench.port.speeds[:9], bench.port.speeds[-9:]) == ([0.0] * 9, [0.5] * 9)
     assert bench.port.commands == [], "and no torque"
 
@@ -189,7 +189,7 @@ def test_the_speed_is_guarded_unless_its_unit_is_unknown(bench: Bench) -> None:
 def test_it_ends_when_its_controller_is_done(bench: Bench) -> None:
     left = iter(range(1000))
     recording = bench.exerciser.run(Asked(), 1.0, done=lambda: next(left) >= 7)
-    assert recording.tally.cycles == 7
+    assert recording.cycles == 7
 
 
 def test_a_stop_request_ends_it_and_is_passed_on(bench: Bench) -> None:

@@ -12,7 +12,7 @@ from drivers.errors import BadInput, BenchError, LimitExceeded
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Instant
 from hil.commissioning.drive_port import DrivePort
-from hil.commissioning.excitation import Profile, Pulse, SpeedGuide
+from hil.commissioning.excitation import Pulse, SpeedGuide, TimedTorque
 from hil.commissioning.exercise import BLIND_MAX_S, EnergyMeter, Watched, speed_limits, torque_limits
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.request import (
@@ -321,7 +321,7 @@ def test_a_guide_lets_the_shaft_coast_without_a_jolt_afterwards() -> None:
 
 
 def test_a_profile_follows_its_own_cycles() -> None:
-    profile = Profile(lambda time: 2.0 * time, 1e-3)
+    profile = TimedTorque(lambda time: 2.0 * time, 1e-3)
     for cycle in range(5):
         assert torque_of(profile, estimate(1, 0.0)) == pytest.approx(2e-3 * cycle)
         advance(profile, estimate(1, 0.0), 0.0)

@@ -12,10 +12,9 @@ import pytest
 
 from drivers.errors import BusDown, LimitExceeded
 from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent, Terminal
-from hil.commissioning.outcome import Outcome, StepFailed, StepRecord, Verdict
-from hil.commissioning.sequence import Abandoned, run_sequence
+from hil.commissioning.outcome import StepFailed, StepOutcome, StepRecord, StepVerdict
+from hil.commissioning.sequence import Abandoned, Step, run_sequence
 from hil.commissioning.session import Session
-from hil.commissioning.step import Step
 from hil.machine.stopping import Interrupted, StopRequest
 
 
@@ -41,13 +40,13 @@ class Played(Step):
     def plan(self, _session: Session, /) -> str:
         return f"play {self.name}"
 
-    def run(self, session: Session) -> Outcome:  # noqa: ARG002 - as the base
+    def run(self, session: Session, outcome: StepOutcome) -> None:  # noqa: ARG002 - as the base
         self.runs += 1
         if self._error is not None:
             raise self._error
         if self.runs <= self.failures:
             raise StepFailed("it went wrong")
-        return Outcome(lines=["it went well"])
+        outcome.say("it went well")
 
 
 class Scripted:
@@ -85,7 +84,7 @@ def play(dialog: Any, steps: Sequence[Step], *, dry_run: bool = False) -> list[S
     return records
 
 
-def verdicts(records: list[StepRecord]) -> list[Verdict]:
+def verdicts(records: list[StepRecord]) -> list[StepVerdict]:
     return [record.verdict for record in records]
 
 
@@ -99,7 +98,7 @@ def test_a_step_tells_what_it_will_do_before_it_does_it() -> None:
 def test_a_step_that_failed_is_repeated() -> None:
     step = Played("one", failures=2)
     records = play(Scripted([Choice.GO, Choice.REPEAT, Choice.REPEAT]), [step])
-    assert verdicts(records) == [Verdict.DONE]
+    assert verdicts(records) == [StepVerdict.DONE]
     assert records[0].attempts == 3
     assert records[0].reason == ""
 
@@ -107,14 +106,14 @@ def test_a_step_that_failed_is_repeated() -> None:
 def test_a_step_is_skipped_with_a_reason_and_what_rests_on_it_is_left_out() -> None:
     dialog = Scripted([Choice.SKIP, Choice.GO], ["the shaft is coupled"])
     records = play(dialog, [Played("one"), Played("two", needs=("one",)), Played("three")])
-    assert verdicts(records) == [Verdict.SKIPPED, Verdict.LEFT_OUT, Verdict.DONE]
+    assert verdicts(records) == [StepVerdict.SKIPPED, StepVerdict.LEFT_OUT, StepVerdict.DONE]
     assert records[0].reason == "the shaft is coupled"
     assert records[1].reason == "it rests on one"
 
 
 def test_a_failed_step_can_be_skipped_too() -> None:
     records = play(Scripted([Choice.GO, Choice.SKIP], [""]), [Played("one", failures=9)])
-    assert verdicts(records) == [Verdict.SKIPPED]
+    assert verdicts(records) == [StepVerdict.SKIPPED]
     assert "it went wrong" in records[0].reason
 
 
@@ -135,7 +134,7 @@ def test_quitting_leaves_the_rest_undone() -> None:
 def test_nobody_there_goes_on_after_a_failure_unless_it_is_essential() -> None:
     silent = Silent(lambda _text: None)
     records = play(silent, [Played("one", failures=9), Played("two", needs=("one",)), Played("three")])
-    assert verdicts(records) == [Verdict.FAILED, Verdict.LEFT_OUT, Verdict.DONE]
+    assert verdicts(records) == [StepVerdict.FAILED, StepVerdict.LEFT_OUT, StepVerdict.DONE]
     with pytest.raises(Abandoned, match="it went wrong"):
         play(silent, [Played("one", failures=9, essential=True)])
 
@@ -144,19 +143,19 @@ def test_nobody_there_repeats_once_what_was_disturbed_but_not_what_was_judged() 
     silent = Silent(lambda _text: None)
     disturbed, judged = Played("one", error=LimitExceeded("no reading")), Played("two", failures=9)
     records = play(silent, [disturbed, judged])
-    assert verdicts(records) == [Verdict.FAILED, Verdict.FAILED]
+    assert verdicts(records) == [StepVerdict.FAILED, StepVerdict.FAILED]
     assert (disturbed.runs, judged.runs) == (2, 1)
 
 
 def test_what_a_drive_cannot_do_is_left_out_with_the_reason() -> None:
     records = play(Silent(lambda _text: None), [Played("one", without="no torque mode")])
-    assert (records[0].verdict, records[0].reason) == (Verdict.LEFT_OUT, "no torque mode")
+    assert (records[0].verdict, records[0].reason) == (StepVerdict.LEFT_OUT, "no torque mode")
 
 
 def test_a_dry_run_tells_of_what_writes_and_of_what_rests_on_it() -> None:
     writer, follower, reader = Played("one", writes=True), Played("two", needs=("one",)), Played("three")
     records = play(Silent(lambda _text: None), [writer, follower, reader], dry_run=True)
-    assert verdicts(records) == [Verdict.NOT_DONE, Verdict.NOT_DONE, Verdict.DONE]
+    assert verdicts(records) == [StepVerdict.NOT_DONE, StepVerdict.NOT_DONE, StepVerdict.DONE]
     assert (writer.runs, follower.runs, reader.runs) == (0, 0, 1)
 
 

@@ -68,7 +68,7 @@ class Bench:
         session.drive = cast(Any, self.drive)
         session.dialog = cast(Any, SimpleNamespace(tell=self.told.append))
         session.network = cast(Any, SimpleNamespace(deadline_after=lambda duration: duration))
-        session.port = cast(Any, SimpleNamespace())
+        session._port = cast(Any, SimpleNamespace())
         session.request = cast(Any, SimpleNamespace(nameplate=Nameplate.model_validate(nameplate or {})))
         session.objects = cast(Any, SimpleNamespace(read_if_there=self._read))
         self.session = session

@@ -106,20 +106,20 @@ def session_of(
     shaft = Shaft(quantity, mechanics, damping_nm_s)
 
     @contextmanager
-    def enabled() -> Iterator[None]:
-        yield
+    def exercising() -> Iterator[Shaft]:
+        yield shaft
 
     torque_mode = Mode.CYCLIC_SYNCHRONOUS_TORQUE if quantity is Quantity.TORQUE else None
     session = SimpleNamespace(
         limits=replace(LIMITS, travel_rad=travel_rad),
         found=SimpleNamespace(
-            told=SimpleNamespace(position_rad=math.tau / 4096, rated_torque_nm=RATED_NM),
-            override=SimpleNamespace(position_rad=None, rated_torque_nm=None),
             mechanics=mechanics,
             rough=None,
         ),
-        enabled=enabled,
-        exerciser=lambda: shaft,
+        told=SimpleNamespace(position_rad=math.tau / 4096),
+        position_rad=math.tau / 4096,
+        rated_torque_nm=RATED_NM,
+        exercising=exercising,
         port=shaft.port,
         torque_mode=lambda: torque_mode,
     )
@@ -147,6 +147,15 @@ def test_pulses_go_as_far_as_asked_where_there_is_room() -> None:
         session, shaft = session_of(travel_rad, damping_nm_s=0.05)
         pulses(session, 0.5)
         assert all(math.pi <= far < 1.2 * math.pi for far in farthest(shaft)), travel_rad
+
+
+@pytest.mark.parametrize("travel_rad", [0.01, 0.05])
+def test_a_pulse_goes_twice_as_far_as_it_takes_to_see_the_shaft_move(travel_rad: float) -> None:
+    """Less would not end a pulse before it is noticed; more is not needed where the travel is short."""
+    session, shaft = session_of(travel_rad, damping_nm_s=0.05)
+    pulses(session, 0.5)
+    seen_rad = 0.003 * math.tau
+    assert all(2.0 * seen_rad <= far < 2.5 * seen_rad for far in farthest(shaft))
 
 
 def test_the_torque_of_a_pulse_rises_by_the_rated_torque_a_second_up_to_the_limit() -> None:

@@ -90,7 +90,7 @@ def test_ling2012_example() -> None:
         2_000_000,
         20_000_000,
     )
-    assert config.host.heartbeat == 50_000_000
+    assert config.host.heartbeat_ms == 50
     assert config.fault_plan is not None
     assert peak_speed_rpm(config.reference["axis1"]) == 1500.0
 

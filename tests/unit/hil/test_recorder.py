@@ -15,18 +15,20 @@ import pytest
 from drivers.errors import BadInput
 from drivers.record import replaced
 from drivers.timebase import Instant
-from hil.recording.recorder import ROWS_CAPACITY, MemoryRecorder, Recorder, start_recording
-from hil.rows.records import record_of
+from hil.recording.recorder import ROWS_CAPACITY, Recorder, start_recording
 from hil.rows.records_file import read_records
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
+from tests.memory_recorder import MemoryRecorder
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
+from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 CYCLES = 500
 
 
-def play(recorder: Recorder, cycles: int = CYCLES) -> Summary:
+def play(recorder: Recorder | MemoryRecorder, cycles: int = CYCLES) -> Summary:
     """A short run, with what a loop would say of it."""
     recorder.event(Instant(-5), "INFO", "set up")
     recorder.begin(Instant(0))
@@ -69,7 +71,7 @@ def test_the_folder_holds_the_run(run: tuple[Path, Summary]) -> None:
     assert found == expected | {"frames.directions", "logger.log"}
     assert (folder / "logger.log").read_text() == ""
     assert (folder / "bench.toml").read_text() == "# resolved\n"
-    assert Summary.from_json(json.loads((folder / "summary.json").read_text())) == summary
+    assert from_plain(Summary, json.loads((folder / "summary.json").read_text())) == summary
 
 
 def test_the_records_are_all_there_in_order(run: tuple[Path, Summary]) -> None:
@@ -156,7 +158,7 @@ def test_rows_of_a_killed_logger_are_in_the_files_once_each(tmp_path: Path) -> N
     assert [record_of(row) for row in rows] == records
     assert summary.digest == play(MemoryRecorder(plan_for(tmp_path).review), 2 * CYCLES).digest
     assert len((tmp_path / "run" / "frames.log").read_text().splitlines()) == 2 * CYCLES
-    assert Summary.from_json(json.loads((tmp_path / "run" / "summary.json").read_text())) == summary
+    assert from_plain(Summary, json.loads((tmp_path / "run" / "summary.json").read_text())) == summary
     assert not (tmp_path / "run" / "records.tail").exists()
 
 
@@ -203,7 +205,7 @@ def test_a_killed_writer_leaves_a_whole_recording(tmp_path: Path) -> None:
     writer = subprocess.run([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, check=False)
     assert writer.returncode == -signal.SIGKILL
     wait_for_exit(int(writer.stdout))
-    summary = Summary.from_json(json.loads((folder / "summary.json").read_text()))
+    summary = from_plain(Summary, json.loads((folder / "summary.json").read_text()))
     assert summary.cycles == 300
     assert not summary.verdict.passed
     assert summary.verdict.reason == "the process of the loop died"

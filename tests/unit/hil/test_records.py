@@ -15,7 +15,8 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-from hil.rows.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, record_of, row_of
+from hil.rows.records import LAYOUT, NOTHING, ROW, ROW_DTYPE, row_of
+from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
 
 instants = st.integers(-(2**62), 2**62).map(Instant)

@@ -21,6 +21,7 @@ from hil.recording.run_folder import Reserve
 from hil.rows.records import ROW_DTYPE
 from hil.rows.records_file import read_records
 from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
@@ -78,8 +79,8 @@ def recover(folder: Path, *options: str) -> tuple[int, str]:
 def test_all_but_the_last_200_ms_are_there(run: Path) -> None:
     status, said = recover(run, "--json")
     assert status == 0, said
-    summary = Summary.from_json(json.loads(said))
-    assert summary == Summary.from_json(json.loads((run / "summary.json").read_text()))
+    summary = from_plain(Summary, json.loads(said))
+    assert summary == from_plain(Summary, json.loads((run / "summary.json").read_text()))
     rows = np.concatenate(list(read_records(run / "records.arrow")))
     wanted = [record.sequence for record in synthetic_records(CYCLES)]
     assert rows["sequence"].tolist() == wanted[: rows.size]
@@ -134,7 +135,7 @@ def test_run_rrd_is_left_alone_where_there_is_no_room_for_it(
 def test_the_verdict_says_what_is_missing(run: Path) -> None:
     status, said = recover(run)
     assert status == 0, said
-    summary = Summary.from_json(json.loads((run / "summary.json").read_text()))
+    summary = from_plain(Summary, json.loads((run / "summary.json").read_text()))
     assert not summary.verdict.passed
     assert not summary.verdict.completed
     assert summary.verdict.reason.startswith("the end of the run is not known")

@@ -9,6 +9,7 @@ import pytest
 from drivers.wire.frame_port import EchoBasis
 from hil.recording.verdict_text import verdict_markdown
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import (
     DropoutCounts,
     Figures,
@@ -19,7 +20,7 @@ from hil.verdict.summary import (
     summarise,
     summary_without_run,
 )
-from hil.verdict.timing_text import timing_lines
+from hil.verdict.summary_text import timing_lines
 from hil.verdict.verdict import Check, LimitResult, RunOutcome, RunVerdict, VerdictKind, VerdictLimits
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 
@@ -97,7 +98,7 @@ def test_json_has_the_promised_keys() -> None:
 def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> None:
     summary = summary_without_run(VerdictKind.BAD_INPUT, "no such file")
     assert set(summary.as_json()) == set(summary_with().as_json())
-    assert Summary.from_json(json.loads(json.dumps(summary.as_json()))) == summary
+    assert from_plain(Summary, json.loads(json.dumps(summary.as_json()))) == summary
     assert (summary.verdict.exit_status, summary.verdict.reason) == (2, "no such file")
     assert summary.bus_load_percent is None
 
@@ -105,12 +106,12 @@ def test_what_ended_before_its_run_has_the_same_keys_and_measured_nothing() -> N
 @pytest.mark.parametrize("faults", [(), ("run.rrd is incomplete",)])
 def test_json_and_back(faults: tuple[str, ...]) -> None:
     summary = summary_with(recording_faults=faults)
-    assert Summary.from_json(json.loads(json.dumps(summary.as_json()))) == summary
+    assert from_plain(Summary, json.loads(json.dumps(summary.as_json()))) == summary
     assert ("recording_faults" in summary.as_json()) == bool(faults)
 
 
 def test_a_recording_plan_survives_json(plan: RecordingPlan) -> None:
-    assert RecordingPlan.from_json(json.loads(json.dumps(plan.as_json()))) == plan
+    assert from_plain(RecordingPlan, json.loads(json.dumps(plan.as_json()))) == plan
 
 
 @pytest.fixture

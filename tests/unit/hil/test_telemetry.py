@@ -16,6 +16,7 @@ from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
+from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
@@ -192,7 +193,7 @@ def test_the_page_tells_the_verdict(recording: Path) -> None:
 
 def test_the_whole_summary_is_in_the_recording(recording: Path, rows: Rows) -> None:
     _, ((text,),) = columns(recording, "/summary", "TextDocument:text")
-    told = Summary.from_json(json.loads(str(text)))
+    told = from_plain(Summary, json.loads(str(text)))
     assert told.cycles == rows.size
     assert told.verdict.passed
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from hil.verdict.plain_values import from_plain
 from hil.verdict.verdict import (
     CycleCount,
     DriveEnd,
@@ -94,7 +95,7 @@ def test_each_condition_alone_keeps_a_run_from_passing(what: str) -> None:
     assert not verdict.passed
     assert verdict.reason
     assert len(verdict.findings) == 1
-    assert RunVerdict.from_json(json.loads(json.dumps(asdict(verdict)))) == verdict
+    assert from_plain(RunVerdict, json.loads(json.dumps(asdict(verdict)))) == verdict
 
 
 OF_LIMITS = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
@@ -180,6 +181,6 @@ def test_an_error_comes_to_what_its_status_says() -> None:
 
 def test_an_outcome_survives_the_way_to_the_logger() -> None:
     outcome = replace(WHOLE, cause=VerdictKind.PEER_FAULT, emergencies=("EMCY",), distrust=("two stamps",))
-    there = RunOutcome.from_json(json.loads(json.dumps(asdict(outcome))))
+    there = from_plain(RunOutcome, json.loads(json.dumps(asdict(outcome))))
     assert judge(there, COUNT, KEPT, LIMITS) == judge(outcome, COUNT, KEPT, LIMITS)
     assert there.drives == outcome.drives

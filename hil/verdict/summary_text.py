@@ -1,7 +1,7 @@
-"""What a run's timing rests on, in lines for a reader; from the ``timing`` of its summary."""
+"""A run's timing and what it rests on, and its certificates beside what was seen: lines for a reader."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 _SYNC_TEXTS = {
     "none": "no echo: the instant is that of its hand-over",
@@ -17,6 +17,11 @@ _AXIS_COUNTS = {
     "duplicates": "came twice",
     "unmatched": "answer no SYNC",
     "commands_unexplained": "demands of no command",
+}
+_CERTIFIED: Final = {
+    "delay_us": "delay [us]",
+    "losses_in_a_row": "losses in a row",
+    "gain_rad_s_nm": "gain [rad/s per N m]",
 }
 
 
@@ -56,3 +61,32 @@ def _axis_line(told: Mapping[str, Any]) -> str:
 def _counts(told: Mapping[str, Any], words: Mapping[str, str]) -> list[str]:
     """Those that are not 0."""
     return [f"{told[key]} {text}" for key, text in words.items() if told[key]]
+
+
+def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:
+    """By title a line for each axis; empty for a run without certified controllers.
+
+    ``certificates``: figures of :class:`hil.reviewing.certificate_meter.CertificateMeter` by axis.
+    """
+    found = certificates or {}
+    return {_title("Certificate", axis, found): _certificate_line(figures) for axis, figures in found.items()}
+
+
+def _certificate_line(figures: Mapping[str, Any]) -> str:
+    parts = [f"{words} {_pair(figures[name])}" for name, words in _CERTIFIED.items()]
+    loop = figures["current_bandwidth_hz"]
+    if loop["certified"] is not None:
+        least, most = map(_number, loop["certified"])
+        covered = least if least == most else f"{least} to {most}"
+        parts.append(f"current loop [Hz] {covered}, the drive's {_number(loop['drive'])}")
+    return "; ".join(parts)
+
+
+def _pair(found: Mapping[str, float | None]) -> str:
+    seen, most = found["seen"], found.get("seen_at_most")
+    text = f"{_number(found['certified'])}, seen {_number(seen)}"
+    return text if most == seen else f"{text} to {_number(most)}" if most is not None else text
+
+
+def _number(value: float | None) -> str:
+    return "not known" if value is None else f"{value:.4g}"

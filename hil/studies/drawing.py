@@ -1,0 +1,46 @@
+"""How the pictures of the studies are begun and saved."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+from drivers.errors import BadInput
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+
+@contextmanager
+def picture(
+    path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **options: Any
+) -> Iterator[Any]:
+    """The axes, one or (rows, columns) of them without an axis of length 1, with a grid; saved when left.
+
+    Raises BadInput for a path that cannot be written to.
+    """
+    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", **options)
+    for axis in figure.axes:
+        axis.grid(alpha=0.3)
+    try:
+        yield axes
+        try:
+            figure.savefig(path, dpi=120)
+        except (OSError, ValueError) as error:
+            expected = f"the path of a PNG file that can be written ({error})"
+            raise BadInput("picture", "", str(path), expected) from None
+    finally:
+        plt.close(figure)
+
+
+def draw_all(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> list[Path]:
+    """Every picture by its name into ``folder``; the files. Raises BadInput for what can be no folder."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput("--figures", "", str(folder), f"a folder ({error.strerror})") from None
+    for name, draw in files.items():
+        draw(folder / name)
+    return [folder / name for name in files]

@@ -1,0 +1,70 @@
+"""What commands print: one JSON object or text on stdout, tables of it, and what is said beside on stderr."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+T = TypeVar("T", bound="dict[str, Any]")
+
+
+def put(figures: T, as_json: bool, show: Callable[[T], None]) -> None:
+    """``figures`` as one JSON object, or as ``show`` prints them."""
+    if as_json:
+        typer.echo(json.dumps(figures, allow_nan=False))
+    else:
+        show(figures)
+
+
+def say(text: str) -> None:
+    """On stderr, at once."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def say_written(path: Path) -> None:
+    """Which file there is now, on stderr."""
+    typer.echo(f"written {path}", err=True)
+
+
+def columns(*titles: str, right: tuple[str, ...] = (), **options: Any) -> "Table":
+    """A table without lines; ``right``: titles of figures, whose columns end alike. ``options``: of rich."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", show_header=bool(titles))
+    for title in titles:
+        table.add_column(title, justify="right" if title in right else "left", **options)
+    return table
+
+
+def print_figures(
+    figures: dict[str, Any], indent: str = "", *, text: Callable[[Any], str] | None = None,
+    width: int = 26, gap: str = "   ",
+) -> None:  # fmt: skip
+    """Figures by name, tables inside one another; ``text``: how one is written."""
+    text = text or figure_text
+    for key, value in figures.items():
+        if isinstance(value, dict):
+            typer.echo(f"{indent}{key}")
+            print_figures(value, indent + "  ", text=text, width=width, gap=gap)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            typer.echo(f"{indent}{key}")
+            for item in value:
+                typer.echo(f"{indent}  " + gap.join(f"{name} {text(part)}" for name, part in item.items()))
+        else:
+            shown = "  ".join(map(text, value)) if isinstance(value, list) else text(value)
+            typer.echo(f"{indent}{key:<{width}} {shown}")
+
+
+def figure_text(value: Any) -> str:
+    """A figure of a speed loop; a dash for one that is not there."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.7g}" if isinstance(value, float) else str(value)
