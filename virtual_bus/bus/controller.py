@@ -11,18 +11,6 @@ RECEIVE_ERRORS_MAX = 255
 class CanController:
     """What the fault confinement of ISO 11898-1 knows about one node."""
 
-    __slots__ = (
-        "bitrate_bit_s",
-        "listen_only",
-        "plugged",
-        "receive_errors",
-        "recovery_from",
-        "recovery_left",
-        "state",
-        "suspended_until",
-        "transmit_errors",
-    )
-
     def __init__(self, bitrate_bit_s: int) -> None:
         self.bitrate_bit_s = bitrate_bit_s
         self.listen_only = False

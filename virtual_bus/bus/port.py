@@ -54,26 +54,6 @@ class Handling:
 class BusMedium:
     """What the ports of a segment share, and who is sending; how a frame goes over it, the segment says."""
 
-    __slots__ = (
-        "_contenders",
-        "_delivering",
-        "_end_at",
-        "_error_monitors",
-        "_free_at",
-        "_intermission",
-        "_judge",
-        "_load",
-        "_monitors",
-        "_ports",
-        "_sender",
-        "_start_at",
-        "acknowledged",
-        "bitrate_bit_s",
-        "errors",
-        "frames",
-        "timeline",
-    )
-
     def __init__(self, timeline: Timeline, bitrate: int, acknowledged: bool) -> None:
         if bitrate <= 0:
             raise ValueError(f"bitrate {bitrate} bit/s: it must be positive")
@@ -111,20 +91,6 @@ class BusMedium:
 
 class Port:
     """A node's connection to a segment: a first-in first-out transmit queue and a listener."""
-
-    __slots__ = (
-        "_key",
-        "_queue",
-        "_rank",
-        "_room",
-        "_segment",
-        "controller",
-        "listener",
-        "name",
-        "on_error_state",
-        "on_sent",
-        "recover_after_ns",
-    )
 
     def __init__(self, segment: "BusMedium", rank: int, name: str, listener: Listener) -> None:
         self.name = name

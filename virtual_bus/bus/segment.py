@@ -38,8 +38,6 @@ class _EndOfFrame(Action):
 class CanSegment(BusMedium):
     """A bus of one bit rate on a timeline, with any number of ports."""
 
-    __slots__ = ("_attached", "_durations", "_handling", "_on_end")
-
     def __init__(self, timeline: Timeline, bitrate: int = 1_000_000, acknowledged: bool = True) -> None:
         """``acknowledged``: something that is no port acknowledges every frame; else another port has to."""
         super().__init__(timeline, bitrate, acknowledged)
