@@ -13,9 +13,6 @@ from collections import deque
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
-from drivers.canopen.error_codes import ERROR_TEXTS as ERROR_TEXTS
-from drivers.canopen.error_codes import error_text as error_text
-
 
 class State(Enum):
     """States of the power drive system, CiA 402-2 6.2 (finite state automaton)."""

@@ -12,6 +12,7 @@ got switches its feature off.
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.application import Application, CommunicationLoss
@@ -31,7 +32,6 @@ from virtual_bus.device.sdo_server import SdoServer
 from virtual_bus.device.station import NEVER, Station
 from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.device.time_consumer import TimeConsumer
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
@@ -10,7 +11,6 @@ from virtual_bus.device.nmt import NmtSlave
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 ERROR_CONTROL: Final = 0x700

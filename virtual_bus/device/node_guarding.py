@@ -1,5 +1,6 @@
 """Node guarding and life guarding: 100Ch, 100Dh (CiA 301, 7.2.8.2.1)."""
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
@@ -7,7 +8,6 @@ from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.heartbeat import ERROR_CONTROL, HEARTBEAT_ERROR, HeartbeatProducer
 from virtual_bus.device.nmt import NmtSlave
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 _SOURCE = 0x100

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device import cob_id
@@ -9,7 +10,6 @@ from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.plan_checks import DELAY_MAX, require, require_nodes, require_window
 
 CLOCK_STEP_MAX = Duration(3600 * NS_PER_S)

@@ -14,13 +14,13 @@ from enum import IntEnum
 from heapq import heappop, heappush
 from typing import Protocol
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Duration, Instant
 from virtual_bus.bus.host_port import HELD_MAX
 from virtual_bus.bus.judge import LOST
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.fates import FateSource
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, NONE, FaultLog
 from virtual_bus.faults.fault_plan import Direction
