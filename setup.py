@@ -40,7 +40,7 @@ HOT_MODULES = [
     *_below("virtual_bus/bus", "inbox judge listener port segment trial"),
     *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
     *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
-    *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware halt homing"),
+    *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware homing"),
     *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
     *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo servo_parameters"),
     *_below("virtual_bus/drive", "slow_values trajectory user_units"),
