@@ -7,12 +7,10 @@ from typing import Final
 import can
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.bus.arbitration import arbitration_key
-from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration
+from virtual_bus.bus.bit_length import INTERMISSION_BITS, arbitration_key, bits_duration
 from virtual_bus.bus.bus_load import BusLoad
-from virtual_bus.bus.controller import CanController
+from virtual_bus.bus.controller import CanController, ErrorState
 from virtual_bus.bus.disturbance import Disturb, OnError
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.listener import NOBODY, Listener, OnFrame
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline

@@ -15,8 +15,7 @@ not depend on the order of events within an instant.
 from collections.abc import Callable
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.bus.arbitration import arbitration_key
-from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, bits_duration, wire_bits
+from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, arbitration_key, bits_duration, wire_bits
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_handling import ErrorHandling
 from virtual_bus.bus.listener import Listener, OnFrame, listener_of

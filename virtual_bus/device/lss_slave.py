@@ -20,7 +20,7 @@ from enum import IntEnum
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.parameter_store import ParameterStore
+from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
 

@@ -8,7 +8,7 @@ from tests.unit.virtual_bus.device_bench import RecordingApplication
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
-from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
+from virtual_bus.device.parameter_storage import MemoryStore, ParameterStore
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline

@@ -17,8 +17,8 @@ from tests.unit.virtual_bus.error_bench import (
     crc_delimiter,
     length,
 )
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.frame import Frame
 
 

@@ -9,8 +9,8 @@ from drivers.record import values_of
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
 from tests.unit.virtual_bus.error_bench import Bench, length
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.frame import Frame
 
 EXAMPLES = settings(derandomize=True, deadline=None)
