@@ -36,7 +36,7 @@ HOT_MODULES = [
     *_below("hil/rows", "records side_rows"),
     *_below("virtual_bus", "event_heap frame pacing timeline"),
     *_below("virtual_bus/bus", "bit_length bus_load controller error_frame error_handling"),
-    *_below("virtual_bus/bus", "filters frame_image host_port hub_broker hub_port hub_protocol"),
+    *_below("virtual_bus/bus", "frame_image host_port hub_broker hub_port hub_protocol"),
     *_below("virtual_bus/bus", "judge listener port segment trial"),
     *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
     *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),

@@ -241,6 +241,11 @@ class Mode(IntEnum):
     CYCLIC_SYNCHRONOUS_TORQUE = 10
     CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE = 11
 
+    @property
+    def title(self) -> str:
+        """Its name in words: ``cyclic synchronous torque``."""
+        return self.name.lower().replace("_", " ")
+
 
 def supported_mode_bit(mode: Mode) -> int:
     """The bit of 0x6502 that says that ``mode`` is supported; 0 for NONE, which has no bit."""

@@ -7,7 +7,7 @@ from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, pla
 from drivers.cia402.profile import Mode
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.fitness import Fitness, mode_name
+from drivers.sheets.fitness import Fitness
 from drivers.timebase import NS_PER_US, Duration
 
 MODES = {
@@ -39,6 +39,6 @@ def plan_for(
     try:
         result = plan_pdos(capability_of(loaded), node_id, PlanWish(wanted))
     except PlanImpossible as error:
-        return Planned(mode_name(wanted), None, None, error.evidence or error.summary)
+        return Planned(wanted.title, None, None, error.evidence or error.summary)
     budget = budget_of([result.plan], Duration(period_us * NS_PER_US), bitrate)
-    return Planned(mode_name(wanted), result, budget)
+    return Planned(wanted.title, result, budget)

@@ -14,11 +14,10 @@ from typing import Final
 from can.typechecking import CanFilters
 
 from drivers.timebase import Instant
-from drivers.wire.frame_port import EchoBasis, FramePort
+from drivers.wire.frame_port import EchoBasis, FramePort, accepts
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
-from virtual_bus.bus.filters import accepts
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port

@@ -10,9 +10,8 @@ import can
 from can.typechecking import CanFilters
 
 from drivers.timebase import NS_PER_S, Clock, Instant, instant_after
-from drivers.wire.frame_port import EchoBasis, FramePort
+from drivers.wire.frame_port import EchoBasis, FramePort, accepts
 from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.filters import accepts
 from virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
