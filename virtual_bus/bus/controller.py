@@ -53,10 +53,15 @@ class CanController:
 
     def __init__(self, bitrate_bit_s: int) -> None:
         self.bitrate_bit_s = bitrate_bit_s
+        """That the node is set to, bit/s; right if it is the segment's."""
         self.listen_only = False
+        """It never drives the bus: no frame, no acknowledgement, no error flag."""
         self.plugged = True
+        """It is on the wire."""
         self.transmit_errors = 0
+        """256 stands for bus-off."""
         self.receive_errors = 0
+        """At most 255."""
         self.state = ErrorState.ACTIVE
         self.suspended_until = Instant(0)
         """It does not begin to send before this."""

@@ -213,15 +213,16 @@ def obey(port: Port, request: Request) -> None:
 
 def encode_status(port: Port, load_percent: float, frames: int, *, asked: bool, alone: bool) -> bytes:
     """The state of ``port``, whose client is ``alone``; ``asked``: as an answer, else because it changed."""
-    flags = _ASKED * asked | _UNPLUGGED * (not port.plugged) | _LISTEN_ONLY * port.listen_only
+    controller = port.controller
+    flags = _ASKED * asked | _UNPLUGGED * (not controller.plugged) | _LISTEN_ONLY * controller.listen_only
     flags |= _ALONE * alone
     return _STATUS.pack(
         _STATUS_MAGIC,
-        _STATES.index(port.error_state),
+        _STATES.index(controller.state),
         flags,
         min(round(load_percent), 0xFF),
-        port.transmit_errors,
-        port.receive_errors,
+        controller.transmit_errors,
+        controller.receive_errors,
         frames & 0xFFFF_FFFF,
     )
 

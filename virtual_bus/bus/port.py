@@ -113,31 +113,6 @@ class Port:
         return self.controller.state
 
     @property
-    def transmit_errors(self) -> int:
-        """The transmit error counter; 256 stands for bus-off."""
-        return self.controller.transmit_errors
-
-    @property
-    def receive_errors(self) -> int:
-        """The receive error counter, at most 255."""
-        return self.controller.receive_errors
-
-    @property
-    def plugged(self) -> bool:
-        """Whether it is on the wire."""
-        return self.controller.plugged
-
-    @property
-    def listen_only(self) -> bool:
-        """Whether it never drives the bus: no frame, no acknowledgement, no error flag."""
-        return self.controller.listen_only
-
-    @property
-    def bitrate_bit_s(self) -> int:
-        """The bit rate that the node is set to, bit/s; right if it is the segment's."""
-        return self.controller.bitrate_bit_s
-
-    @property
     def pending(self) -> int:
         """Frames that wait for the bus, the one being sent included."""
         return len(self._queue)

@@ -87,10 +87,6 @@ class CanSegment(BusMedium):
 
         return remove
 
-    def ports(self) -> tuple[Port, ...]:
-        """The ports, in the order in which they were attached."""
-        return self._ports
-
     def port(self, name: str) -> Port:
         """The port of that name. Raises LookupError if there is none or more than one."""
         found = [port for port in self._ports if port.name == name]

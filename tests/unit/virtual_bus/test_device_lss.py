@@ -239,9 +239,9 @@ def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
     for request in (b"\x04\x01", b"\x13\x00\x02", b"\x15\x05"):
         master.send(Frame(0x7E5, request.ljust(8, b"\x00")))
     timeline.run_until(Instant(4 * NS_PER_MS))
-    assert attached.port.bitrate_bit_s == 1_000_000
+    assert attached.port.controller.bitrate_bit_s == 1_000_000
     timeline.run_until(Instant(7 * NS_PER_MS))
-    assert attached.port.bitrate_bit_s == 500_000
+    assert attached.port.controller.bitrate_bit_s == 500_000
     master.send(Frame(0x123))
     timeline.run_until(Instant(8 * NS_PER_MS))
     assert segment.errors > 0, "at half the rate it destroys the frames of the others"

@@ -51,7 +51,7 @@ def test_each_frame_reaches_each_healthy_receiver_exactly_once(
 
     def judge(_sender: str, frame: Frame, _at: Instant) -> Disturbance | None:
         counters.extend(
-            (node.port.transmit_errors, node.port.receive_errors, node.port.error_state)
+            (node.port.controller.transmit_errors, node.port.controller.receive_errors, node.port.error_state)
             for node in bench.nodes
         )
         if source.random() >= probability:
