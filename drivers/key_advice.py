@@ -7,41 +7,21 @@ from typing import Any
 from drivers.errors import BadInput
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
-UNITS: dict[str, tuple[str, float]] = {
-    "s": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "ns": ("time", 1e-9),
-    "hz": ("frequency", 1.0),
-    "khz": ("frequency", 1e3),
-    "rpm": ("angular speed", RAD_S_PER_RPM),
-    "rad/s": ("angular speed", 1.0),
-    "deg/s": ("angular speed", RAD_PER_REVOLUTION / 360.0),
-    "nm": ("torque", 1.0),
-    "mnm": ("torque", 1e-3),
-    "a": ("current", 1.0),
-    "ma": ("current", 1e-3),
-    "v": ("voltage", 1.0),
-    "kv": ("voltage", 1e3),
-    "ohm": ("resistance", 1.0),
-    "mohm": ("resistance", 1e-3),
-    "h": ("inductance", 1.0),
-    "mh": ("inductance", 1e-3),
-    "uh": ("inductance", 1e-6),
-    "wb": ("flux", 1.0),
-    "mwb": ("flux", 1e-3),
-    "kg/m2": ("inertia", 1.0),
-    "g/m2": ("inertia", 1e-3),
-    "kg/cm2": ("inertia", 1e-4),
-    "g/cm2": ("inertia", 1e-7),
-    "percent": ("ratio", 1e-2),
-    "ratio": ("ratio", 1.0),
-    "permille": ("ratio", 1e-3),
-    "ppm": ("ratio", 1e-6),
-    "bit/s": ("bit rate", 1.0),
-    "kbit/s": ("bit rate", 1e3),
-    "mbit/s": ("bit rate", 1e6),
+_UNITS_OF: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "frequency": {"hz": 1.0, "khz": 1e3},
+    "angular speed": {"rad/s": 1.0, "rpm": RAD_S_PER_RPM, "deg/s": RAD_PER_REVOLUTION / 360.0},
+    "torque": {"nm": 1.0, "mnm": 1e-3},
+    "current": {"a": 1.0, "ma": 1e-3},
+    "voltage": {"v": 1.0, "kv": 1e3},
+    "resistance": {"ohm": 1.0, "mohm": 1e-3},
+    "inductance": {"h": 1.0, "mh": 1e-3, "uh": 1e-6},
+    "flux": {"wb": 1.0, "mwb": 1e-3},
+    "inertia": {"kg/m2": 1.0, "g/m2": 1e-3, "kg/cm2": 1e-4, "g/cm2": 1e-7},
+    "ratio": {"ratio": 1.0, "percent": 1e-2, "permille": 1e-3, "ppm": 1e-6},
+    "bit rate": {"bit/s": 1.0, "kbit/s": 1e3, "mbit/s": 1e6},
 }
+UNITS = {unit: (quantity, si) for quantity, units in _UNITS_OF.items() for unit, si in units.items()}
 """Unit as the words of a key, joined by a slash -> its quantity and its value in SI."""
 
 _UNIT_WORDS = frozenset(word for unit in UNITS for word in unit.split("/")) | {"rad", "deg", "s2", "m2"}

@@ -45,3 +45,17 @@ TIME_BITS: dict[int, int] = {DataType.TIME_OF_DAY: 48, DataType.TIME_DIFFERENCE:
 
 BITS = SIGNED_BITS | UNSIGNED_BITS | REAL_BITS | TIME_BITS
 """Length in a PDO, bits; strings and domains have none and cannot be mapped."""
+
+STRUCT_CODES: dict[int, str] = {
+    DataType.INTEGER8: "b",
+    DataType.INTEGER16: "h",
+    DataType.INTEGER32: "i",
+    DataType.UNSIGNED8: "B",
+    DataType.UNSIGNED16: "H",
+    DataType.UNSIGNED32: "I",
+    DataType.REAL32: "f",
+    DataType.REAL64: "d",
+    DataType.INTEGER64: "q",
+    DataType.UNSIGNED64: "Q",
+}
+"""``struct`` characters of the types that have one."""

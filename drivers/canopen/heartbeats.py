@@ -1,6 +1,6 @@
 """Who watches whose heartbeat: 1016h and 1017h of a drive (CiA 301 7.5.2.19, 7.5.2.20)."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.sdo import object_name
@@ -8,22 +8,6 @@ from drivers.errors import TransferAborted
 
 CONSUMER_HEARTBEAT_TIME = 0x1016
 PRODUCER_HEARTBEAT_TIME = 0x1017
-
-
-class HeartbeatSettings(Protocol):
-    """What of a drive's settings is for its heartbeats."""
-
-    @property
-    def unwatched(self) -> bool:
-        """Whether a drive that has no heartbeats is borne."""
-
-    @property
-    def drive_heartbeat_ms(self) -> int:
-        """What 0x1017 gets."""
-
-    @property
-    def host_heartbeat_timeout_ms(self) -> int:
-        """After so long without the host's heartbeat the drive takes it for gone."""
 
 
 class HostWatch(NamedTuple):
@@ -57,36 +41,38 @@ def _unwatched(*, watched: bool, produced: bool) -> list[str]:
     return found
 
 
-def write_heartbeats(objects: RemoteObjects, settings: HeartbeatSettings) -> Heartbeats:
-    """0x1017, and an entry of 0x1016 for the host (CiA 301 7.5.2.19).
+def write_heartbeats(
+    objects: RemoteObjects, period_ms: int, host_timeout_ms: int, *, unwatched: bool
+) -> Heartbeats:
+    """0x1017 gets ``period_ms``, and 0x1016 an entry for a host that is silent for ``host_timeout_ms``.
 
-    Both are needed, unless the settings bear an unwatched drive: raises SettingRefused or TransferAborted if
+    Both are needed, unless ``unwatched`` bears a drive without: raises SettingRefused or TransferAborted if
     the drive has them not, or does not take them.
     """
     produced = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H") is not None
     watched = objects.read_if_there(CONSUMER_HEARTBEAT_TIME, 0, "B") is not None
-    if not (produced and watched) and not settings.unwatched:
+    if not (produced and watched) and not unwatched:
         raise SettingRefused(
             f"node {objects.node_id} has no {'1017h' if watched else '1016h'}",
             "; ".join(_unwatched(watched=watched, produced=produced)),
             "if somebody can stop it by hand, say so: unwatched = true",
         )
     if produced:
-        objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", settings.drive_heartbeat_ms)
+        objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", period_ms)
     if not watched:
         return Heartbeats(None, produced)
     try:
-        return Heartbeats(_watch_host(objects, settings), produced)
+        return Heartbeats(_watch_host(objects, host_timeout_ms), produced)
     except (SettingRefused, TransferAborted):
-        if settings.unwatched:
+        if unwatched:
             return Heartbeats(None, produced)
         raise
 
 
-def _watch_host(objects: RemoteObjects, settings: HeartbeatSettings) -> HostWatch:
+def _watch_host(objects: RemoteObjects, host_timeout_ms: int) -> HostWatch:
     """Have the drive watch the host."""
     entry = consumer_entry(objects)
-    word = objects.network.node_id << 16 | settings.host_heartbeat_timeout_ms
+    word = objects.network.node_id << 16 | host_timeout_ms
     objects.write_verified(CONSUMER_HEARTBEAT_TIME, entry, "I", word)
     return HostWatch(entry, word)
 

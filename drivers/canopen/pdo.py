@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
-from struct import Struct
+from struct import Struct, calcsize
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.sdo import object_name
@@ -20,15 +20,26 @@ EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
 
-_NOT_VALID = 1 << 31
+NOT_VALID = 1 << 31
 _NO_REMOTE = 1 << 30
 _COB_ID = 0x7FF
 _PDOS_LOOKED_AT = 4
+"""Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
 _WRITTEN, _SWITCHED_OFF = " written", " switched off"
 DONE = (_WRITTEN, _SWITCHED_OFF)
 """So ends a note on what was done; every other tells of something that could not be."""
-"""Predefined connection set: the PDOs that may be alive without anybody having asked for them."""
-_BITS = {"b": 8, "B": 8, "h": 16, "H": 16, "i": 32, "I": 32, "q": 64, "Q": 64}
+Key = tuple[int, int]
+"""Index and sub-index."""
+
+
+def key_of(mapping_word: int) -> Key:
+    """The object that a mapping word names."""
+    return mapping_word >> 16, mapping_word >> 8 & 0xFF
+
+
+def mapping_text(words: Iterable[int]) -> str:
+    """``6041h:00/16 606Ch:00/32``: objects and bits that mapping words name."""
+    return " ".join(f"{object_name(*key_of(word))}/{word & 0xFF}" for word in words)
 
 
 class PdoDirection(Enum):
@@ -66,7 +77,7 @@ class PdoEntry:
 
     @property
     def bits(self) -> int:
-        return 8 * int(self.code[:-1]) if self.code[-1] == "s" else _BITS[self.code]
+        return 8 * calcsize("<" + self.code)
 
     @property
     def mapping_word(self) -> int:
@@ -229,7 +240,7 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     if cob_id is None:
         return [f"{pdo.name} does not exist"]
     found = []
-    if cob_id & _NOT_VALID:
+    if cob_id & NOT_VALID:
         found.append(f"{pdo.name} is switched off")
     if cob_id & _COB_ID != pdo.cob_id:
         found.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
@@ -240,7 +251,7 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     held = _held_mapping(objects, pdo.mapping_index)
     wanted = [entry.mapping_word for entry in pdo.entries]
     if held != wanted:
-        found.append(f"{pdo.name} maps {_mapping_text(held)} instead of {_mapping_text(wanted)}")
+        found.append(f"{pdo.name} maps {mapping_text(held) or 'nothing'} instead of {mapping_text(wanted)}")
     return found
 
 
@@ -266,12 +277,6 @@ def _held_mapping(objects: RemoteObjects, mapping_index: int) -> list[int]:
     return [objects.read(mapping_index, sub) for sub in range(1, min(count, 64) + 1)]
 
 
-def _mapping_text(words: list[int]) -> str:
-    if not words:
-        return "nothing"
-    return " ".join(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in words)
-
-
 def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: int) -> list[str]:
     name = f"{direction.letter}PDO{number}"
     try:
@@ -283,9 +288,9 @@ def _switch_off_unused(objects: RemoteObjects, direction: PdoDirection, number: 
 def _switch_off(objects: RemoteObjects, communication_index: int) -> bool:
     """True if the PDO existed and exists no more."""
     cob_id = objects.read_if_there(communication_index, 1)
-    if cob_id is None or cob_id & _NOT_VALID:
+    if cob_id is None or cob_id & NOT_VALID:
         return False
-    objects.write(communication_index, 1, "I", cob_id | _NOT_VALID)
+    objects.write(communication_index, 1, "I", cob_id | NOT_VALID)
     return True
 
 
@@ -304,7 +309,7 @@ def _write_pdo(objects: RemoteObjects, pdo: PdoMap) -> None:
         for sub, entry in enumerate(pdo.entries, start=1):
             objects.write(pdo.mapping_index, sub, "I", entry.mapping_word)
         objects.write(pdo.mapping_index, 0, "B", len(pdo.entries))
-    if held & (_NOT_VALID | _COB_ID) != pdo.cob_id:
+    if held & (NOT_VALID | _COB_ID) != pdo.cob_id:
         objects.write(pdo.communication_index, 1, "I", pdo.cob_id | remote)
 
 

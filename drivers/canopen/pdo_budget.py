@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from drivers.canopen.pdo import PdoMap, PdoPlan, frame_bits_max
+from drivers.canopen.pdo import PdoMap, PdoPlan, frame_bits_max, mapping_text
 from drivers.timebase import NS_PER_S, Duration
 
 SYNC_ID = 0x080
@@ -73,7 +73,7 @@ def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int)
 
 def content_of(pdo: PdoMap) -> str:
     """``6041h:00/16 606Ch:00/32``."""
-    return " ".join(f"{entry.index:04X}h:{entry.sub:02X}/{entry.bits}" for entry in pdo.entries)
+    return mapping_text(entry.mapping_word for entry in pdo.entries)
 
 
 def _line(name: str, cob_id: int, data_bytes: int, bitrate: int, share: float, content: str) -> BudgetLine:

@@ -8,25 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivers.canopen.objects import RemoteObjects
-from drivers.canopen.pdo import PdoDirection
+from drivers.canopen.pdo import NOT_VALID, Key, PdoDirection, PdoEntry, key_of
 from drivers.canopen.sdo import object_name
 
-Key = tuple[int, int]
-"""Index and sub-index."""
-NOT_VALID = 1 << 31
 ENTRIES_MAX = 64
 """Objects that one PDO can carry, at a bit each (CiA 301 7.5.2.36)."""
-CODES = {
-    (8, True): "b",
-    (16, True): "h",
-    (32, True): "i",
-    (64, True): "q",
-    (8, False): "B",
-    (16, False): "H",
-    (32, False): "I",
-    (64, False): "Q",
-}
-"""(bits, signed) -> ``struct`` character."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +52,7 @@ class PdoSlot:
     @property
     def keys(self) -> set[Key]:
         """What is mapped."""
-        return {(word >> 16, word >> 8 & 0xFF) for word in self.mapping}
+        return set(map(key_of, self.mapping))
 
     @property
     def valid(self) -> bool:
@@ -95,11 +81,8 @@ class MappedObject:
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:
-        return (
-            f"{object_name(self.index, self.sub)} ({self.name})"
-            if self.name
-            else object_name(self.index, self.sub)
-        )
+        name = object_name(self.index, self.sub)
+        return f"{name} ({self.name})" if self.name else name
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +131,7 @@ def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int],
             if slot is not None:
                 slots.append(slot)
     known = {
-        (index, sub): MappedObject(index, sub, _bits_of(code), code, True, True, True)
+        (index, sub): MappedObject(index, sub, PdoEntry(index, sub, code).bits, code, True, True, True)
         for (index, sub), code in wanted.items()
     }
     return PdoCapability(tuple(slots), known)
@@ -164,7 +147,3 @@ def _slot_of_drive(objects: RemoteObjects, direction: PdoDirection, number: int)
     words = tuple(objects.read_if_there(mapping, sub) or 0 for sub in range(1, count + 1))
     kind = objects.read_if_there(communication, 2, "B")
     return PdoSlot(direction, number, cob_id, True, kind, True, words, False, count)
-
-
-def _bits_of(code: str) -> int:
-    return next(bits for (bits, _), known in CODES.items() if known == code)

@@ -12,9 +12,8 @@ from drivers.canopen.pdo import PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_layouts import DEMAND, STAMP, Features, choices, limits_of, status_timer_ms
 from drivers.cia402.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_plans import DEMAND, STAMP, Features, choices, limits_of, mode_plan, status_timer_ms
 from drivers.cia402.profile import (
     AbortConnectionOption,
     DisableOperationOption,
@@ -72,7 +71,7 @@ class DriveSettings:
     position_every_cycles: int = 1
     """As in :func:`drivers.cia402.pdo_plans.mode_plan`. Without effect beside ``plan``."""
     coherent: bool = False
-    """As in :func:`drivers.cia402.pdo_layouts.layout`. Without effect beside ``plan``."""
+    """As in :func:`drivers.cia402.pdo_plans.layout`. Without effect beside ``plan``."""
     command_timeout_ms: int | None = None
     """A drive that hears no command for so long is to stop; None: nobody looks to it. Acts from
     ``supervise_commands`` on."""

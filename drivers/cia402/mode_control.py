@@ -63,8 +63,7 @@ class ModeControl:
     def _check_supported(self, mode: Mode) -> None:
         modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
         if modes and not modes & supported_mode_bit(mode):
-            name = mode.name.lower().replace("_", " ")
-            raise PeerFault(f"{self._control.title} has no {name} mode", f"6502h is {modes:08X}h")
+            raise PeerFault(f"{self._control.title} has no {mode.title} mode", f"6502h is {modes:08X}h")
 
     def _await_display(self, mode: Mode, deadline: Instant) -> None:
         """0x6061 follows 0x6060 when the drive has changed; a drive without 0x6061 is believed."""

@@ -134,9 +134,8 @@ class Motion:
         """
         mode = self._modes.mode
         if mode >= Mode.CYCLIC_SYNCHRONOUS_POSITION:
-            name = mode.name.lower().replace("_", " ")
             raise ValueError(
-                f"{self._control.title} knows no halt in {name}: "
+                f"{self._control.title} knows no halt in {mode.title}: "
                 "let the set-points lead it to rest, or quick_stop"
             )
         self._control.set_bits(Control.HALT, Control.HALT)

@@ -68,12 +68,15 @@ class Object(IntEnum):
     MAX_MOTOR_SPEED = 0x6080
     """rev/min."""
     PROFILE_VELOCITY = 0x6081
+    END_VELOCITY = 0x6082
     PROFILE_ACCELERATION = 0x6083
     PROFILE_DECELERATION = 0x6084
     QUICK_STOP_DECELERATION = 0x6085
     """User acceleration unit."""
+    MOTION_PROFILE_TYPE = 0x6086
     TORQUE_SLOPE = 0x6087
     """Per thousand of 0x6076, per second."""
+    TORQUE_PROFILE_TYPE = 0x6088
     POSITION_ENCODER_RESOLUTION = 0x608F
     """Sub 1 encoder increments per sub 2 motor revolutions."""
     VELOCITY_ENCODER_RESOLUTION = 0x6090
@@ -104,9 +107,18 @@ class Object(IntEnum):
     SUPPORTED_HOMING_METHODS = 0x60E3
     """Sub 1 and on: one method each."""
     FOLLOWING_ERROR_ACTUAL_VALUE = 0x60F4
-    TARGET_VELOCITY = 0x60FF
+    POSITION_DEMAND_INTERNAL_VALUE = 0x60FC
+    """Encoder increments."""
     DIGITAL_INPUTS = 0x60FD
+    TARGET_VELOCITY = 0x60FF
+    MOTOR_TYPE = 0x6402
     SUPPORTED_DRIVE_MODES = 0x6502
+
+    @property
+    def title(self) -> str:
+        """Its name in words: ``Target torque``."""
+        words = self.name.replace("_", " ").capitalize()
+        return words.replace("Si unit", "SI unit").replace("Dc link", "DC link")
 
 
 class Unit(IntEnum):

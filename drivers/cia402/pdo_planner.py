@@ -1,6 +1,6 @@
 """A PDO plan for a drive's own PDOs: from what the loop needs and what the drive can do.
 
-    flexible PDOs   the layouts of ``pdo_layouts``, the best first, one after the other until one fits
+    flexible PDOs   the layouts of ``pdo_plans``, the best first, one after the other until one fits
     fixed PDOs      those that carry the needed objects are taken as they are, with what else they carry
     both            objects that no flexible PDO may carry are looked for in the fixed ones
 
@@ -15,15 +15,17 @@ from drivers.canopen.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
     SYNCHRONOUS_MAX,
+    Key,
     PdoDirection,
     PdoEntry,
     PdoMap,
     PdoPlan,
+    key_of,
 )
-from drivers.canopen.pdo_capability import Key, MappedObject, PdoCapability, PdoSlot
+from drivers.canopen.pdo_capability import MappedObject, PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_layouts import (
+from drivers.cia402.pdo_plans import (
     ALL,
     CURRENT,
     DEMAND,
@@ -31,6 +33,7 @@ from drivers.cia402.pdo_layouts import (
     STAMP,
     STATUS,
     STATUS_TIMER_MS,
+    TARGETS,
     TORQUE,
     VELOCITY,
     Features,
@@ -39,7 +42,6 @@ from drivers.cia402.pdo_layouts import (
     layout,
     limits_of,
 )
-from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import Mode
 from drivers.errors import PeerFault
 
@@ -64,7 +66,7 @@ class PlanWish:
     """What may be used of what the drive can tell."""
     status_timer_ms: int = STATUS_TIMER_MS
     coherent: bool = False
-    """All values of one SYNC in a reading; see :func:`drivers.cia402.pdo_layouts.layout`."""
+    """All values of one SYNC in a reading; see :func:`drivers.cia402.pdo_plans.layout`."""
 
     @property
     def torque_mode(self) -> bool:
@@ -126,7 +128,7 @@ def _plan(capability: PdoCapability, node_id: int, wish: PlanWish) -> PlanResult
     received = planner.wanted(told, PdoDirection.RECEIVE)
     if planner.lacks:
         raise PlanImpossible(
-            f"the drive's PDOs cannot carry what {_mode_name(wish.mode)} needs",
+            f"the drive's PDOs cannot carry what {wish.mode.title} needs",
             "; ".join(planner.lacks),
             "use another mode, or another drive",
         )
@@ -145,10 +147,6 @@ def features_of(plan: PdoPlan) -> Features:
         demand=any(pdo.synchronous and pdo.place_of(*DEMAND) is not None for pdo in plan.tpdos),
         status_on_change=status is not None and not status.synchronous,
     )
-
-
-def _mode_name(mode: Mode) -> str:
-    return mode.name.lower().replace("_", " ")
 
 
 def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
@@ -297,14 +295,14 @@ class _Planner:
 
     def _code(self, key: Key, slot: PdoSlot) -> str:
         """``struct`` character of an object in a PDO with a fixed mapping; empty if it has none."""
-        word = next(word for word in slot.mapping if (word >> 16, word >> 8 & 0xFF) == key)
+        word = next(word for word in slot.mapping if key_of(word) == key)
         found = self._capability.objects.get(key)
         return found.code if found is not None and found.bits == word & 0xFF else ""
 
     def _entries(self, slot: PdoSlot) -> list[PdoEntry]:
         made = []
         for word in slot.mapping:
-            key = (word >> 16, word >> 8 & 0xFF)
+            key = key_of(word)
             code = self._code(key, slot) or {8: "B", 16: "H", 32: "I"}.get(
                 word & 0xFF, f"{(word & 0xFF) // 8}s"
             )

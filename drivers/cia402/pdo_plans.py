@@ -1,30 +1,148 @@
-"""The PDO plans that the bench gives to drives, by mode of operation."""
+"""The PDO plans that the bench gives to drives: which actual values travel together, and how often.
+
+The speed travels with the drive's stamp of that very sample, first on the bus and with every SYNC; torque,
+position and the torque demand follow, less often if the bus is full; the statusword is told when it changes.
+The layouts of the TPDOs, the best first:
+
+                                                606Ch 1013h    6077h 6064h 6074h    6041h
+    all that the bench can use                  every SYNC     every n-th SYNC      on change
+    6041h not on change, n = 1                  every SYNC     every SYNC, with 6041h in place of 6074h
+    6041h not on change, no stamp or n > 1      every SYNC, with 6041h in place of 1013h, the rest as above
+    coherent                                    every SYNC, behind 6041h 6077h 6064h with every SYNC
+"""
+
+from typing import Final, NamedTuple
 
 from drivers.canopen.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
     HIGH_RESOLUTION_TIME_STAMP,
+    SYNCHRONOUS_MAX,
+    Key,
     PdoDirection,
     PdoEntry,
     PdoMap,
     PdoPlan,
 )
-from drivers.canopen.pdo_capability import Key
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_layouts import (
-    ALL,
-    DEMAND,
-    POSITION,
-    STAMP,
-    STATUS,
-    STATUS_TIMER_MS,
-    TORQUE,
-    VELOCITY,
-    Features,
-    choices,
-    layout,
-)
 from drivers.cia402.profile import Mode
+
+STATUS: Final[Key] = (Object.STATUSWORD, 0)
+VELOCITY: Final[Key] = (Object.VELOCITY_ACTUAL_VALUE, 0)
+TORQUE: Final[Key] = (Object.TORQUE_ACTUAL_VALUE, 0)
+CURRENT: Final[Key] = (Object.CURRENT_ACTUAL_VALUE, 0)
+POSITION: Final[Key] = (Object.POSITION_ACTUAL_VALUE, 0)
+DEMAND: Final[Key] = (Object.TORQUE_DEMAND, 0)
+STAMP: Final[Key] = (HIGH_RESOLUTION_TIME_STAMP, 0)
+
+STATUS_INHIBIT_100US: Final = 10
+"""1 ms: a bit of the statusword that chatters costs no more than a statusword in every cycle would."""
+STATUS_TIMER_MS: Final = 25
+"""With a heartbeat that may be missed for 150 ms; see :func:`status_timer_ms`."""
+_TELLINGS: Final = 6
+"""Tellings of the statusword in the time after which a lost heartbeat is noticed: on a bus that loses every
+tenth frame, six in a row are lost once in a million."""
+
+
+class Features(NamedTuple):
+    """What a drive tells beyond speed, torque, position and statusword."""
+
+    stamp: bool = True
+    """1013h in the frame of the speed."""
+    demand: bool = True
+    """6074h in the frame of the position."""
+    status_on_change: bool = True
+    """6041h when it changes; else with every SYNC."""
+
+    def within(self, other: "Features") -> bool:
+        """Nothing is used that ``other`` has not."""
+        return all(there or not used for used, there in zip(self, other, strict=True))
+
+
+ALL: Final = Features()
+_PREFERENCE: Final = (
+    ALL,
+    Features(demand=False),
+    Features(demand=False, status_on_change=False),
+    Features(stamp=False),
+    Features(stamp=False, demand=False),
+    Features(stamp=False, status_on_change=False),
+    Features(stamp=False, demand=False, status_on_change=False),
+)
+"""The stamp is worth most: by it readings are attributed whatever the bus does to them."""
+
+
+class Group(NamedTuple):
+    """Objects that travel together."""
+
+    keys: tuple[Key, ...]
+    transmission_type: int
+    inhibit_time_100us: int = 0
+    event_timer_ms: int = 0
+
+
+def choices(able: Features, position_every_cycles: int) -> list[Features]:
+    """What can be used of what a drive is able to do, the best first.
+
+    A statusword with every SYNC has its place beside the position only if that comes with every SYNC too.
+    """
+    return [
+        each
+        for each in _PREFERENCE
+        if each.within(able) and (each.status_on_change or not each.stamp or position_every_cycles == 1)
+    ]
+
+
+def layout(
+    features: Features,
+    torque: Key | None,
+    position_every_cycles: int,
+    timer_ms: int,
+    *,
+    coherent: bool = False,
+) -> tuple[Group, ...]:
+    """What travels together, first the frame that is to have the lowest identifier.
+
+    ``torque``: what stands for the torque, if anything does. ``timer_ms``: how often the statusword is told
+    without a change. ``coherent``: torque, position and statusword are of the same SYNC as the speed, which
+    comes last. Raises ValueError for a ``position_every_cycles`` that is no transmission type.
+    """
+    if not 1 <= position_every_cycles <= SYNCHRONOUS_MAX:
+        raise ValueError(f"position_every_cycles {position_every_cycles} is not in 1..{SYNCHRONOUS_MAX}")
+    speed = (VELOCITY, STAMP) if features.stamp else (VELOCITY,)
+    actual = (POSITION,) if torque is None else (torque, POSITION)
+    if coherent:
+        return Group((STATUS, *actual), EVERY_SYNC), Group(speed, EVERY_SYNC)
+    if not features.status_on_change and features.stamp:
+        return Group(speed, EVERY_SYNC), Group((*actual, STATUS), EVERY_SYNC)
+    if features.demand:
+        actual = (*actual, DEMAND)
+    if not features.status_on_change:
+        return Group((VELOCITY, STATUS), EVERY_SYNC), Group(actual, position_every_cycles)
+    return (
+        Group(speed, EVERY_SYNC),
+        Group(actual, position_every_cycles),
+        Group((STATUS,), EVENT_DRIVEN, STATUS_INHIBIT_100US, timer_ms),
+    )
+
+
+def status_timer_ms(heartbeat_timeout_ms: int) -> int:
+    """How often the statusword is told without a change: its silence is to be noticed as fast as a lost
+    heartbeat, and a few lost frames are not to be taken for silence."""
+    return max(1, heartbeat_timeout_ms // _TELLINGS)
+
+
+def limits_of(features: Features, *, torque_mode: bool) -> list[str]:
+    """What is lost where a feature is not used, in words."""
+    found = []
+    if not features.stamp:
+        found.append("no 1013h beside 606Ch: readings are attributed to SYNCs by their order")
+    if not features.demand and torque_mode:
+        found.append("no 6074h beside the position: which command acts is not measured")
+    if not features.status_on_change:
+        found.append("6041h is not told on change: it is told with the SYNC")
+    return found
+
 
 _CONTROLWORD = PdoEntry(Object.CONTROLWORD, 0, "H")
 _TORQUE = PdoEntry(Object.TARGET_TORQUE, 0, "h")
@@ -65,7 +183,7 @@ def mode_plan(
     ``status_timer_ms``. RPDO1: controlword and the set-point of the mode, applied on arrival or, if
     ``synchronous_command``, at the next SYNC.
 
-    ``status_on_change``: see :mod:`drivers.cia402.pdo_layouts`, which also says what ``coherent`` is.
+    ``status_on_change``: see :mod:`drivers.cia402.pdo_plans`, which also says what ``coherent`` is.
     ``demand_changes``: a TPDO4 with 6074h and 1013h, sent whenever they change: when a command began to act.
     """
     target = TARGETS.get(mode)

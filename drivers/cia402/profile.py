@@ -13,9 +13,6 @@ from collections import deque
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
-from drivers.canopen.error_codes import ERROR_TEXTS as ERROR_TEXTS
-from drivers.canopen.error_codes import error_text as error_text
-
 
 class State(Enum):
     """States of the power drive system, CiA 402-2 6.2 (finite state automaton)."""
@@ -243,6 +240,11 @@ class Mode(IntEnum):
     CYCLIC_SYNCHRONOUS_VELOCITY = 9
     CYCLIC_SYNCHRONOUS_TORQUE = 10
     CYCLIC_SYNCHRONOUS_TORQUE_WITH_ANGLE = 11
+
+    @property
+    def title(self) -> str:
+        """Its name in words: ``cyclic synchronous torque``."""
+        return self.name.lower().replace("_", " ")
 
 
 def supported_mode_bit(mode: Mode) -> int:

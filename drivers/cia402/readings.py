@@ -58,38 +58,6 @@ class ReadingAssembler:
     the position of its own SYNC.
     """
 
-    __slots__ = (
-        "_anchored_at",
-        "_carried_rad",
-        "_carried_to_us",
-        "_changes",
-        "_inlets",
-        "_last_at",
-        "_last_us",
-        "_leads",
-        "_nm_per_raw",
-        "_period_ns",
-        "_period_us",
-        "_position",
-        "_position_raw",
-        "_pump",
-        "_rad_s_per_raw",
-        "_reach_us",
-        "_readbacks",
-        "_readings",
-        "_stamp_raw",
-        "_stamped",
-        "_told",
-        "_torque_raw",
-        "_velocity_rad_s",
-        "malformed",
-        "position_told_at",
-        "readings_made",
-        "scaling",
-        "torque_told_at",
-        "watch",
-    )
-
     def __init__(
         self,
         network: CanopenNetwork,
@@ -273,22 +241,6 @@ class ReadingAssembler:
 
 class _Inlet:
     """Takes the frames of one TPDO apart for an assembler; objects that nobody asks for are passed over."""
-
-    __slots__ = (
-        "_assembler",
-        "_demand",
-        "_on_change",
-        "_position",
-        "_size",
-        "_stamp",
-        "_status",
-        "_told",
-        "_torque",
-        "_unpack",
-        "_velocity",
-        "_watched",
-        "frames",
-    )
 
     def __init__(self, assembler: ReadingAssembler, pdo: PdoMap, told: LastStatusword, watched: int) -> None:
         codec = pdo.codec()

@@ -23,29 +23,27 @@ from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 ObjectValues = Mapping[tuple[int, int], int | None]
 """(index, sub) -> value; None or absent if the drive does not have it."""
 
+_RATIOS = (
+    Object.POSITION_ENCODER_RESOLUTION,
+    Object.GEAR_RATIO,
+    Object.FEED_CONSTANT,
+    Object.VELOCITY_ENCODER_RESOLUTION,
+    Object.POSITION_FACTOR,
+    Object.VELOCITY_ENCODER_FACTOR,
+    Object.VELOCITY_FACTOR,
+    Object.ACCELERATION_FACTOR,
+)
+_UNIT_WORDS = (
+    Object.SI_UNIT_POSITION,
+    Object.SI_UNIT_VELOCITY,
+    Object.SI_UNIT_ACCELERATION,
+    Object.SI_UNIT_JERK,
+)
 FACTOR_OBJECTS: tuple[tuple[int, int], ...] = (
     (Object.MOTOR_RATED_TORQUE, 0),
     (Object.MOTOR_RATED_CURRENT, 0),
-    (Object.POSITION_ENCODER_RESOLUTION, 1),
-    (Object.POSITION_ENCODER_RESOLUTION, 2),
-    (Object.GEAR_RATIO, 1),
-    (Object.GEAR_RATIO, 2),
-    (Object.FEED_CONSTANT, 1),
-    (Object.FEED_CONSTANT, 2),
-    (Object.VELOCITY_ENCODER_RESOLUTION, 1),
-    (Object.VELOCITY_ENCODER_RESOLUTION, 2),
-    (Object.POSITION_FACTOR, 1),
-    (Object.POSITION_FACTOR, 2),
-    (Object.VELOCITY_ENCODER_FACTOR, 1),
-    (Object.VELOCITY_ENCODER_FACTOR, 2),
-    (Object.VELOCITY_FACTOR, 1),
-    (Object.VELOCITY_FACTOR, 2),
-    (Object.ACCELERATION_FACTOR, 1),
-    (Object.ACCELERATION_FACTOR, 2),
-    (Object.SI_UNIT_POSITION, 0),
-    (Object.SI_UNIT_VELOCITY, 0),
-    (Object.SI_UNIT_ACCELERATION, 0),
-    (Object.SI_UNIT_JERK, 0),
+    *((index, sub) for index in _RATIOS for sub in (1, 2)),
+    *((index, 0) for index in _UNIT_WORDS),
 )
 """What :func:`scaling_from` wants to know of a drive."""
 
@@ -207,11 +205,9 @@ def _position(values: ObjectValues) -> tuple[float, str] | None:
 
 def _velocity(values: ObjectValues, position_rad: float) -> tuple[float, str] | None:
     """rad/s per velocity unit; position units per second where nothing says otherwise."""
-    gear, by_gear = _gear(values)
-    word = values.get((Object.SI_UNIT_VELOCITY, 0))
-    told = _rate(word, values, position_rad, power=1) if word else None
+    told = _told_rate(values, Object.SI_UNIT_VELOCITY, position_rad, power=1)
     if told is not None:
-        return told * gear if _turning(word) else told, f"60A9h{by_gear if _turning(word) else ''}"
+        return told
     factor, increment = _ratio(values, Object.VELOCITY_ENCODER_FACTOR), _turn_rad(values)
     if factor is not None and increment is not None:
         # DSP 402: increments per second = velocity in user units, times 6094h.
@@ -227,11 +223,9 @@ def _acceleration(
     values: ObjectValues, position_rad: float, velocity_rad_s: float
 ) -> tuple[float, str] | None:
     """rad/s^2 per acceleration unit; velocity units per second where nothing says otherwise."""
-    gear, by_gear = _gear(values)
-    word = values.get((Object.SI_UNIT_ACCELERATION, 0))
-    told = _rate(word, values, position_rad, power=2) if word else None
+    told = _told_rate(values, Object.SI_UNIT_ACCELERATION, position_rad, power=2)
     if told is not None:
-        return told * gear if _turning(word) else told, f"60AAh{by_gear if _turning(word) else ''}"
+        return told
     factor, increment = _ratio(values, Object.ACCELERATION_FACTOR), _turn_rad(values)
     of_dsp_402 = _ratio(values, Object.VELOCITY_ENCODER_FACTOR) is not None
     if factor is not None and of_dsp_402 and increment is not None:
@@ -245,17 +239,22 @@ def _acceleration(
 
 def _jerk(values: ObjectValues, position_rad: float, acceleration_rad_s2: float) -> tuple[float, str]:
     """rad/s^3 per jerk unit; acceleration units per second where no unit word says otherwise."""
-    gear, by_gear = _gear(values)
-    word = values.get((Object.SI_UNIT_JERK, 0))
-    told = _rate(word, values, position_rad, power=3) if word else None
-    if told is None:
-        return acceleration_rad_s2, "acceleration unit per second (no 60ABh)"
-    return told * gear if _turning(word) else told, f"60ABh{by_gear if _turning(word) else ''}"
+    told = _told_rate(values, Object.SI_UNIT_JERK, position_rad, power=3)
+    return told or (acceleration_rad_s2, "acceleration unit per second (no 60ABh)")
 
 
-def _turning(word: int | None) -> bool:
-    """The unit counts turns of the driving shaft."""
-    return word is not None and unit_parts(word)[1] in _TURNING
+def _told_rate(
+    values: ObjectValues, unit_word: Object, position_rad: float, power: int
+) -> tuple[float, str] | None:
+    """rad/s^power by a unit word; None if it is not set, or tells nothing that is known here."""
+    word = values.get((unit_word, 0))
+    told = _rate(word, values, position_rad, power) if word else None
+    if not word or told is None:
+        return None
+    if unit_parts(word)[1] in _TURNING:  # turns of the driving shaft
+        gear, by_gear = _gear(values)
+        return told * gear, f"{unit_word:04X}h{by_gear}"
+    return told, f"{unit_word:04X}h"
 
 
 def _rate(word: int, values: ObjectValues, position_rad: float, power: int) -> float | None:

@@ -101,7 +101,8 @@ class ServoDrive(Drive):
         network = self.network
         if not network.produces_heartbeat:
             network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
-        beats = write_heartbeats(self.objects, settings)
+        period_ms, host_ms = settings.drive_heartbeat_ms, settings.host_heartbeat_timeout_ms
+        beats = write_heartbeats(self.objects, period_ms, host_ms, unwatched=settings.unwatched)
         self._host_watch, self._beats = beats.host_watch, beats.produced
         watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
         network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))

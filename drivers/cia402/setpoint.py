@@ -91,18 +91,6 @@ class SetPointFrames:
     every RPDO carries the set-points in force too, a controlword never repeats an old set-point.
     """
 
-    __slots__ = (
-        "_link",
-        "_per_nm",
-        "_per_rad",
-        "_per_rad_s",
-        "_places",
-        "_torque",
-        "_torque_raw_max",
-        "_velocity_raw_max",
-        "clipped",
-    )
-
     def __init__(
         self,
         network: CanopenNetwork,

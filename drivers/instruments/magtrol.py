@@ -73,9 +73,6 @@ class Dialect(NamedTuple):
         return DataString(torque_nm, sign * int(found[1]) * RAD_S_PER_RPM, found[3] == b"A")
 
 
-KINDS = ("magtrol_dsp6001", "magtrol_dsp7000")
-
-
 def dialect(kind: str, channel: int = 1, unit: str = "N.m", clockwise_is_positive: bool = True) -> Dialect:
     """How to speak to an instrument of ``kind``; a DSP7000 in its 6001 mode is a ``magtrol_dsp6001``.
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
+from drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
 from drivers.canopen.pdo import PdoDirection
-from drivers.canopen.pdo_capability import CODES, ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
+from drivers.canopen.pdo_capability import ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
 from drivers.sheets.dictionary import LoadedDictionary
 
 _PDOS_MAX = 64
@@ -42,10 +42,7 @@ def _mapped_object(index: int, sub: int, variable: Any) -> MappedObject | None:
     bits = BITS.get(variable.data_type)
     if bits is None:
         return None
-    signed = variable.data_type in SIGNED_BITS
-    code = CODES.get((bits, signed), "") if variable.data_type not in REAL_BITS else ""
-    if variable.data_type == DataType.BOOLEAN:
-        code = ""
+    code = STRUCT_CODES.get(variable.data_type, "") if variable.data_type not in REAL_BITS else ""
     access = variable.access_type
     return MappedObject(
         index,

@@ -67,11 +67,11 @@ def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> Lo
     sections = read_sections(lines_of(data, log), log)
     if not any(object_of(name) for name in sections):
         raise BadInput(source, "", "no object section", _EXPECTED)
-    commissioning = read_commissioning(sections, log)
+    commissioning = read_commissioning(sections)
     if node_id is None and commissioning is not None:
         node_id = commissioning.node_id
     device = read_device_information(sections, log)
-    dummies = read_dummies(sections, log)
+    dummies = read_dummies(sections)
     check_lists(sections, log)
     objects = build_objects(sections, node_id, log)
     add_compact_pdos(objects, device)

@@ -5,8 +5,8 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.pdo import key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
-from drivers.canopen.sdo import object_name
 
 _COUNTS_ITSELF = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 """Objects whose sub-index 0 counts the entries in use (CiA 301 7.5.2.3, 7.5.2.36, 7.5.2.38)."""
@@ -27,13 +27,12 @@ def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[
 def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
     wrong = []
     for word in slot.mapping:
-        index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-        named = f"{object_name(index, sub)}/{bits}"
-        if index < _FIRST_OBJECT:
-            if index not in capability.dummies:
+        key, bits, named = key_of(word), word & 0xFF, mapping_text([word])
+        if key[0] < _FIRST_OBJECT:
+            if key[0] not in capability.dummies:
                 wrong.append(f"{named} is no placeholder that it offers")
             continue
-        entry = capability.objects.get((index, sub))
+        entry = capability.objects.get(key)
         if entry is None:
             wrong.append(f"{named} is no object of its own with a length")
         elif entry.bits != bits:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.pdo import mapping_text
 from drivers.canopen.pdo_capability import PdoCapability
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
@@ -261,7 +262,7 @@ def _mode_fitness(
 def _pdo_defaults(capability: PdoCapability) -> tuple[SheetPdo, ...]:
     made = []
     for slot in capability.slots:
-        mapping = tuple(f"{object_name(word >> 16, word >> 8 & 0xFF)}/{word & 0xFF}" for word in slot.mapping)
+        mapping = tuple(mapping_text(slot.mapping).split())
         inhibit = None if slot.inhibit_time is None else slot.inhibit_time * 100
         made.append(
             SheetPdo(
@@ -296,10 +297,10 @@ def _obstacles(
     if Object.MODES_OF_OPERATION not in dictionary:
         found.append("6060h:00 missing: its mode cannot be chosen")
     if not usable:
-        has = ", ".join(mode_name(mode) for mode in modes) or "none"
+        has = ", ".join(mode.title for mode in modes) or "none"
         found.append(f"it has no mode for torque, velocity or position set-points (modes: {has})")
     elif not any(mode.plan is not None for mode in usable):
-        found += [f"no PDO plan for {mode_name(mode.mode)}: {mode.reason}" for mode in usable]
+        found += [f"no PDO plan for {mode.mode.title}: {mode.reason}" for mode in usable]
     return tuple(found)
 
 
@@ -311,7 +312,7 @@ def _remarks(
         found.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
     served = [mode.mode for mode in usable if mode.plan is not None]
     if served and not any(mode in _TORQUE_MODES for mode in served):
-        best = mode_name(served[0])
+        best = served[0].title
         found.append(f"no torque mode for the loop of `hil run`; the bench can use {best}")
     guarded = 0x100C in dictionary and 0x100D in dictionary
     if 0x1016 not in dictionary:
@@ -324,8 +325,3 @@ def _remarks(
     if _axes(dictionary) > 1:
         found.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
     return tuple(found)
-
-
-def mode_name(mode: Mode) -> str:
-    """``cyclic synchronous torque``."""
-    return mode.name.lower().replace("_", " ")

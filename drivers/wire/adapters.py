@@ -165,11 +165,6 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus", *, for_li
     return OpenBus(bus, stamps, str(spec))
 
 
-def find_adapters() -> list[Adapter]:
-    """SocketCAN interfaces and serial ports of this machine. Opens none of them."""
-    return [*socketcan_links(), *serial_ports()]
-
-
 def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
     """CAN network interfaces, up or not."""
     found = []
@@ -179,16 +174,6 @@ def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
             state = "up" if up else f"down; {link_up_command(link.name)}"
             found.append(Adapter(f"{SOCKETCAN}:{link.name}", f"SocketCAN interface, {state}", up))
     return found
-
-
-def serial_ports() -> list[Adapter]:
-    """Serial ports that may have an SLCAN adapter behind them."""
-    from serial.tools import list_ports
-
-    return [
-        Adapter(f"slcan:{port.device}@115200", port.description or "serial port", True)
-        for port in sorted(list_ports.comports())
-    ]
 
 
 def link_up_command(channel: str, bitrate_bit_s: int = 1_000_000) -> str:

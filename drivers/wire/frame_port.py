@@ -8,6 +8,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, Literal
 
+from can.typechecking import CanFilters
 from mypy_extensions import mypyc_attr
 
 from drivers.record import Record
@@ -51,6 +52,16 @@ class WireFrame(Record):
         self.handed_at = UNTOLD
         """When its sender handed it over, if that was noted. The echo on a simulated bus or a hub bears it,
         and so tells of which frame it is. Never on the wire, and not compared."""
+
+
+def accepts(filters: CanFilters, frame: WireFrame) -> bool:
+    """Whether at least one filter matches: equal under its mask, and of its format if it names one."""
+    for one in filters:
+        if "extended" in one and one["extended"] != frame.extended:
+            continue
+        if not (one["can_id"] ^ frame.can_id) & one["can_mask"]:
+            return True
+    return False
 
 
 class EchoBasis(Enum):

@@ -16,7 +16,7 @@ import can
 from can.typechecking import CanFilters
 
 from drivers.timebase import NS_PER_MS, Clock, Duration, Instant, MonotonicClock, instant_after
-from drivers.wire.frame_port import FramePort, WireFrame
+from drivers.wire.frame_port import FramePort, WireFrame, accepts
 from drivers.wire.message import frame_of, message_of
 from drivers.wire.serial_line import LineFull, LineGone, SerialLine
 from drivers.wire.slcan_protocol import (
@@ -216,7 +216,7 @@ class SlcanBus(can.BusABC):
         while True:
             while self._inbox:
                 received = self._inbox.popleft()
-                if self._filters is None or _accepts(self._filters, received[0]):
+                if self._filters is None or accepts(self._filters, received[0]):
                     return received
             if not self._take(until) and self._clock.now() >= until:
                 return None
@@ -385,13 +385,3 @@ class SlcanBus(can.BusABC):
 def _value(line: SlcanLine | None) -> str:
     """What an answer says behind its letter."""
     return "" if line is None or line.refused else line.text[1:].decode("ascii", "replace")
-
-
-def _accepts(filters: CanFilters, frame: WireFrame) -> bool:
-    """Whether at least one filter matches: equal under its mask, and of its format if it names one."""
-    for one in filters:
-        if "extended" in one and one["extended"] != frame.extended:
-            continue
-        if not (one["can_id"] ^ frame.can_id) & one["can_mask"]:
-            return True
-    return False

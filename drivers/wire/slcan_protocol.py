@@ -13,17 +13,8 @@ from typing import NamedTuple
 from drivers.wire.frame_port import WireFrame
 
 CR, BEL = b"\r", b"\a"
-BITRATE_CODES = {
-    10_000: 0,
-    20_000: 1,
-    50_000: 2,
-    100_000: 3,
-    125_000: 4,
-    250_000: 5,
-    500_000: 6,
-    800_000: 7,
-    1_000_000: 8,
-}
+_BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+BITRATE_CODES = {bitrate: code for code, bitrate in enumerate(_BITRATES_BIT_S)}
 """bit/s -> n of the command Sn."""
 STAMP_PERIOD_MS = 60_000
 LINE_LENGTH_MAX = 128

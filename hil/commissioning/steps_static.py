@@ -176,7 +176,7 @@ class UnitsTold(Step):
             "polarity": polarity,
         }
         found.modes = _modes(session)
-        named = ", ".join(mode.name.lower().replace("_", " ") for mode in found.modes) or "none of use here"
+        named = ", ".join(mode.title for mode in found.modes) or "none of use here"
         outcome.say(f"modes: {named}")
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
         found.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)

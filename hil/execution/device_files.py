@@ -11,7 +11,7 @@ from drivers.errors import BadInput
 from drivers.sheets.dictionary import load_dictionary
 from drivers.sheets.eds.information import Commissioning
 from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
 
 REPAIRS_SHOWN = 5

@@ -20,7 +20,7 @@ from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Device

@@ -12,9 +12,8 @@ from drivers.canopen.pdo import PdoPlan
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, budget_of
 from drivers.cia402.drive_setup import DriveSettings, read_scaling
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_layouts import DEMAND, STAMP, status_timer_ms
 from drivers.cia402.pdo_planner import features_of
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_plans import DEMAND, STAMP, mode_plan, status_timer_ms
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, Mode
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive

@@ -1,6 +1,6 @@
 """What an identifier stands for in CANopen's predefined connection set, CiA 301 7.3.5."""
 
-from drivers.cia402.profile import error_text
+from drivers.canopen.error_codes import error_text
 
 _BROADCASTS = {0x000: "NMT command", 0x080: "SYNC", 0x100: "TIME", 0x7E4: "LSS answer", 0x7E5: "LSS request"}
 _SERVICES = {

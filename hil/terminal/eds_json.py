@@ -8,7 +8,7 @@ from drivers.canopen.pdo import PdoMap
 from drivers.canopen.pdo_budget import Budget, content_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.sections import section_name
-from drivers.sheets.fitness import FileIdentity, Fitness, SheetPdo, mode_name
+from drivers.sheets.fitness import FileIdentity, Fitness, SheetPdo
 from hil.terminal.eds_sheet import Planned, unit_lines
 
 
@@ -24,10 +24,10 @@ def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Plann
         "identity": _identity(fitness.identity),
         "profile": fitness.profile,
         "axes": fitness.axes,
-        "modes": [mode_name(mode) for mode in fitness.modes],
+        "modes": [mode.title for mode in fitness.modes],
         "modes_told_by": fitness.modes_told_by,
         "usable_modes": [
-            {"mode": mode_name(each.mode), "pdo_plan": each.plan is not None, "reason": each.reason}
+            {"mode": each.mode.title, "pdo_plan": each.plan is not None, "reason": each.reason}
             for each in fitness.usable
         ],
         "pdos": [_pdo(pdo) for pdo in fitness.pdos],

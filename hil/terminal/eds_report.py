@@ -10,7 +10,7 @@ from rich.text import Text
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
-from drivers.sheets.fitness import FileIdentity, Fitness, mode_name
+from drivers.sheets.fitness import FileIdentity, Fitness
 from hil.terminal.eds_sheet import Planned, unit_lines
 from hil.terminal.output import columns
 
@@ -54,7 +54,7 @@ def _facts(file: Path, loaded: LoadedDictionary, fitness: Fitness) -> Table:
         "Device": _device(identity),
         "Identity": _numbers(identity),
         "Profile": _profile(fitness),
-        "Modes": f"{', '.join(map(mode_name, fitness.modes)) or 'none'}, by {fitness.modes_told_by}",
+        "Modes": f"{', '.join(mode.title for mode in fitness.modes) or 'none'}, by {fitness.modes_told_by}",
         "Bit rates": f"{rates} kbit/s" if rates else "",
         "Commissioning": _commissioning(loaded),
     }
@@ -208,7 +208,7 @@ def _print_verdict(console: Console, fitness: Fitness) -> None:
         console.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
     if fitness.serves:
         best = fitness.best
-        mode = f", best in {mode_name(best.mode)}" if best is not None else ""
+        mode = f", best in {best.mode.title}" if best is not None else ""
         console.print(Text(f"It can serve a bench{mode}.", style="bold green"))
         return
     console.print(Text("It cannot serve a bench:", style="bold red"))

@@ -11,7 +11,7 @@ from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scali
 from drivers.errors import PeerFault
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.fitness import Fitness, held, mode_name
+from drivers.sheets.fitness import Fitness, held
 from drivers.timebase import NS_PER_US, Duration
 from drivers.vendors.families import quirks_for
 
@@ -44,9 +44,9 @@ def plan_for(
     try:
         result = plan_pdos(capability_of(loaded), node_id, PlanWish(wanted))
     except PlanImpossible as error:
-        return Planned(mode_name(wanted), None, None, error.evidence or error.summary)
+        return Planned(wanted.title, None, None, error.evidence or error.summary)
     budget = budget_of([result.plan], Duration(period_us * NS_PER_US), bitrate)
-    return Planned(mode_name(wanted), result, budget)
+    return Planned(wanted.title, result, budget)
 
 
 _UNITS = (

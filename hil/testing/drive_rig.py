@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bounded_file import NamedBy
+from drivers.canopen.error_codes import error_text
 from drivers.canopen.network import CanopenNetwork
 from drivers.cia402.drive_setup import DriveSettings
-from drivers.cia402.profile import State, error_text
+from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant, duration_s

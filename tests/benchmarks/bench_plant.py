@@ -18,9 +18,9 @@ import numpy as np
 
 from design.motor import PmsmParameters
 from hil.configuration.motor_file import load_motor
+from tests.plant import Plant
 from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.motor_kernel import FloatArray, compiled
-from virtual_bus.drive.plant import Plant
 
 ROOT = Path(__file__).parents[2]
 PEERS = Path(os.environ.get("SERVOBENCH_PEERS", ROOT / ".venv-bench" / "bin" / "python"))

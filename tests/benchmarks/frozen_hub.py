@@ -13,19 +13,23 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
+from drivers.wire.frame_port import accepts
 from drivers.wire.message import frame_of, message_of
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.error_state import ErrorState
-from virtual_bus.bus.filters import accepts
-from virtual_bus.bus.hub_control import (
-    HubStatus,
-    Request,
-    decode_status,
-    encode_request,
-)
 from virtual_bus.bus.hub_join import join
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
-from virtual_bus.bus.hub_protocol import FRAME_BYTES, Hello, Received, decode_frame, encode_frame
+from virtual_bus.bus.hub_protocol import (
+    FRAME_BYTES,
+    Hello,
+    HubStatus,
+    Received,
+    Request,
+    decode_frame,
+    decode_status,
+    encode_frame,
+    encode_request,
+)
 from virtual_bus.frame import Frame
 
 _WAIT_MAX_S = 3_600.0

@@ -18,7 +18,7 @@ from hil.configuration.weights_file import load_weights
 from hil.restoring.journal import read_journal
 from tests.mutants.mutant import Kind
 from tests.unit.drivers.sound_sheet import SOUND
-from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.faults.delay_histogram import read_histogram
 
 EXAMPLES: Final = Path(__file__).parents[2] / "examples"

@@ -17,9 +17,9 @@ from scipy.integrate import solve_ivp
 from design.motor import PmsmParameters
 from drivers.timebase import Instant
 from tests.motors import AZAIZ, LING
+from tests.plant import Plant
 from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.firmware import Firmware, FirmwareParameters, InnerControl
-from virtual_bus.drive.plant import Plant
 
 PERIOD_S = 1.0 / 16_000
 FloatArray = NDArray[np.float64]

@@ -21,8 +21,8 @@ from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo

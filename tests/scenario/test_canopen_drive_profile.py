@@ -12,8 +12,8 @@ import pytest
 
 from drivers.cia402.objects402 import Object
 from tests.contract.conformance.live_device import live_servo
+from tests.eds_export import export_eds
 from virtual_bus.device.device_options import DeviceIdentity
-from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
 
 NODE = 1

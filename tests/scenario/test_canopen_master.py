@@ -19,6 +19,7 @@ import pytest
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from drivers.wire.message import frame_of
+from tests.eds_export import export_eds
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
     DEFAULTS,
@@ -31,7 +32,6 @@ from tests.unit.virtual_bus.device_bench import (
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity
-from virtual_bus.device.eds_export import export_eds
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import serve
 

@@ -7,10 +7,10 @@ import pytest
 from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.errors import BadInput, PeerFault
 from hil.testing.bench_runs import BenchRunner
+from tests.eds_export import export_eds
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
 from virtual_bus.device.device_options import DeviceIdentity
-from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
 
 BENCH = EXAMPLES / "ling2012.toml"

@@ -1,4 +1,4 @@
-"""How many bits a classical CAN frame takes on the wire, stuff bits included.
+"""A classical CAN frame on the wire: its arbitration field, and its length with all stuff bits.
 
 ISO 11898-1 (in Bosch's CAN 2.0, part B: 3.2.1 and 3.2.2 frames and CRC sequence with the
 polynomial 0x4599, 3.2.5 intermission, 6 bit stuffing: from start of frame to the end of the
@@ -14,8 +14,22 @@ import numpy as np
 from mypy_extensions import i64
 
 from drivers.timebase import NS_PER_S, Duration
-from virtual_bus.bus.arbitration import arbitration_key
 from virtual_bus.frame import Frame
+
+
+def arbitration_key(frame: Frame) -> int:
+    """The arbitration field as a number: the smaller one wins, as a dominant bit is a 0.
+
+    Bits in their order on the wire (ISO 11898-1; Bosch CAN 2.0 part B, 3.2.1): 11 bits of
+    base identifier, RTR (standard) or SRR (extended, recessive), IDE, then 18 bits of
+    identifier extension and RTR. Hence standard before extended of the same base, and data
+    before remote of the same identifier.
+    """
+    can_id, remote = frame.can_id, frame.remote
+    if frame.extended:
+        return (can_id >> 18) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
+    return can_id << 21 | remote << 20
+
 
 TAIL_BITS: Final = 10
 """CRC delimiter, ACK slot, ACK delimiter and seven bits of end of frame: never stuffed."""
@@ -131,7 +145,7 @@ _numba_count: Final = _count_bits if _COMPILED else _by_numba()
 def wire_bits(field: int, data: bytes) -> int:
     """Bits from start of frame to end of frame.
 
-    ``field`` is the arbitration key (virtual_bus.bus.arbitration) and below it the four bits of the DLC.
+    ``field`` is the arbitration key (virtual_bus.bus.bit_length) and below it the four bits of the DLC.
     """
     return _count_bits(field, data) if _COMPILED else _numba_count(field, data)
 

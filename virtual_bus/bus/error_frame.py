@@ -37,27 +37,6 @@ class _Phase(Enum):
 class Node:
     """One controller during one attempt."""
 
-    __slots__ = (
-        "_dominant",
-        "_driven",
-        "_flag_left",
-        "_forgiven",
-        "_last",
-        "_own_clock",
-        "_phase",
-        "_run",
-        "_wrong",
-        "accepted",
-        "completed",
-        "detected",
-        "listen_only",
-        "passive",
-        "rate",
-        "receive_errors",
-        "sends",
-        "transmit_errors",
-    )
-
     def __init__(
         self, *, sends: bool = False, passive: bool = False, listen_only: bool = False, rate: float = 1.0
     ) -> None:

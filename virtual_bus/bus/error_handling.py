@@ -9,16 +9,15 @@ end (ACK or error delimiter, end of frame, intermission) and once for every 11 b
 """
 
 from drivers.timebase import NS_PER_S, Duration, Instant
-from virtual_bus.bus.arbitration import arbitration_key
-from virtual_bus.bus.bit_length import bits_duration
-from virtual_bus.bus.controller import CanController
-from virtual_bus.bus.disturbance import BusError
-from virtual_bus.bus.error_state import (
+from virtual_bus.bus.bit_length import arbitration_key, bits_duration
+from virtual_bus.bus.controller import (
     RECOVERY_SEQUENCE_BITS,
     RECOVERY_SEQUENCES,
     SUSPEND_BITS,
+    CanController,
     ErrorState,
 )
+from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.port import BusMedium, Handling, Port
 from virtual_bus.bus.trial import Conditions, Trial, bit_by_bit, is_plain, undisturbed
 from virtual_bus.frame import Frame

@@ -5,9 +5,8 @@ from typing import Final
 import can
 
 from drivers.wire.frame_port import ERROR_FLAG
-from virtual_bus.bus.controller import CanController
+from virtual_bus.bus.controller import PASSIVE_FROM, CanController, ErrorState
 from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.bus.error_state import PASSIVE_FROM, ErrorState
 from virtual_bus.frame import Frame
 
 WARNING_FROM: Final = 96

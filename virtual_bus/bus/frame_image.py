@@ -5,7 +5,7 @@ Undisturbed frames are only counted (virtual_bus.bus.bit_length), which is far c
 
 from typing import NamedTuple
 
-from virtual_bus.bus.arbitration import arbitration_key
+from virtual_bus.bus.bit_length import arbitration_key
 from virtual_bus.frame import Frame
 
 DOMINANT, RECESSIVE = 0, 1

@@ -14,13 +14,11 @@ from typing import Final
 from can.typechecking import CanFilters
 
 from drivers.timebase import Instant
-from drivers.wire.frame_port import EchoBasis, FramePort
+from drivers.wire.frame_port import EchoBasis, FramePort, accepts
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError
 from virtual_bus.bus.error_message import error_frame_of
-from virtual_bus.bus.error_state import ErrorState
-from virtual_bus.bus.filters import accepts
 from virtual_bus.bus.held_frames import NEVER, HeldFrames
-from virtual_bus.bus.inbox import Inbox, ReceivedFrame
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port
@@ -30,6 +28,57 @@ from virtual_bus.frame import Frame
 
 RECEIVE_QUEUE_MAX: Final = 65_536
 """Frames that an inbox holds for its reader; later ones are lost and counted."""
+
+
+_SPENT_MAX: Final = 64
+"""Places at the head that are kept before the rest is moved up."""
+
+
+class ReceivedFrame:
+    """A received frame, and the instant at which it came."""
+
+    __slots__ = ("at", "frame", "own")
+
+    def __init__(self, frame: Frame, at: Instant, own: bool) -> None:
+        """``own``: the participant has sent it itself."""
+        self.frame = frame
+        self.at = at
+        self.own = own
+
+
+class Inbox:
+    """First in, first out, with a bound."""
+
+    __slots__ = ("_arrivals", "_most", "_taken")
+
+    def __init__(self, most: int) -> None:
+        self._arrivals: list[ReceivedFrame] = []
+        self._taken = 0
+        self._most = most
+
+    def __len__(self) -> int:
+        return len(self._arrivals) - self._taken
+
+    def put(self, arrival: ReceivedFrame) -> bool:
+        """Add ``arrival``; False if there is no room."""
+        arrivals = self._arrivals
+        if len(arrivals) - self._taken >= self._most:
+            return False
+        arrivals.append(arrival)
+        return True
+
+    def take(self) -> ReceivedFrame:
+        """The first one. Error: IndexError."""
+        arrivals = self._arrivals
+        arrival = arrivals[self._taken]
+        self._taken += 1
+        if self._taken == len(arrivals):
+            arrivals.clear()
+            self._taken = 0
+        elif self._taken >= _SPENT_MAX and self._taken * 2 > len(arrivals):
+            del arrivals[: self._taken]
+            self._taken = 0
+        return arrival
 
 
 class _Release(Action):

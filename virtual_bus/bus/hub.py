@@ -13,11 +13,10 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock, instant_after
 from drivers.wire.message import frame_of, message_of
 from virtual_bus.bus.error_message import bus_state
-from virtual_bus.bus.hub_control import HubStatus, Request
 from virtual_bus.bus.hub_join import join
 from virtual_bus.bus.hub_place import HubPlace, known_hubs
 from virtual_bus.bus.hub_port import HubPort
-from virtual_bus.bus.hub_protocol import Hello
+from virtual_bus.bus.hub_protocol import Hello, HubStatus, Request
 
 _NEVER = Instant(1 << 62)
 

@@ -25,8 +25,7 @@ from itertools import islice
 from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Instant
-from virtual_bus.bus.error_state import ErrorState
-from virtual_bus.bus.hub_control import decode_request, encode_status, obey
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub_place import HubPlace, try_lock
 from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
@@ -37,9 +36,12 @@ from virtual_bus.bus.hub_protocol import (
     MalformedRecord,
     decode_frame,
     decode_hello,
+    decode_request,
     encode_frame,
     encode_refusal,
+    encode_status,
     encode_welcome,
+    obey,
 )
 from virtual_bus.bus.listener import Listener
 from virtual_bus.bus.port import TRANSMIT_QUEUE_MAX, Port

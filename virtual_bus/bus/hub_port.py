@@ -10,15 +10,17 @@ import can
 from can.typechecking import CanFilters
 
 from drivers.timebase import NS_PER_S, Clock, Instant, instant_after
-from drivers.wire.frame_port import EchoBasis, FramePort
-from virtual_bus.bus.error_state import ErrorState
-from virtual_bus.bus.filters import accepts
-from virtual_bus.bus.hub_control import HubStatus, Request, decode_status, encode_request
+from drivers.wire.frame_port import EchoBasis, FramePort, accepts
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub_protocol import (
     FRAME_BYTES,
     PACKET_BYTES_MAX,
+    HubStatus,
     Record,
+    Request,
+    decode_status,
     encode_frame,
+    encode_request,
     frame_of,
     is_own,
     split_batch,

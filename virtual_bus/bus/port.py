@@ -7,12 +7,10 @@ from typing import Final
 import can
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.bus.arbitration import arbitration_key
-from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration
+from virtual_bus.bus.bit_length import INTERMISSION_BITS, arbitration_key, bits_duration
 from virtual_bus.bus.bus_load import BusLoad
-from virtual_bus.bus.controller import CanController
+from virtual_bus.bus.controller import CanController, ErrorState
 from virtual_bus.bus.disturbance import Disturb, OnError
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.listener import NOBODY, Listener, OnFrame
 from virtual_bus.frame import Frame
 from virtual_bus.timeline import Timeline
@@ -54,26 +52,6 @@ class Handling:
 class BusMedium:
     """What the ports of a segment share, and who is sending; how a frame goes over it, the segment says."""
 
-    __slots__ = (
-        "_contenders",
-        "_delivering",
-        "_end_at",
-        "_error_monitors",
-        "_free_at",
-        "_intermission",
-        "_judge",
-        "_load",
-        "_monitors",
-        "_ports",
-        "_sender",
-        "_start_at",
-        "acknowledged",
-        "bitrate_bit_s",
-        "errors",
-        "frames",
-        "timeline",
-    )
-
     def __init__(self, timeline: Timeline, bitrate: int, acknowledged: bool) -> None:
         if bitrate <= 0:
             raise ValueError(f"bitrate {bitrate} bit/s: it must be positive")
@@ -112,20 +90,6 @@ class BusMedium:
 class Port:
     """A node's connection to a segment: a first-in first-out transmit queue and a listener."""
 
-    __slots__ = (
-        "_key",
-        "_queue",
-        "_rank",
-        "_room",
-        "_segment",
-        "controller",
-        "listener",
-        "name",
-        "on_error_state",
-        "on_sent",
-        "recover_after_ns",
-    )
-
     def __init__(self, segment: "BusMedium", rank: int, name: str, listener: Listener) -> None:
         self.name = name
         self.listener = listener
@@ -147,31 +111,6 @@ class Port:
     def error_state(self) -> ErrorState:
         """Error active, error passive or bus-off."""
         return self.controller.state
-
-    @property
-    def transmit_errors(self) -> int:
-        """The transmit error counter; 256 stands for bus-off."""
-        return self.controller.transmit_errors
-
-    @property
-    def receive_errors(self) -> int:
-        """The receive error counter, at most 255."""
-        return self.controller.receive_errors
-
-    @property
-    def plugged(self) -> bool:
-        """Whether it is on the wire."""
-        return self.controller.plugged
-
-    @property
-    def listen_only(self) -> bool:
-        """Whether it never drives the bus: no frame, no acknowledgement, no error flag."""
-        return self.controller.listen_only
-
-    @property
-    def bitrate_bit_s(self) -> int:
-        """The bit rate that the node is set to, bit/s; right if it is the segment's."""
-        return self.controller.bitrate_bit_s
 
     @property
     def pending(self) -> int:

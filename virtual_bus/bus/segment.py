@@ -15,8 +15,7 @@ not depend on the order of events within an instant.
 from collections.abc import Callable
 
 from drivers.timebase import Duration, Instant
-from virtual_bus.bus.arbitration import arbitration_key
-from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, bits_duration, wire_bits
+from virtual_bus.bus.bit_length import LONGEST_FRAME_BITS, arbitration_key, bits_duration, wire_bits
 from virtual_bus.bus.disturbance import Disturb, OnError
 from virtual_bus.bus.error_handling import ErrorHandling
 from virtual_bus.bus.listener import Listener, OnFrame, listener_of
@@ -37,8 +36,6 @@ class _EndOfFrame(Action):
 
 class CanSegment(BusMedium):
     """A bus of one bit rate on a timeline, with any number of ports."""
-
-    __slots__ = ("_attached", "_durations", "_handling", "_on_end")
 
     def __init__(self, timeline: Timeline, bitrate: int = 1_000_000, acknowledged: bool = True) -> None:
         """``acknowledged``: something that is no port acknowledges every frame; else another port has to."""
@@ -89,10 +86,6 @@ class CanSegment(BusMedium):
             self._error_monitors = tuple(one for one in self._error_monitors if one is not on_error)
 
         return remove
-
-    def ports(self) -> tuple[Port, ...]:
-        """The ports, in the order in which they were attached."""
-        return self._ports
 
     def port(self, name: str) -> Port:
         """The port of that name. Raises LookupError if there is none or more than one."""

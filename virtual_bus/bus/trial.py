@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from virtual_bus.bus.bit_length import frame_bits
-from virtual_bus.bus.controller import CanController
+from virtual_bus.bus.controller import CanController, ErrorState
 from virtual_bus.bus.disturbance import Disturbance, ErrorKind
 from virtual_bus.bus.error_frame import BITS_MAX, Node, attempt
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.frame_image import FrameImage, frame_image, resampled
 from virtual_bus.frame import Frame
 

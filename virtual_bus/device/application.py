@@ -22,10 +22,10 @@ from typing import Protocol
 
 from mypy_extensions import mypyc_attr
 
+from drivers.canopen.error_codes import ErrorRegister as ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.error_register import ErrorRegister as ErrorRegister
 
 
 class CommunicationLoss(Enum):

@@ -12,6 +12,7 @@ got switches its feature off.
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.application import Application, CommunicationLoss
@@ -19,19 +20,15 @@ from virtual_bus.device.communication_objects import add_communication_objects
 from virtual_bus.device.device_clock import DeviceClock
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer
+from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
 from virtual_bus.device.lss_slave import LssSlave
 from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.node_guarding import NodeGuarding
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
-from virtual_bus.device.parameter_storage import ParameterStorage
-from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
+from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_server import SdoServer
 from virtual_bus.device.station import NEVER, Station
-from virtual_bus.device.sync_consumer import SyncConsumer
-from virtual_bus.device.time_consumer import TimeConsumer
-from virtual_bus.error_register import ErrorRegister
+from virtual_bus.device.sync_consumer import SyncConsumer, TimeConsumer
 from virtual_bus.frame import Frame
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140

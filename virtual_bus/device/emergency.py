@@ -6,13 +6,13 @@ cause is told apart by ``source`` where one code has several (two lost heartbeat
 
 from collections import deque
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.device import cob_id
 from virtual_bus.device.object_dictionary import Provider
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 _MAY_SEND = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})

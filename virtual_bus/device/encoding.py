@@ -3,22 +3,8 @@
 import struct
 from typing import Any
 
-from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
+from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, STRUCT_CODES, DataType
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
-
-STRUCT_CODES = {
-    DataType.INTEGER8: "b",
-    DataType.INTEGER16: "h",
-    DataType.INTEGER32: "i",
-    DataType.UNSIGNED8: "B",
-    DataType.UNSIGNED16: "H",
-    DataType.UNSIGNED32: "I",
-    DataType.REAL32: "f",
-    DataType.REAL64: "d",
-    DataType.INTEGER64: "q",
-    DataType.UNSIGNED64: "Q",
-}
-"""Types that :mod:`struct` knows; the others go through integers of their bit length."""
 
 
 def byte_length(data_type: DataType) -> int | None:

@@ -20,7 +20,7 @@ from enum import IntEnum
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.device.parameter_store import ParameterStore
+from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
 
@@ -29,16 +29,8 @@ RESPONSE_ID = 0x7E4
 NODE_ID_KEY = (0x0000, 1)
 """Where the node-ID is kept in the parameter store: no object has this index."""
 BIT_RATE_KEY = (0x0000, 2)
-BIT_RATES = {
-    0: 1_000_000,
-    1: 800_000,
-    2: 500_000,
-    3: 250_000,
-    4: 125_000,
-    6: 50_000,
-    7: 20_000,
-    8: 10_000,
-}
+_TABLE_BIT_S = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_000, 20_000, 10_000)
+BIT_RATES = {index: bit_s for index, bit_s in enumerate(_TABLE_BIT_S) if bit_s}
 """The standard bit timing table, bit/s by index; 5 is reserved, 9 (detected by itself) is not offered."""
 SCAN_RESET = 0x80
 

@@ -57,26 +57,6 @@ Provider = Callable[[], Any]
 class Variable:
     """One sub-index."""
 
-    __slots__ = (
-        "access",
-        "check",
-        "data_type",
-        "default",
-        "high",
-        "index",
-        "low",
-        "mappable",
-        "name",
-        "node_relative",
-        "on_write",
-        "power_on",
-        "provider",
-        "stored",
-        "subindex",
-        "value",
-        "watchers",
-    )
-
     def __init__(
         self,
         index: int,

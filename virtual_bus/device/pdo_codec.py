@@ -9,8 +9,8 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
-from virtual_bus.device.encoding import STRUCT_CODES, decode, encode
+from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, STRUCT_CODES
+from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 

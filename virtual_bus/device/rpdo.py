@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
@@ -10,7 +11,6 @@ from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.pdo_codec import byte_length, compile_unpacker
 from virtual_bus.device.pdo_parameters import PdoParameters
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 PDO_TOO_SHORT: Final = 0x8210

@@ -20,8 +20,10 @@ from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.encoding import byte_length
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
-from virtual_bus.device.sdo_block import ABORT_COMMAND, BlockDownload, BlockUpload
 from virtual_bus.device.sdo_transfer import (
+    ABORT_COMMAND,
+    BlockDownload,
+    BlockUpload,
     Commit,
     SegmentedDownload,
     SegmentedUpload,

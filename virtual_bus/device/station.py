@@ -76,19 +76,6 @@ class Timers:
 class Station:
     """The shared part of a device. ``now`` is set by the device at each entry."""
 
-    __slots__ = (
-        "application",
-        "data_handlers",
-        "dictionary",
-        "mute",
-        "node_id",
-        "now",
-        "out",
-        "remote_handlers",
-        "state",
-        "timers",
-    )
-
     def __init__(self, node_id: int, dictionary: ObjectDictionary, application: Application) -> None:
         self.node_id = node_id
         self.dictionary = dictionary

@@ -1,7 +1,11 @@
-"""SYNC consumer: 1005h, 1006h, 1007h and the counter of 1019h (CiA 301, 7.2.5 and 7.5.2.5..7.5.2.22)."""
+"""Consumers of SYNC and of TIME (CiA 301, 7.2.5, 7.2.6 and 7.5.2.5..7.5.2.22).
+
+SYNC: 1005h, 1006h, 1007h and the counter of 1019h. TIME, 1012h: the master's calendar for the application.
+"""
 
 from typing import Final
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device import cob_id
@@ -9,7 +13,6 @@ from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
@@ -106,3 +109,47 @@ class SyncConsumer:
         if self._station.value(0x1006):
             return AbortCode.DEVICE_STATE
         return AbortCode.INVALID_VALUE if value == 1 or value > COUNTER_MAX else None
+
+
+CONSUMES = 1 << 31
+PRODUCES = 1 << 30
+MILLISECONDS_MASK = (1 << 28) - 1
+TIME_OF_DAY_BYTES = 6
+
+
+class TimeConsumer:
+    """Takes TIME messages in PRE-OPERATIONAL and OPERATIONAL, if bit 31 of 1012h says so."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._listening: int | None = None
+        variable = station.dictionary.get(0x1012)
+        if variable is not None:
+            variable.check = _check_cob_id
+            variable.on_write = self._configure
+
+    def reset_communication(self) -> None:
+        """Take the COB-ID from the dictionary."""
+        self._configure(self._station.value(0x1012))
+
+    def _configure(self, value: int) -> None:
+        if self._listening is not None:
+            self._station.ignore(self._listening, self._on_time)
+        self._listening = value & cob_id.CAN_ID if value & CONSUMES else None
+        if self._listening is not None:
+            self._station.listen(self._listening, self._on_time)
+
+    def _on_time(self, frame: Frame, now: Instant) -> None:
+        served = self._station.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        if not served or len(frame.data) != TIME_OF_DAY_BYTES:
+            return
+        milliseconds = int.from_bytes(frame.data[:4], "little") & MILLISECONDS_MASK
+        days = int.from_bytes(frame.data[4:6], "little")
+        self._station.application.on_time(days, milliseconds, now)
+
+
+def _check_cob_id(value: int) -> AbortCode | None:
+    # 7.5.2.15: 06090030h for a producer where there is none, for bit 29, for a restricted CAN-ID.
+    if value & (PRODUCES | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
+        return AbortCode.INVALID_VALUE
+    return None

@@ -19,7 +19,12 @@ _LATE: Final = 1.5
 """Interpolation periods after which a set-point without a follower is the end of the motion."""
 
 
-class CyclicSynchronousTorque(OperationMode):
+class _CyclicMode(OperationMode):
+    def status_bits(self) -> int:
+        return 0 if self.axis.barred else Status.FOLLOWS_COMMAND
+
+
+class CyclicSynchronousTorque(_CyclicMode):
     """CST. It runs by periods only where the axis has an end."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
@@ -40,11 +45,8 @@ class CyclicSynchronousTorque(OperationMode):
     def run(self) -> None:
         self.axis.make_torque((self._target.value + self._offset.value) * self.axis.torque_unit_nm)
 
-    def status_bits(self) -> int:
-        return _follows(self.axis)
 
-
-class CyclicSynchronousVelocity(OperationMode):
+class CyclicSynchronousVelocity(_CyclicMode):
     """CSV."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
@@ -71,11 +73,8 @@ class CyclicSynchronousVelocity(OperationMode):
         change = axis.cut_change(now, share * (wanted - now))
         axis.run_at(now + change)
 
-    def status_bits(self) -> int:
-        return _follows(self.axis)
 
-
-class CyclicSynchronousPosition(OperationMode):
+class CyclicSynchronousPosition(_CyclicMode):
     """CSP. Statusword bit 13: following error.
 
     A set-point is reached one interpolation period after its arrival; without another one the drive stays.
@@ -116,7 +115,7 @@ class CyclicSynchronousPosition(OperationMode):
         self._lags = axis.watch_following()
 
     def status_bits(self) -> int:
-        return _follows(self.axis) | (Status.MODE_13 if self._lags else 0)
+        return super().status_bits() | (Status.MODE_13 if self._lags else 0)
 
     def _feed(self, ticks: int) -> float:
         """Speed that is fed forward, counts/s."""
@@ -132,7 +131,3 @@ class CyclicSynchronousPosition(OperationMode):
         """The interpolated position at a tick, encoder counts."""
         share = (ticks - self._start_tick) / self._ticks
         return self._target if share >= 1.0 else self._start + share * (self._target - self._start)
-
-
-def _follows(axis: SimulatedAxis) -> int:
-    return 0 if axis.barred else Status.FOLLOWS_COMMAND

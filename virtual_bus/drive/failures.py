@@ -1,9 +1,9 @@
 """The faults of a drive while they last: EMCY, 1001h and 603Fh."""
 
+from drivers.canopen.error_codes import ErrorRegister
 from virtual_bus.device.application import DeviceServices
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.drive.error_codes import FOLLOWING_ERROR
-from virtual_bus.error_register import ErrorRegister
 
 
 class Failures:

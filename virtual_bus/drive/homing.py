@@ -17,9 +17,8 @@ from typing import Final
 
 from drivers.cia402.profile import Control, Status
 from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.halt import Halt
 from virtual_bus.drive.homing_methods import HOMING_METHODS, TURNS_AT_LIMIT, HomingMethod, Sensor, SwitchEdge
-from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.operation_mode import HaltedMode
 
 START: Final = Control.MODE_4
 TRAVEL_TURNS_MAX: Final = 1000
@@ -41,12 +40,11 @@ class HomingPhase(Enum):
 _UNDER_WAY: Final = (HomingPhase.SEARCH, HomingPhase.RETURN, HomingPhase.CREEP, HomingPhase.PULSE)
 
 
-class Homing(OperationMode):
+class Homing(HaltedMode):
     """One homing at a time, begun by the rising edge of bit 4 and interrupted by its fall."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
-        self._halt = Halt(axis)
         self._word = 0
         self._number = 35
         self._method: HomingMethod = HOMING_METHODS[35]
@@ -62,7 +60,7 @@ class Homing(OperationMode):
         self.axis.begin()
         self._word = controlword
         self._stop(HomingPhase.IDLE)
-        self._halt.begin(controlword, self.slow_down_rad_s2())
+        self.halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
         changed = controlword ^ self._word
@@ -72,11 +70,11 @@ class Homing(OperationMode):
                 self._start()
             elif self._step in _UNDER_WAY:
                 self._stop(HomingPhase.IDLE)
-        if self._halt.receive(controlword, self.slow_down_rad_s2()) and self._step in _UNDER_WAY:
+        if self.halt.receive(controlword, self.slow_down_rad_s2()) and self._step in _UNDER_WAY:
             self._go(self._direction)
 
     def run(self) -> None:
-        if self._step not in _UNDER_WAY or self._halt.active:
+        if self._step not in _UNDER_WAY or self.halt.active:
             return
         before, self._count = self._count, self.axis.count
         self._travelled += abs(self._count - before)
@@ -89,7 +87,7 @@ class Homing(OperationMode):
 
     def status_bits(self) -> int:
         if self._step in _UNDER_WAY:
-            return Status.TARGET_REACHED if self._halt.active and self._halt.standing else 0
+            return self.target_bit(False)
         bits = Status.TARGET_REACHED if self.axis.rests() else 0
         if self._step is HomingPhase.FOUND:
             bits |= Status.MODE_12
@@ -123,7 +121,7 @@ class Homing(OperationMode):
         axis, motion = self.axis, self.axis.motion
         self._direction = direction
         velocity = motion.switch_speed if self._step is HomingPhase.SEARCH else motion.zero_speed
-        if not self._halt.active:
+        if not self.halt.active:
             speed = axis.cut_speed(axis.speed_of(velocity.value))
             axis.firmware.ramp_to_speed(direction * speed, axis.homing_rad_s2)
 

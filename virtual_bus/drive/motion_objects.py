@@ -11,16 +11,12 @@ from drivers.cia402.objects402 import Object
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
 from virtual_bus.drive.homing_methods import HOMING_METHODS
-from virtual_bus.drive.option_objects import one_of
+from virtual_bus.drive.servo_objects import add_profile_object, one_of
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 _I8, _I16, _I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
 _U8, _U16, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 
-MOTION_PROFILE_TYPE: Final = 0x6086
-END_VELOCITY: Final = 0x6082
-TORQUE_PROFILE_TYPE: Final = 0x6088
-POSITION_DEMAND_INTERNAL_VALUE: Final = 0x60FC
 LINEAR_RAMP: Final = 0
 """The only motion profile type and torque profile type here: trapezoids."""
 UNLIMITED: Final = 0xFFFF_FFFF
@@ -49,22 +45,19 @@ class MotionObjects:
 
     def _add(
         self,
-        index: int,
-        name: str,
+        index: Object,
         data_type: DataType,
         default: int = 0,
         low: int | None = None,
         check: Check | None = None,
     ) -> Variable:
-        return self._dictionary.add(
-            index, name, data_type, default=default, low=low, check=check, mappable=True
-        )
+        return add_profile_object(self._dictionary, index, data_type, default=default, low=low, check=check)
 
     def _add_set_points(self) -> None:
-        self.target_position = self._add(Object.TARGET_POSITION, "Target position", _I32)
-        self.position_offset = self._add(Object.POSITION_OFFSET, "Position offset", _I32)
-        self.target_velocity = self._add(Object.TARGET_VELOCITY, "Target velocity", _I32)
-        self.velocity_offset = self._add(Object.VELOCITY_OFFSET, "Velocity offset", _I32)
+        self.target_position = self._add(Object.TARGET_POSITION, _I32)
+        self.position_offset = self._add(Object.POSITION_OFFSET, _I32)
+        self.target_velocity = self._add(Object.TARGET_VELOCITY, _I32)
+        self.velocity_offset = self._add(Object.VELOCITY_OFFSET, _I32)
         period = self._dictionary.add_record(Object.INTERPOLATION_TIME_PERIOD, "Interpolation time period")
         self.period_value = period.add(1, "Interpolation time period value", _U8, default=1, low=1)
         self.period_index = period.add(2, "Interpolation time index", _I8, default=-3, low=-6, high=0)
@@ -77,72 +70,52 @@ class MotionObjects:
         limits = self._dictionary.add_array(Object.SOFTWARE_POSITION_LIMIT, "Software position limit")
         self.position_min = limits.add(1, "Minimum", _I32, default=LOWEST)
         self.position_max = limits.add(2, "Maximum", _I32, default=HIGHEST)
-        self.max_speed = self._add(Object.MAX_PROFILE_VELOCITY, "Max profile velocity", _U32, fastest, 1)
-        self.speed = self._add(Object.PROFILE_VELOCITY, "Profile velocity", _U32, usual, 1)
-        self.end_speed = self._add(END_VELOCITY, "End velocity", _U32)
-        self.acceleration = self._add(Object.PROFILE_ACCELERATION, "Profile acceleration", _U32, slow_down, 1)
-        self.deceleration = self._add(Object.PROFILE_DECELERATION, "Profile deceleration", _U32, slow_down, 1)
-        self.quick_stop = self._add(Object.QUICK_STOP_DECELERATION, "Quick stop deceleration", _U32, quick, 1)
-        self._add(MOTION_PROFILE_TYPE, "Motion profile type", _I16, check=one_of(frozenset({LINEAR_RAMP})))
-        self.torque_slope = self._add(Object.TORQUE_SLOPE, "Torque slope", _U32, 1000, 1)
-        self._add(TORQUE_PROFILE_TYPE, "Torque profile type", _I16, check=one_of(frozenset({LINEAR_RAMP})))
-        self.max_acceleration = self._add(Object.MAX_ACCELERATION, "Max acceleration", _U32, UNLIMITED, 1)
-        self.max_deceleration = self._add(Object.MAX_DECELERATION, "Max deceleration", _U32, UNLIMITED, 1)
+        self.max_speed = self._add(Object.MAX_PROFILE_VELOCITY, _U32, fastest, 1)
+        self.speed = self._add(Object.PROFILE_VELOCITY, _U32, usual, 1)
+        self.end_speed = self._add(Object.END_VELOCITY, _U32)
+        self.acceleration = self._add(Object.PROFILE_ACCELERATION, _U32, slow_down, 1)
+        self.deceleration = self._add(Object.PROFILE_DECELERATION, _U32, slow_down, 1)
+        self.quick_stop = self._add(Object.QUICK_STOP_DECELERATION, _U32, quick, 1)
+        self._add(Object.MOTION_PROFILE_TYPE, _I16, check=one_of((LINEAR_RAMP,)))
+        self.torque_slope = self._add(Object.TORQUE_SLOPE, _U32, 1000, 1)
+        self._add(Object.TORQUE_PROFILE_TYPE, _I16, check=one_of((LINEAR_RAMP,)))
+        self.max_acceleration = self._add(Object.MAX_ACCELERATION, _U32, UNLIMITED, 1)
+        self.max_deceleration = self._add(Object.MAX_DECELERATION, _U32, UNLIMITED, 1)
 
     def _add_homing(self, motor: PmsmParameters, drive: DriveParameters) -> None:
-        self.home_offset = self._add(Object.HOME_OFFSET, "Home offset", _I32)
-        self.homing_method = self._add(
-            Object.HOMING_METHOD, "Homing method", _I8, 35, check=one_of(frozenset(HOMING_METHODS))
-        )
-        usual = motor.rated_speed_rad_s / _MRPM
+        self.home_offset = self._add(Object.HOME_OFFSET, _I32)
+        self.homing_method = self._add(Object.HOMING_METHOD, _I8, 35, check=one_of(HOMING_METHODS))
         speeds = self._dictionary.add_array(Object.HOMING_SPEEDS, "Homing speeds")
-        self.switch_speed = speeds.add(
-            1, "Speed during search for switch", _U32, default=max(1, round(usual / 10)), low=1, mappable=True
-        )
-        self.zero_speed = speeds.add(
-            2, "Speed during search for zero", _U32, default=max(1, round(usual / 50)), low=1, mappable=True
-        )
-        self.homing_acceleration = self._add(
-            Object.HOMING_ACCELERATION,
-            "Homing acceleration",
-            _U32,
-            max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM)),
-            1,
-        )
+
+        def add_speed(sub: int, what: str, part: int) -> Variable:
+            usual = max(1, round(motor.rated_speed_rad_s / _MRPM / part))
+            name = f"Speed during search for {what}"
+            return speeds.add(sub, name, _U32, default=usual, low=1, mappable=True)
+
+        self.switch_speed, self.zero_speed = add_speed(1, "switch", 10), add_speed(2, "zero", 50)
+        slow_down = max(1, round(drive.slow_down_rad_s2(motor) / RAD_S_PER_RPM))
+        self.homing_acceleration = self._add(Object.HOMING_ACCELERATION, _U32, slow_down, 1)
         methods = self._dictionary.add_array(Object.SUPPORTED_HOMING_METHODS, "Supported homing methods")
         for sub, method in enumerate(HOMING_METHODS, start=1):
             methods.add(sub, f"Supported homing method {sub}", _I8, Access.READ_ONLY, default=method)
 
     def _add_windows(self, drive: DriveParameters) -> None:
         turn = drive.encoder_counts_per_revolution
-        self.following_window = self._add(Object.FOLLOWING_ERROR_WINDOW, "Following error window", _U32, turn)
-        self.following_ms = self._add(
-            Object.FOLLOWING_ERROR_TIME_OUT, "Following error time out", _U16, _FOLLOWING_MS
-        )
-        self.position_window = self._add(
-            Object.POSITION_WINDOW, "Position window", _U32, max(2, round(_POSITION_WINDOW_TURNS * turn))
-        )
-        self.position_ms = self._add(Object.POSITION_WINDOW_TIME, "Position window time", _U16, _SETTLED_MS)
-        self.velocity_window = self._add(
-            Object.VELOCITY_WINDOW, "Velocity window", _U16, _VELOCITY_WINDOW_MRPM
-        )
-        self.velocity_ms = self._add(Object.VELOCITY_WINDOW_TIME, "Velocity window time", _U16, _SETTLED_MS)
-        self.threshold = self._add(
-            Object.VELOCITY_THRESHOLD, "Velocity threshold", _U16, _VELOCITY_THRESHOLD_MRPM
-        )
-        self.threshold_ms = self._add(
-            Object.VELOCITY_THRESHOLD_TIME, "Velocity threshold time", _U16, _SETTLED_MS
-        )
+        self.following_window = self._add(Object.FOLLOWING_ERROR_WINDOW, _U32, turn)
+        self.following_ms = self._add(Object.FOLLOWING_ERROR_TIME_OUT, _U16, _FOLLOWING_MS)
+        window = max(2, round(_POSITION_WINDOW_TURNS * turn))
+        self.position_window = self._add(Object.POSITION_WINDOW, _U32, window)
+        self.position_ms = self._add(Object.POSITION_WINDOW_TIME, _U16, _SETTLED_MS)
+        self.velocity_window = self._add(Object.VELOCITY_WINDOW, _U16, _VELOCITY_WINDOW_MRPM)
+        self.velocity_ms = self._add(Object.VELOCITY_WINDOW_TIME, _U16, _SETTLED_MS)
+        self.threshold = self._add(Object.VELOCITY_THRESHOLD, _U16, _VELOCITY_THRESHOLD_MRPM)
+        self.threshold_ms = self._add(Object.VELOCITY_THRESHOLD_TIME, _U16, _SETTLED_MS)
 
     def _add_demands(self) -> None:
-        self.position_demand = self._demand(Object.POSITION_DEMAND_VALUE, "Position demand value")
-        self.position_demand_internal = self._demand(
-            POSITION_DEMAND_INTERNAL_VALUE, "Position demand internal value"
-        )
-        self.velocity_demand = self._demand(Object.VELOCITY_DEMAND_VALUE, "Velocity demand value")
-        self.following_error = self._demand(
-            Object.FOLLOWING_ERROR_ACTUAL_VALUE, "Following error actual value"
-        )
+        self.position_demand = self._demand(Object.POSITION_DEMAND_VALUE)
+        self.position_demand_internal = self._demand(Object.POSITION_DEMAND_INTERNAL_VALUE)
+        self.velocity_demand = self._demand(Object.VELOCITY_DEMAND_VALUE)
+        self.following_error = self._demand(Object.FOLLOWING_ERROR_ACTUAL_VALUE)
 
-    def _demand(self, index: int, name: str) -> Variable:
-        return self._dictionary.add(index, name, _I32, Access.READ_ONLY, mappable=True)
+    def _demand(self, index: Object) -> Variable:
+        return add_profile_object(self._dictionary, index, _I32, Access.READ_ONLY)

@@ -15,9 +15,8 @@ from typing import Final
 
 from drivers.cia402.profile import Control, Status
 from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
-from virtual_bus.drive.halt import Halt
 from virtual_bus.drive.motion_objects import NO_WINDOW
-from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.operation_mode import HaltedMode
 from virtual_bus.drive.trajectory import MoveLimits, plan_move, plan_stop
 
 NEW_SET_POINT: Final = Control.MODE_4
@@ -36,13 +35,12 @@ class PositionTarget:
         """Something of it was cut at a limit."""
 
 
-class ProfilePosition(OperationMode):
+class ProfilePosition(HaltedMode):
     """Trapezoids to one target after the other, under the position loop."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
         self.has_following_error = True
-        self._halt = Halt(axis)
         self._window = WindowTimer()
         self._profile = plan_stop(0.0, 0.0, 1.0)
         self._elapsed_s = 0.0
@@ -63,7 +61,7 @@ class ProfilePosition(OperationMode):
         self._acknowledged = self._reached = self._lags = self._passing = self._given_up = False
         self._under_way = self._waiting = None
         self._come_to_rest()
-        self._halt.begin(controlword, self.slow_down_rad_s2())
+        self.halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
         rising = controlword & ~self._word
@@ -71,12 +69,12 @@ class ProfilePosition(OperationMode):
         if rising & NEW_SET_POINT and (not self._acknowledged or controlword & CHANGE_AT_ONCE):
             self._take(controlword)
         self._release()
-        if self._halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.halt.receive(controlword, self.slow_down_rad_s2()):
             self._go_on()
 
     def run(self) -> None:
         axis = self.axis
-        if self._halt.active:
+        if self.halt.active:
             return
         self._elapsed_s += axis.period_s
         self._begin_waiting()
@@ -91,12 +89,8 @@ class ProfilePosition(OperationMode):
         self._lags = axis.watch_following()
 
     def status_bits(self) -> int:
-        at_target = self._halt.standing if self._halt.active else self._reached and self._waiting is None
-        return (
-            (Status.TARGET_REACHED if at_target else 0)
-            | (Status.MODE_12 if self._acknowledged else 0)
-            | (Status.MODE_13 if self._lags else 0)
-        )
+        bits = self.target_bit(self._reached and self._waiting is None)
+        return bits | (Status.MODE_12 if self._acknowledged else 0) | (Status.MODE_13 if self._lags else 0)
 
     # ---- inside ---------------------------------------------------------------------------------------
 

@@ -2,21 +2,18 @@
 
 from typing import Final
 
-from drivers.cia402.profile import Status
 from virtual_bus.drive.axis import SimulatedAxis
-from virtual_bus.drive.halt import Halt
-from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.operation_mode import HaltedMode
 
 _WINDOW: Final = 0.01
 """The torque is reached within this share of the rated one."""
 
 
-class ProfileTorque(OperationMode):
+class ProfileTorque(HaltedMode):
     """A ramp in torque. A halt brings the shaft to rest, and the ramp begins at no torque again."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
-        self._halt = Halt(axis)
         self._torque_nm = 0.0
         self._reached = False
 
@@ -25,16 +22,16 @@ class ProfileTorque(OperationMode):
         self._torque_nm = self.axis.torque_demand_nm
         self._reached = False
         self.axis.make_torque(self._torque_nm)
-        self._halt.begin(controlword, self.slow_down_rad_s2())
+        self.halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
-        if self._halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.halt.receive(controlword, self.slow_down_rad_s2()):
             self._torque_nm = 0.0
             self.axis.make_torque(0.0)
 
     def run(self) -> None:
         axis = self.axis
-        if self._halt.active:
+        if self.halt.active:
             return
         target = axis.objects.target_torque.value * axis.torque_unit_nm
         step = axis.motion.torque_slope.value * axis.torque_unit_nm * axis.period_s
@@ -44,5 +41,4 @@ class ProfileTorque(OperationMode):
         self._reached = self._torque_nm == target and abs(axis.torque_nm - target) <= window
 
     def status_bits(self) -> int:
-        at_target = self._halt.standing if self._halt.active else self._reached
-        return Status.TARGET_REACHED if at_target else 0
+        return self.target_bit(self._reached)

@@ -7,17 +7,15 @@ motors, stays 0.
 
 from drivers.cia402.profile import Status
 from virtual_bus.drive.axis import SimulatedAxis, WindowTimer
-from virtual_bus.drive.halt import Halt
-from virtual_bus.drive.operation_mode import OperationMode
+from virtual_bus.drive.operation_mode import HaltedMode
 from virtual_bus.drive.trajectory import plan_speed
 
 
-class ProfileVelocity(OperationMode):
+class ProfileVelocity(HaltedMode):
     """A ramp in speed, planned anew when the target or a rate changes."""
 
     def __init__(self, axis: SimulatedAxis) -> None:
         super().__init__(axis)
-        self._halt = Halt(axis)
         self._reached_window = WindowTimer()
         self._turning_window = WindowTimer()
         self._profile = plan_speed(0.0, 0.0, 1.0, 1.0)
@@ -32,15 +30,15 @@ class ProfileVelocity(OperationMode):
         self._zero = False
         self._turning_window.restart()
         self._watch()
-        self._halt.begin(controlword, self.slow_down_rad_s2())
+        self.halt.begin(controlword, self.slow_down_rad_s2())
 
     def receive(self, controlword: int) -> None:
-        if self._halt.receive(controlword, self.slow_down_rad_s2()):
+        if self.halt.receive(controlword, self.slow_down_rad_s2()):
             self._start_anew()
 
     def run(self) -> None:
         axis = self.axis
-        if not self._halt.active:
+        if not self.halt.active:
             self._plan()
             self._elapsed_s += axis.period_s
             axis.run_at(self._profile.at(self._elapsed_s).speed)
@@ -49,8 +47,7 @@ class ProfileVelocity(OperationMode):
         self._watch()
 
     def status_bits(self) -> int:
-        at_target = self._halt.standing if self._halt.active else self._reached
-        return (Status.TARGET_REACHED if at_target else 0) | (Status.MODE_12 if self._zero else 0)
+        return self.target_bit(self._reached) | (Status.MODE_12 if self._zero else 0)
 
     # ---- inside ---------------------------------------------------------------------------------------
 

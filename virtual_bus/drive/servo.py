@@ -26,8 +26,8 @@ from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_store import ParameterStore
-from virtual_bus.drive.actual_values import ActualValues
+from virtual_bus.device.parameter_storage import ParameterStore
+from virtual_bus.drive.actual_values import LOAD_NM, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
 from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
 from virtual_bus.drive.failures import Failures
@@ -42,7 +42,6 @@ from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
 from virtual_bus.drive.servo_objects import ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
-from virtual_bus.drive.slow_values import LOAD_NM, provide_slow_values
 from virtual_bus.drive.user_units import UserUnits
 
 _WAKE_WHILE_STOPPING_NS: Final = NS_PER_MS

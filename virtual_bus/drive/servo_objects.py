@@ -5,14 +5,25 @@ acceleration in rev/min per second (60AAh), torque in per thousand of 6076h, cur
 """
 
 import math
+from collections.abc import Callable, Iterable
+from enum import IntEnum
+from typing import Any
 
 from design.motor import PmsmParameters, Transform
 from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object
-from drivers.cia402.profile import Mode
+from drivers.cia402.profile import (
+    AbortConnectionOption,
+    DisableOperationOption,
+    FaultReactionOption,
+    HaltOption,
+    Mode,
+    QuickStopOption,
+    ShutdownOption,
+)
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
-from virtual_bus.drive.option_objects import add_option_codes, one_of
+from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 I8, I16, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
@@ -38,10 +49,9 @@ class ServoObjects:
         modes: frozenset[Mode],
     ) -> None:
         self._dictionary = dictionary
-        add_option_codes(dictionary, drive.abort_connection)
+        _add_option_codes(dictionary, drive.abort_connection)
         self._add_state(modes)
-        self._add_set_points()
-        self._add_actual_values()
+        self._add_values()
         self._add_limits(motor, drive)
         self._add_motor(motor)
         self._add_load_machine()
@@ -60,111 +70,84 @@ class ServoObjects:
         """A thousandth of 6075h, as amplitude in the motor's transform."""
         return float(self.rated_current.value / self._rated_current_ma) * self._current_unit_a
 
-    def _add(
-        self, index: Object, name: str, data_type: DataType, access: Access, **options: object
-    ) -> Variable:
-        return self._dictionary.add(index, name, data_type, access, **options)
+    def _add(self, index: Object, data_type: DataType, access: Access, **options: Any) -> Variable:
+        return add_profile_object(self._dictionary, index, data_type, access, **options)
 
     def _add_state(self, modes: frozenset[Mode]) -> None:
-        self.error_code = self._add(Object.ERROR_CODE, "Error code", U16, RO, mappable=True)
-        self.controlword = self._add(Object.CONTROLWORD, "Controlword", U16, RW, mappable=True)
-        self.statusword = self._add(Object.STATUSWORD, "Statusword", U16, RO, mappable=True)
-        default = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
-        self.mode = self._add(
-            Object.MODES_OF_OPERATION,
-            "Modes of operation",
-            I8,
-            RW,
-            default=default,
-            mappable=True,
-            check=one_of(frozenset(int(mode) for mode in (*modes, Mode.NONE))),
-        )
-        self.mode_display = self._add(
-            Object.MODES_OF_OPERATION_DISPLAY,
-            "Modes of operation display",
-            I8,
-            RO,
-            default=default,
-            mappable=True,
-        )
+        self.error_code = self._add(Object.ERROR_CODE, U16, RO)
+        self.controlword = self._add(Object.CONTROLWORD, U16, RW)
+        self.statusword = self._add(Object.STATUSWORD, U16, RO)
+        first, known = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE), one_of((*modes, Mode.NONE))
+        self.mode = self._add(Object.MODES_OF_OPERATION, I8, RW, default=first, check=known)
+        self.mode_display = self._add(Object.MODES_OF_OPERATION_DISPLAY, I8, RO, default=first)
         bits = sum(1 << (mode - 1) for mode in modes)
-        self._add(Object.SUPPORTED_DRIVE_MODES, "Supported drive modes", U32, RO, default=bits, mappable=True)
+        self._add(Object.SUPPORTED_DRIVE_MODES, U32, RO, default=bits)
 
-    def _add_set_points(self) -> None:
-        self.target_torque = self._add(Object.TARGET_TORQUE, "Target torque", I16, RW, mappable=True)
-        self.torque_offset = self._add(Object.TORQUE_OFFSET, "Torque offset", I16, RW, mappable=True)
-
-    def _add_actual_values(self) -> None:
-        self.position = self._add(
-            Object.POSITION_ACTUAL_VALUE, "Position actual value", I32, RO, mappable=True
-        )
-        self.position_internal = self._add(
-            Object.POSITION_ACTUAL_INTERNAL_VALUE, "Position actual internal value", I32, RO, mappable=True
-        )
-        self.velocity = self._add(
-            Object.VELOCITY_ACTUAL_VALUE, "Velocity actual value", I32, RO, mappable=True
-        )
-        self.torque = self._add(Object.TORQUE_ACTUAL_VALUE, "Torque actual value", I16, RO, mappable=True)
-        self.torque_demand = self._add(Object.TORQUE_DEMAND, "Torque demand", I16, RO, mappable=True)
-        self.current = self._add(Object.CURRENT_ACTUAL_VALUE, "Current actual value", I16, RO, mappable=True)
+    def _add_values(self) -> None:
+        self.target_torque = self._add(Object.TARGET_TORQUE, I16, RW)
+        self.torque_offset = self._add(Object.TORQUE_OFFSET, I16, RW)
+        self.position = self._add(Object.POSITION_ACTUAL_VALUE, I32, RO)
+        self.position_internal = self._add(Object.POSITION_ACTUAL_INTERNAL_VALUE, I32, RO)
+        self.velocity = self._add(Object.VELOCITY_ACTUAL_VALUE, I32, RO)
+        self.torque = self._add(Object.TORQUE_ACTUAL_VALUE, I16, RO)
+        self.torque_demand = self._add(Object.TORQUE_DEMAND, I16, RO)
+        self.current = self._add(Object.CURRENT_ACTUAL_VALUE, I16, RO)
 
     def _add_limits(self, motor: PmsmParameters, drive: DriveParameters) -> None:
-        torque = min(
-            PER_THOUSAND_MAX, math.floor(1000.0 * motor.torque_max_nm / motor.rated_torque_nm + 1e-6)
-        )
-        current = min(
-            PER_THOUSAND_MAX, math.floor(1000.0 * motor.current_max_a / motor.rated_current_a + 1e-6)
-        )
+        torque = _per_thousand(motor.torque_max_nm / motor.rated_torque_nm)
+        self.max_torque = self._add(Object.MAX_TORQUE, U16, RW, default=torque, high=torque)
+        current = _per_thousand(motor.current_max_a / motor.rated_current_a)
+        self.max_current = self._add(Object.MAX_CURRENT, U16, RW, default=current, high=current)
         speed = math.floor(drive.speed_limit_rad_s(motor) / RAD_S_PER_RPM + 1e-6)
-        self.max_torque = self._add(
-            Object.MAX_TORQUE, "Max torque", U16, RW, default=torque, high=torque, mappable=True
-        )
-        self.max_current = self._add(
-            Object.MAX_CURRENT, "Max current", U16, RW, default=current, high=current, mappable=True
-        )
-        self.max_motor_speed = self._add(
-            Object.MAX_MOTOR_SPEED,
-            "Max motor speed",
-            U32,
-            RW,
-            default=speed,
-            low=1,
-            high=speed,
-            mappable=True,
-        )
+        self.max_motor_speed = self._add(Object.MAX_MOTOR_SPEED, U32, RW, default=speed, low=1, high=speed)
 
     def _add_motor(self, motor: PmsmParameters) -> None:
         per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
-        rated_rms_a = motor.rated_current_a / math.sqrt(per_rms)
-        self._rated_current_ma = round(1000 * rated_rms_a)
+        self._rated_current_ma = rated_ma = round(1000 * motor.rated_current_a / math.sqrt(per_rms))
         self._current_unit_a = motor.rated_current_a / 1000.0
-        self._dictionary.add(0x6402, "Motor type", U16, RO, default=PERMANENT_MAGNET_SINUSOIDAL)
+        rated_mnm, bus_mv = round(1000 * motor.rated_torque_nm), round(1000 * motor.dc_bus_voltage_v)
+        self._add(Object.MOTOR_TYPE, U16, RO, default=PERMANENT_MAGNET_SINUSOIDAL, mappable=False)
         self.rated_current = self._add(
-            Object.MOTOR_RATED_CURRENT,
-            "Motor rated current",
-            U32,
-            RO,
-            default=self._rated_current_ma,
-            low=1,
+            Object.MOTOR_RATED_CURRENT, U32, RO, default=rated_ma, low=1, mappable=False
         )
         self.rated_torque = self._add(
-            Object.MOTOR_RATED_TORQUE,
-            "Motor rated torque",
-            U32,
-            RO,
-            default=round(1000 * motor.rated_torque_nm),
-            low=1,
+            Object.MOTOR_RATED_TORQUE, U32, RO, default=rated_mnm, low=1, mappable=False
         )
-        self._add(
-            Object.DC_LINK_CIRCUIT_VOLTAGE,
-            "DC link circuit voltage",
-            U32,
-            RO,
-            default=round(1000 * motor.dc_bus_voltage_v),
-            mappable=True,
-        )
+        self._add(Object.DC_LINK_CIRCUIT_VOLTAGE, U32, RO, default=bus_mv)
 
     def _add_load_machine(self) -> None:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")
         self.load_torque = load.add(1, "Load torque, mN m against positive speed", I32, RW, mappable=True)
         self.load_actual = load.add(2, "Load torque actual value, mN m", I32, RO, mappable=True)
+
+
+def add_profile_object(
+    dictionary: ObjectDictionary, index: Object, data_type: DataType, access: Access = RW, **options: Any
+) -> Variable:
+    """A variable of the device profile, mappable unless ``options`` say otherwise, by the standard's name."""
+    return dictionary.add(index, index.title, data_type, access, **{"mappable": True, **options})
+
+
+def one_of(values: Iterable[int]) -> Callable[[int], AbortCode | None]:
+    """A check that refuses what is not in ``values``."""
+    known = frozenset(map(int, values))
+    return lambda value: None if value in known else AbortCode.INVALID_VALUE
+
+
+def _add_option_codes(dictionary: ObjectDictionary, abort_connection: AbortConnectionOption) -> None:
+    """6007h and 605Ah..605Eh, how the drive stops and when; each takes only what the drive can do."""
+    defaults: dict[Object, IntEnum] = {
+        Object.ABORT_CONNECTION_OPTION: abort_connection,
+        Object.QUICK_STOP_OPTION: QuickStopOption.QUICK_STOP_RAMP,
+        Object.SHUTDOWN_OPTION: ShutdownOption.DISABLE,
+        Object.DISABLE_OPERATION_OPTION: DisableOperationOption.SLOW_DOWN_RAMP,
+        Object.HALT_OPTION: HaltOption.SLOW_DOWN_RAMP,
+        Object.FAULT_REACTION_OPTION: FaultReactionOption.QUICK_STOP_RAMP,
+    }
+    for index, default in defaults.items():
+        choices, value = one_of(type(default)), int(default)
+        dictionary.add(index, f"{index.title} code", DataType.INTEGER16, default=value, check=choices)
+
+
+def _per_thousand(ratio: float) -> int:
+    return min(PER_THOUSAND_MAX, math.floor(1000.0 * ratio + 1e-6))

@@ -18,7 +18,7 @@ from drivers.canopen.data_types import DataType
 from drivers.cia402.objects402 import Object, Unit, unit_parts, unit_word
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
-from virtual_bus.device.object_dictionary import Access, DictionaryObject, ObjectDictionary, Variable
+from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 
 POSITION_POLARITY: Final = 0x80
@@ -107,64 +107,37 @@ class UserUnits:
     # ---- objects --------------------------------------------------------------------------------------
 
     def _add_factors(self, counts: int) -> None:
-        resolution = self._array(Object.POSITION_ENCODER_RESOLUTION, "Position encoder resolution")
-        resolution.add(1, "Encoder increments", _U32, Access.READ_ONLY, default=counts)
-        resolution.add(2, "Motor revolutions", _U32, Access.READ_ONLY, default=1)
-        resolution = self._array(Object.VELOCITY_ENCODER_RESOLUTION, "Velocity encoder resolution")
-        resolution.add(1, "Encoder increments per second", _U32, Access.READ_ONLY, default=counts)
-        resolution.add(2, "Motor revolutions per second", _U32, Access.READ_ONLY, default=1)
-        common = math.gcd(_MILLI_RPM_PER_REV_S, counts)
-        for index, name, parts, values, word in (
-            (Object.GEAR_RATIO, "Gear ratio", ("Motor revolutions", "Shaft revolutions"), (1, 1), 0x60A8),
-            (Object.FEED_CONSTANT, "Feed constant", ("Feed", "Shaft revolutions"), (counts, 1), 0x60A8),
-            (
-                Object.VELOCITY_FACTOR,
-                "Velocity factor",
-                ("Numerator", "Divisor"),
-                (_MILLI_RPM_PER_REV_S // common, counts // common),
-                0x60A9,
-            ),
+        for index, name, per in (
+            (Object.POSITION_ENCODER_RESOLUTION, "Position encoder resolution", ""),
+            (Object.VELOCITY_ENCODER_RESOLUTION, "Velocity encoder resolution", " per second"),
         ):
-            entry = self._array(index, name)
+            resolution = self._dictionary.add_array(index, name)
+            resolution.add(1, f"Encoder increments{per}", _U32, Access.READ_ONLY, default=counts)
+            resolution.add(2, f"Motor revolutions{per}", _U32, Access.READ_ONLY, default=1)
+        common = math.gcd(_MILLI_RPM_PER_REV_S, counts)
+        per_rev_s = (_MILLI_RPM_PER_REV_S // common, counts // common)
+        position, velocity = Object.SI_UNIT_POSITION, Object.SI_UNIT_VELOCITY
+        for index, parts, values, word in (
+            (Object.GEAR_RATIO, ("Motor revolutions", "Shaft revolutions"), (1, 1), position),
+            (Object.FEED_CONSTANT, ("Feed", "Shaft revolutions"), (counts, 1), position),
+            (Object.VELOCITY_FACTOR, ("Numerator", "Divisor"), per_rev_s, velocity),
+        ):
+            factor, written = self._dictionary.add_array(index, index.title), self._on_written_factor(word)
             for sub, part, value in zip((1, 2), parts, values, strict=True):
-                entry.add(
-                    sub,
-                    part,
-                    _U32,
-                    default=value,
-                    low=1,
-                    check=self.check_state,
-                    on_write=self._on_written_factor(word),
-                )
+                factor.add(sub, part, _U32, default=value, low=1, check=self.check_state, on_write=written)
 
     def _add_unit_words(self) -> None:
-        for index, name, word, check in (
-            (Object.SI_UNIT_POSITION, "SI unit position", unit_word(0, Unit.INCREMENT), _is_position),
-            (
-                Object.SI_UNIT_VELOCITY,
-                "SI unit velocity",
-                unit_word(-3, Unit.REVOLUTION, Unit.MINUTE),
-                _is_velocity,
-            ),
-            (
-                Object.SI_UNIT_ACCELERATION,
-                "SI unit acceleration",
-                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SECOND),
-                _is_acceleration,
-            ),
-            (
-                Object.SI_UNIT_JERK,
-                "SI unit jerk",
-                unit_word(0, Unit.REVOLUTION_PER_MINUTE, Unit.SQUARE_SECOND),
-                _is_jerk,
-            ),
+        rpm = Unit.REVOLUTION_PER_MINUTE
+        for index, word, known in (
+            (Object.SI_UNIT_POSITION, unit_word(0, Unit.INCREMENT), _is_position),
+            (Object.SI_UNIT_VELOCITY, unit_word(-3, Unit.REVOLUTION, Unit.MINUTE), _is_velocity),
+            (Object.SI_UNIT_ACCELERATION, unit_word(0, rpm, Unit.SECOND), _is_acceleration),
+            (Object.SI_UNIT_JERK, unit_word(0, rpm, Unit.SQUARE_SECOND), _is_jerk),
         ):
+            check = self._word_check(known)
             self._dictionary.add(
-                index, name, _U32, default=word, check=self._word_check(check), on_write=self._on_factor
+                index, index.title, _U32, default=word, check=check, on_write=self._on_factor
             )
-
-    def _array(self, index: Object, name: str) -> DictionaryObject:
-        return self._dictionary.add_array(index, name)
 
     def _word_check(self, known: Callable[[int], bool]) -> Callable[[int], AbortCode | None]:
         def check(word: int) -> AbortCode | None:
@@ -221,32 +194,29 @@ def _nothing() -> None:
 def _is_position(word: int) -> bool:
     exponent, numerator, denominator = unit_parts(word)
     known = numerator in _TURNS or (numerator == Unit.INCREMENT and exponent == 0)
-    return not word & 0xFF and denominator == 0 and known and exponent in _EXPONENTS
+    return _is_plain(word) and denominator == 0 and known
 
 
 def _is_velocity(word: int) -> bool:
-    exponent, numerator, denominator = unit_parts(word)
-    if word & 0xFF or exponent not in _EXPONENTS:
-        return False
-    if numerator == Unit.REVOLUTION_PER_MINUTE:
-        return denominator == 0
-    return denominator in _PER and numerator in _LENGTHS
+    return _is_plain(word) and _is_rate(word, per_rpm=0, per_length=_PER)
 
 
 def _is_acceleration(word: int) -> bool:
     """Lengths per second are read as lengths per second squared: drives write both."""
-    exponent, numerator, denominator = unit_parts(word)
-    if word & 0xFF or exponent not in _EXPONENTS:
-        return False
-    if numerator == Unit.REVOLUTION_PER_MINUTE:
-        return denominator == Unit.SECOND
-    return denominator in (Unit.SECOND, Unit.SQUARE_SECOND) and numerator in _LENGTHS
+    return _is_plain(word) and _is_rate(word, Unit.SECOND, (Unit.SECOND, Unit.SQUARE_SECOND))
 
 
 def _is_jerk(word: int) -> bool:
-    exponent, numerator, denominator = unit_parts(word)
-    if word & 0xFF or exponent not in _EXPONENTS:
-        return False
+    return _is_plain(word) and _is_rate(word, Unit.SQUARE_SECOND, (Unit.CUBIC_SECOND,))
+
+
+def _is_plain(word: int) -> bool:
+    return not word & 0xFF and unit_parts(word)[0] in _EXPONENTS
+
+
+def _is_rate(word: int, per_rpm: int, per_length: tuple[Unit, ...]) -> bool:
+    """rev/min, or a length, by what they have to stand over."""
+    _, numerator, denominator = unit_parts(word)
     if numerator == Unit.REVOLUTION_PER_MINUTE:
-        return denominator == Unit.SQUARE_SECOND
-    return denominator == Unit.CUBIC_SECOND and numerator in _LENGTHS
+        return denominator == per_rpm
+    return denominator in per_length and numerator in _LENGTHS

@@ -10,9 +10,9 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from pydantic import model_validator
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.fault_table import FaultTable, NodeIds, Number, Seconds, Window, ns, require
 
 EVERY_MIN = Duration(100 * NS_PER_US)

@@ -14,13 +14,13 @@ from enum import IntEnum
 from heapq import heappop, heappush
 from typing import Protocol
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
 from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.bus.judge import Direction
 from virtual_bus.device.application import Application
 from virtual_bus.device.device_clock import DeviceClock
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.fates import FateSource, Queue
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, KIND_CODES, FaultLog
 from virtual_bus.faults.node_fault import NodeEvent

@@ -1,6 +1,7 @@
 """PDOs that have no sections of their own: CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3)."""
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.pdo import NOT_VALID
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.information import DeviceInformation
@@ -8,7 +9,6 @@ from drivers.sheets.eds.numbers import Formula
 from drivers.sheets.eds.objects import EdsObject
 from drivers.sheets.eds.values import Value
 
-_NOT_VALID = 0x8000_0000
 _PREDEFINED = 4
 _PDOS_MAX = 512
 _MAPPED_MAX = 64
@@ -48,7 +48,7 @@ def _communication(index: int, cob_id: int, mask: int, title: str) -> EdsObject:
         made.entries[sub] = _entry(index, sub, name, data_type, "rw", 255 if sub == 2 else 0)
     if 1 in made.entries:
         predefined = index & 0x1FF < _PREDEFINED
-        made.entries[1].default = Value(None, Formula(1, cob_id)) if predefined else Value(_NOT_VALID)
+        made.entries[1].default = Value(None, Formula(1, cob_id)) if predefined else Value(NOT_VALID)
     return made
 
 

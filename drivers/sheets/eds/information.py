@@ -86,53 +86,49 @@ def read_device_information(sections: Sections, log: RepairLog) -> DeviceInforma
     if section is None:
         log.add("DeviceInfo", "the section is missing", "taken for empty")
         return DeviceInformation()
-    read = _Numbers(section, log)
-    rates = tuple(rate for rate in BIT_RATES_KBIT_S if read.flag(f"BaudRate_{rate}"))
+    rates = tuple(rate for rate in BIT_RATES_KBIT_S if _number(section, f"BaudRate_{rate}"))
     return DeviceInformation(
         vendor_name=section.text("VendorName"),
         product_name=section.text("ProductName"),
         order_code=section.text("OrderCode"),
-        vendor_number=read.number("VendorNumber"),
-        product_number=read.number("ProductNumber"),
-        revision_number=read.number("RevisionNumber"),
+        vendor_number=_number(section, "VendorNumber"),
+        product_number=_number(section, "ProductNumber"),
+        revision_number=_number(section, "RevisionNumber"),
         bit_rates_kbit_s=rates,
-        receive_pdos=read.number("NrOfRXPDO"),
-        transmit_pdos=read.number("NrOfTXPDO"),
-        granularity=read.number("Granularity"),
-        compact_pdo=read.number("CompactPDO") or 0,
-        lss_supported=read.flag("LSS_Supported"),
-        simple_boot_up_slave=read.flag("SimpleBootUpSlave"),
+        receive_pdos=_number(section, "NrOfRXPDO"),
+        transmit_pdos=_number(section, "NrOfTXPDO"),
+        granularity=_number(section, "Granularity"),
+        compact_pdo=_number(section, "CompactPDO") or 0,
+        lss_supported=_flag(section, "LSS_Supported"),
+        simple_boot_up_slave=_flag(section, "SimpleBootUpSlave"),
     )
 
 
-def read_commissioning(sections: Sections, log: RepairLog) -> Commissioning | None:
+def read_commissioning(sections: Sections) -> Commissioning | None:
     """[DeviceComissioning]; None for an EDS."""
     section = sections.get(COMMISSIONING)
     if section is None:
         return None
-    read = _Numbers(section, log)
-    node_id = read.number("NodeID")
+    node_id = _number(section, "NodeID")
     if node_id is not None and not 1 <= node_id <= 127:
-        option = section.options["nodeid"]
-        log.add(section.name, f"NodeID is {node_id}, not in 1..127", "left out", option.line)
+        section.mend(f"NodeID is {node_id}, not in 1..127", "left out", section.options["nodeid"].line)
         node_id = None
     return Commissioning(
         node_id=node_id,
         node_name=section.text("NodeName"),
-        bit_rate_kbit_s=read.number("Baudrate"),
-        net_number=read.number("NetNumber"),
+        bit_rate_kbit_s=_number(section, "Baudrate"),
+        net_number=_number(section, "NetNumber"),
         network_name=section.text("NetworkName"),
-        serial_number=read.number("LSS_SerialNumber"),
+        serial_number=_number(section, "LSS_SerialNumber"),
     )
 
 
-def read_dummies(sections: Sections, log: RepairLog) -> tuple[int, ...]:
+def read_dummies(sections: Sections) -> tuple[int, ...]:
     """Data types that may be mapped as placeholders (CiA 301 7.4.7)."""
     section = sections.get("DummyUsage")
     if section is None:
         return ()
-    read = _Numbers(section, log)
-    return tuple(number for number in _DUMMIES if read.flag(f"Dummy{number:04d}"))
+    return tuple(number for number in _DUMMIES if _number(section, f"Dummy{number:04d}"))
 
 
 def check_lists(sections: Sections, log: RepairLog) -> None:
@@ -145,14 +141,14 @@ def check_lists(sections: Sections, log: RepairLog) -> None:
         return
     listed: dict[int, str] = {}
     for section in lists:
-        _check_list(section, defined, listed, log)
+        _check_list(section, defined, listed)
     for index in sorted(defined - listed.keys()):
         name = section_name(index)
         line = sections[name].line if name in sections else 0
         log.add(name, "the object is defined, but in no list", "taken for supported", line)
 
 
-def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str], log: RepairLog) -> None:
+def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str]) -> None:
     entries = 0
     for key, option in section.options.items():
         if key == _COUNT or integer(option.name) is None:
@@ -160,24 +156,21 @@ def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str], 
         entries += 1
         index = _listed_index(option.value, defined)
         if index is None:
-            log.add(
-                section.name, f"entry {option.name} is {option.value!r}, no index", "left out", option.line
-            )
+            section.mend(f"entry {option.name} is {option.value!r}, no index", "left out", option.line)
             continue
         if index not in defined:
-            fault = f"object {index:04X}h is listed, but not defined"
-            log.add(section.name, fault, "left out", option.line)
+            section.mend(f"object {index:04X}h is listed, but not defined", "left out", option.line)
         elif index in listed:
             fault = f"object {index:04X}h is listed twice, first in [{listed[index]}]"
-            log.add(section.name, fault, "counted once", option.line)
+            section.mend(fault, "counted once", option.line)
         listed.setdefault(index, section.name)
     count = section.options.get(_COUNT)
     told = integer(count.value) if count is not None else None
     if count is None:
-        log.add(section.name, "SupportedObjects is missing", f"{entries} are listed", section.line)
+        section.mend("SupportedObjects is missing", f"{entries} are listed")
     elif told is None or told.value != entries:
         fault = f"SupportedObjects is {count.value or 'empty'}, {entries} are listed"
-        log.add(section.name, fault, "those that are listed count", count.line)
+        section.mend(fault, "those that are listed count", count.line)
 
 
 def _listed_index(text: str, defined: set[int]) -> int | None:
@@ -190,28 +183,11 @@ def _listed_index(text: str, defined: set[int]) -> int | None:
     return found.value
 
 
-class _Numbers:
-    """Numbers of a section that is no object's."""
+def _number(section: EdsSection, name: str) -> int | None:
+    """A number of a section that is no object's, where an empty one is no fault."""
+    return section.number(name) if section.option(name) is not None else None
 
-    def __init__(self, section: EdsSection, log: RepairLog) -> None:
-        self._section = section
-        self._log = log
 
-    def number(self, name: str) -> int | None:
-        option = self._section.option(name)
-        if option is None:
-            return None
-        found = integer(option.value)
-        if found is None:
-            self._log.add(
-                self._section.name, f"{name} is {option.value!r}, no number", "left out", option.line
-            )
-            return None
-        if found.oddity:
-            fault = f"{name} is {option.value!r}"
-            self._log.add(self._section.name, fault, f"{found.oddity}: read as {found.value}", option.line)
-        return found.value
-
-    def flag(self, name: str) -> bool | None:
-        value = self.number(name)
-        return None if value is None else bool(value)
+def _flag(section: EdsSection, name: str) -> bool | None:
+    value = _number(section, name)
+    return None if value is None else bool(value)

@@ -16,7 +16,6 @@ from drivers.sheets.eds.sections import (
     section_name,
     table_of,
 )
-from drivers.sheets.eds.standard import standard_object_type, standard_type
 from drivers.sheets.eds.values import Place, Value, read_value
 
 FIRST_OBJECT = 0x1000
@@ -66,7 +65,7 @@ class _Builder:
         self._configured = COMMISSIONING in sections
         """It is a DCF: its tables of values hold what is configured, those of an EDS the defaults."""
         self._log = log
-        self._read = EntryReader(sections, node_id, log)
+        self._read = EntryReader(sections, node_id)
 
     def build(self, index: int, head: EdsSection | None) -> EdsObject | None:
         subs = self.subs.get(index, {})
@@ -78,7 +77,7 @@ class _Builder:
         if kind in (types.DEFTYPE, types.DEFSTRUCT):
             return None
         if kind == types.NULL_OBJECT:
-            self._log.add(head.name, "the object is of type NULL", "left out", head.line)
+            head.mend("the object is of type NULL", "left out")
             return None
         made = EdsObject(index, self._read.name(head), kind, storage=head.text("StorageLocation") or None)
         compact = self._compact_count(head, made)
@@ -101,8 +100,8 @@ class _Builder:
 
     def _made_up_head(self, index: int, subs: dict[int, EdsSection]) -> EdsSection:
         first = subs[min(subs)]
-        head = EdsSection(section_name(index), first.line)
-        kind = standard_object_type(index)
+        head = EdsSection(section_name(index), first.line, self._log)
+        kind = types.standard_object_type(index)
         array = kind == types.ARRAY
         for name, value in (
             ("ParameterName", f"Object {index:04X}h"),
@@ -110,25 +109,18 @@ class _Builder:
         ):
             head.options[name.lower()] = Option(name, value, first.line)
         taken = "an array" if array else "a record"
-        self._log.add(
-            head.name, "its sub-objects are there, but not the object", f"taken for {taken}", first.line
-        )
+        head.mend("its sub-objects are there, but not the object", f"taken for {taken}")
         return head
 
     def _empty(self, index: int, head: EdsSection) -> EdsObject | None:
         """A section without a single option: the object is named, but not defined."""
-        data_type = standard_type(index, None)
+        data_type = types.standard_type(index, None)
         if data_type is None:
-            self._log.add(head.name, "the section is empty", "left out", head.line)
+            head.mend("the section is empty", "left out")
             return None
         name = types.type_name(data_type)
-        self._log.add(
-            head.name,
-            "the section is empty",
-            f"taken for a variable of {name}, as in the standard",
-            head.line,
-        )
-        entry = Entry(index, 0, f"Object {head.name}", data_type, line=head.line)
+        head.mend("the section is empty", f"taken for a variable of {name}, as in the standard")
+        entry = Entry(index, 0, f"Object {head.name}", data_type)
         return EdsObject(index, entry.name, types.VARIABLE, {0: entry})
 
     def _object_type(self, index: int, head: EdsSection, subs: dict[int, EdsSection]) -> int:
@@ -137,18 +129,16 @@ class _Builder:
         if option is not None:
             named = types.OBJECT_TYPES.get(option.value.strip().upper())
             if named is not None:
-                self._log.add(head.name, f"ObjectType is {option.value!r}", f"read as {named}", option.line)
-            kind = named if named is not None else self._read.number(head, "ObjectType")
+                head.mend(f"ObjectType is {option.value!r}", f"read as {named}", option.line)
+            kind = named if named is not None else head.number("ObjectType")
         if kind is None or kind not in types.OBJECT_TYPES.values():
             return self._supposed_type(index, head, subs, kind)
         if kind in (types.VARIABLE, types.DOMAIN_OBJECT) and subs:
             if set(subs) == {0} and head.option("DataType"):
-                self._log.add(
-                    head.name, "a variable with a sub-object 0", "the sub-object is left out", head.line
-                )
+                head.mend("a variable with a sub-object 0", "the sub-object is left out")
                 subs.clear()
                 return kind
-            self._log.add(head.name, "a variable with sub-objects", "taken for a record", head.line)
+            head.mend("a variable with sub-objects", "taken for a record")
             return types.RECORD
         return kind
 
@@ -157,7 +147,7 @@ class _Builder:
     ) -> int:
         """CiA 306-1: without ObjectType it is a variable; sub-objects, or the standard, say more."""
         if subs:
-            supposed = types.ARRAY if standard_object_type(index) == types.ARRAY else types.RECORD
+            supposed = types.ARRAY if types.standard_object_type(index) == types.ARRAY else types.RECORD
         elif head.text("CompactSubObj") not in ("", "0"):
             supposed = types.ARRAY
         else:
@@ -165,7 +155,7 @@ class _Builder:
         if kind is not None or subs:
             fault = "ObjectType is missing" if kind is None else f"ObjectType {kind} is unknown"
             name = {types.VARIABLE: "a variable", types.ARRAY: "an array"}.get(supposed, "a record")
-            self._log.add(head.name, fault, f"taken for {name}", head.line)
+            head.mend(fault, f"taken for {name}")
         return supposed
 
     # ---- short forms --------------------------------------------------------------------------------------
@@ -174,19 +164,19 @@ class _Builder:
         """CompactSubObj: how many entries like one another the object has; 0 if it is not compact."""
         if not head.text("CompactSubObj"):
             return 0
-        count = self._read.number(head, "CompactSubObj") or 0
+        count = head.number("CompactSubObj") or 0
         if not 0 <= count <= _SUBS_MAX:
-            self._log.add(head.name, f"CompactSubObj is {count}", f"{_SUBS_MAX} taken", head.line)
+            head.mend(f"CompactSubObj is {count}", f"{_SUBS_MAX} taken")
             count = min(max(count, 0), _SUBS_MAX)
         if count and made.is_variable:
-            self._log.add(head.name, "a variable with CompactSubObj", "taken for an array", head.line)
+            head.mend("a variable with CompactSubObj", "taken for an array")
             made.object_type = types.ARRAY
         return count
 
     def _expand(self, made: EdsObject, head: EdsSection, count: int) -> None:
         """Entries 1 to ``count`` like the head; names and values that differ stand in tables of their own."""
         template = self._read.entry(head, made.index, 1)
-        made.entries[0] = Entry(made.index, 0, "Number of entries", DataType.UNSIGNED8, "ro", line=head.line)
+        made.entries[0] = Entry(made.index, 0, "Number of entries", DataType.UNSIGNED8, "ro")
         made.entries[0].default = Value(count, text=str(count))
         for sub in range(1, count + 1):
             made.entries[sub] = replace(
@@ -206,16 +196,14 @@ class _Builder:
             listed += 1
             entry = made.entries.get(found.value)
             if entry is None or not found.value:
-                self._log.add(
-                    table.name, f"entry {option.name} is beyond the object", "left out", option.line
-                )
+                table.mend(f"entry {option.name} is beyond the object", "left out", option.line)
             elif kind == "name":
                 entry.name = option.value or entry.name
             elif kind == "denotation":
                 entry.denotation = option.value
             elif option.value:
-                place = Place(table.name, made.index, found.value, data_type)
-                value = read_value(option, place, self._log)
+                place = Place(table, made.index, found.value, data_type)
+                value = read_value(option, place)
                 if self._configured:
                     entry.configured = value
                 else:
@@ -226,12 +214,10 @@ class _Builder:
         option = table.option("NrOfEntries")
         told = integer(option.value) if option is not None else None
         if option is None:
-            self._log.add(
-                table.name, "NrOfEntries is missing", f"the {listed} entries that are there count", table.line
-            )
+            table.mend("NrOfEntries is missing", f"the {listed} entries that are there count")
         elif told is None or told.value != listed:
             fault = f"NrOfEntries is {option.value}, {listed} are there"
-            self._log.add(table.name, fault, "those that are there count", option.line)
+            table.mend(fault, "those that are there count", option.line)
 
     # ---- counts and sub-index 0 ---------------------------------------------------------------------------
 
@@ -243,36 +229,36 @@ class _Builder:
         count = min((told.value if told is not None else 0) - 1, _SUBS_MAX)
         kind = "an array" if made.object_type == types.ARRAY else "a record"
         if typed and count > 0:
-            self._log.add(head.name, f"{kind} without sub-objects", f"given {count} like its head", head.line)
+            head.mend(f"{kind} without sub-objects", f"given {count} like its head")
             self._expand(made, head, count)
             return True
         if typed:
-            self._log.add(head.name, f"{kind} without sub-objects", "taken for a variable", head.line)
+            head.mend(f"{kind} without sub-objects", "taken for a variable")
             made.object_type = types.VARIABLE
             made.entries[0] = self._read.entry(head, made.index, None)
             return True
-        self._log.add(head.name, f"{kind} of which no sub-object is defined", "left out", head.line)
+        head.mend(f"{kind} of which no sub-object is defined", "left out")
         return False
 
     def _check_count(self, made: EdsObject, head: EdsSection, compact: int) -> None:
         option = head.options.get("subnumber")
         if option is None or (compact and not option.value):
             return
-        told = self._read.number(head, "SubNumber")
+        told = head.number("SubNumber")
         there = len(made.entries)
         # A compact object has none that stand in the file; some tools count those it stands for.
         if told is not None and told != there and not (compact and told in (0, compact)):
             fault = f"SubNumber is {told}, {there} sub-objects are there"
-            self._log.add(head.name, fault, "those that are there count", option.line)
+            head.mend(fault, "those that are there count", option.line)
 
     def _add_sub_0(self, made: EdsObject, head: EdsSection) -> None:
         if 0 in made.entries:
             return
         highest = max(made.entries)
-        entry = Entry(made.index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro", line=head.line)
+        entry = Entry(made.index, 0, "Highest sub-index", DataType.UNSIGNED8, "ro")
         entry.default = Value(highest, text=str(highest))
         made.entries[0] = entry
-        self._log.add(head.name, "sub-object 0 is missing", f"made, UNSIGNED8 = {highest}", head.line)
+        head.mend("sub-object 0 is missing", f"made, UNSIGNED8 = {highest}")
 
     def note_stray_tables(self, objects: dict[int, EdsObject]) -> None:
         """Tables of names or values that belong to no compact object."""
@@ -283,4 +269,4 @@ class _Builder:
             head = self._sections.get(section_name(table[0]))
             compact = head is not None and head.text("CompactSubObj") not in ("", "0")
             if table[0] not in objects or not compact:
-                self._log.add(name, "no compact object has this table", "left out", section.line)
+                section.mend("no compact object has this table", "left out")

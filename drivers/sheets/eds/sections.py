@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.printable import printable
+from drivers.sheets.eds.numbers import Spelled, integer
 from drivers.sheets.eds.repairs import RepairLog
 
 
@@ -18,11 +19,12 @@ class Option(NamedTuple):
 
 
 class EdsSection:
-    """A section; its options are found whatever the case of their names."""
+    """A section; its options are found whatever the case of their names. What was mended goes to ``log``."""
 
-    def __init__(self, name: str, line: int) -> None:
+    def __init__(self, name: str, line: int, log: RepairLog) -> None:
         self.name = name
         self.line = line
+        self._log = log
         self.options: dict[str, Option] = {}
 
     def option(self, name: str) -> Option | None:
@@ -34,6 +36,29 @@ class EdsSection:
         """The value of an option; empty if there is none."""
         found = self.options.get(name.lower())
         return found.value if found is not None else ""
+
+    def number(self, name: str) -> int | None:
+        """A whole number in any spelling; None if it is absent, empty or none, which is noted."""
+        option = self.options.get(name.lower())
+        if option is None:
+            return None
+        found = integer(option.value) if option.value else None
+        if found is None:
+            told = f"{option.value!r}, no number" if option.value else "empty"
+            self.mend(f"{name} is {told}", "left out", option.line)
+            return None
+        self.note_oddity(option, found)
+        return found.value
+
+    def note_oddity(self, option: Option, found: Spelled) -> None:
+        """Note an odd spelling of a number, if it is one."""
+        if found.oddity:
+            action = f"{found.oddity}: read as {found.value}"
+            self.mend(f"{option.name} is {option.value!r}", action, option.line)
+
+    def mend(self, fault: str, action: str, line: int | None = None) -> None:
+        """Note a repair in this section; without a line in that of its header."""
+        self._log.add(self.name, fault, action, self.line if line is None else line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +89,8 @@ _WELL_KNOWN = {
     name.lower(): name
     for name in (
         *("FileInfo", "DeviceInfo", "DummyUsage", "Comments", COMMISSIONING),
-        *(
-            "MandatoryObjects",
-            "OptionalObjects",
-            "ManufacturerObjects",
-            "StandardDataTypes",
-            "DynamicChannels",
-        ),
-        *("Tools", "ToolInfos", "SupportedModules"),
+        *("MandatoryObjects", "OptionalObjects", "ManufacturerObjects", "StandardDataTypes"),
+        *("DynamicChannels", "Tools", "ToolInfos", "SupportedModules"),
     )
 }
 _SECOND_NAMES = {"devicecommissioning": COMMISSIONING, "devicecommisioning": COMMISSIONING}
@@ -153,11 +172,10 @@ class _Reader:
             self._log.add(name, f"the section is called {written!r}", f"read as [{name}]", number)
         known = self.sections.get(name)
         if known is not None:
-            fault = f"the section occurs twice, first in line {known.line}"
-            self._log.add(name, fault, "taken as one", number)
+            known.mend(f"the section occurs twice, first in line {known.line}", "taken as one", number)
             self._current = known
             return
-        self._current = self.sections[name] = EdsSection(name, number)
+        self._current = self.sections[name] = EdsSection(name, number, self._log)
 
     def _take_option(self, line: str, number: int) -> None:
         section = self._current
@@ -177,7 +195,7 @@ class _Reader:
         first, _, rest = line.replace(":", " ", 1).partition(" ")
         if first.lower() not in _OBJECT_OPTIONS or not rest.strip() or object_of(section.name) is None:
             return False
-        self._log.add(section.name, f"{first} has no =", f"read as {first}={rest.strip()[:30]}", number)
+        section.mend(f"{first} has no =", f"read as {first}={rest.strip()[:30]}", number)
         return True
 
     def _option_name(self, section: EdsSection, written: str, number: int) -> str:
@@ -191,7 +209,7 @@ class _Reader:
         if not alike or (bare[:-1] == alike[0] and bare[-1].isdigit()):
             return written
         name = _OBJECT_OPTIONS[alike[0]]
-        self._log.add(section.name, f"the option is called {written!r}", f"read as {name}", number)
+        section.mend(f"the option is called {written!r}", f"read as {name}", number)
         return name
 
     def _keep(self, section: EdsSection, option: Option) -> None:
@@ -203,9 +221,7 @@ class _Reader:
             section.options[key] = Option(option.name, value, option.line)
         elif value != known.value:
             fault = f"{option.name} occurs twice, as {known.value!r} and {value!r}"
-            self._log.add(
-                section.name, fault, "the first counts" if value else "the empty one is left out", option.line
-            )
+            section.mend(fault, "the first counts" if value else "the empty one is left out", option.line)
 
 
 def _canonical(written: str) -> str:

@@ -7,9 +7,7 @@ from typing import NamedTuple
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import Formula, Spelled, formula, integer, is_formula, real
-from drivers.sheets.eds.repairs import RepairLog
-from drivers.sheets.eds.sections import Option
-from drivers.sheets.eds.standard import COB_ID_OBJECTS, is_communication, is_mapping
+from drivers.sheets.eds.sections import EdsSection, Option
 
 Scalar = int | float | str | bytes
 _NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", "var", "variable"})
@@ -38,28 +36,28 @@ NOTHING = Value()
 class Place:
     """Which object a value belongs to, and where its option stands."""
 
-    section: str
+    section: EdsSection
     index: int
     sub: int | None
     data_type: int
 
 
-def read_value(option: Option | None, place: Place, log: RepairLog) -> Value:
+def read_value(option: Option | None, place: Place) -> Value:
     """A default, limit or parameter value of the type of its object; what is none is left out."""
     if option is None:
         return NOTHING
     if place.data_type in types.TEXT_TYPES:
         return Value(option.value, text=option.value)
     if place.data_type in types.BYTE_TYPES:
-        return _bytes(option, place, log)
+        return _bytes(option, place)
     if place.data_type in REAL_BITS:
-        return _real(option, place, log)
+        return _real(option, place)
     if is_formula(option.value):
-        return _formula(option, place, log)
-    return _integer(option, place, log)
+        return _formula(option, place)
+    return _integer(option, place)
 
 
-def _bytes(option: Option, place: Place, log: RepairLog) -> Value:
+def _bytes(option: Option, place: Place) -> Value:
     tidy = option.value.replace(" ", "").replace(",", "")
     digits = tidy[2:] if tidy[:2].lower() == "0x" else tidy
     try:
@@ -67,13 +65,13 @@ def _bytes(option: Option, place: Place, log: RepairLog) -> Value:
     except ValueError:
         pass
     if place.data_type == DataType.OCTET_STRING:
-        _note(option, place, log, "read as text")
+        _note(option, place, "read as text")
         return Value(option.value.encode("latin-1", errors="replace"), text=option.value)
-    _note(option, place, log, "left out, for a DOMAIN holds octets")
+    _note(option, place, "left out, for a DOMAIN holds octets")
     return NOTHING
 
 
-def _real(option: Option, place: Place, log: RepairLog) -> Value:
+def _real(option: Option, place: Place) -> Value:
     bits = REAL_BITS[place.data_type]
     text = option.value.strip()
     if text[:2].lower() == "0x":
@@ -83,25 +81,25 @@ def _real(option: Option, place: Place, log: RepairLog) -> Value:
                 return Value(0.0, text=text)
             raw = pattern.value.to_bytes(bits // 8, "little")
             value = struct.unpack("<f" if bits == 32 else "<d", raw)[0]
-            _note(option, place, log, f"taken for the bits of {value:g}")
+            _note(option, place, f"taken for the bits of {value:g}")
             return Value(value, text=text)
     found = real(text)
     if found is None:
-        _note(option, place, log, "left out, for it is no number")
+        _note(option, place, "left out, for it is no number")
         return NOTHING
     if found[1]:
-        _note(option, place, log, f"{found[1]}: read as {found[0]:g}")
+        _note(option, place, f"{found[1]}: read as {found[0]:g}")
     return Value(found[0], text=text)
 
 
-def _formula(option: Option, place: Place, log: RepairLog) -> Value:
+def _formula(option: Option, place: Place) -> Value:
     found = formula(option.value)
     if found is None:
-        _note(option, place, log, "left out, for it is no formula of $NODEID")
+        _note(option, place, "left out, for it is no formula of $NODEID")
         return NOTHING
     read = _formula_text(found)
     if found.oddity:
-        _note(option, place, log, f"{found.oddity}: read as {read}")
+        _note(option, place, f"{found.oddity}: read as {read}")
     return Value(None, found, read)
 
 
@@ -110,22 +108,20 @@ def _formula_text(found: Formula) -> str:
     return f"{node}+0x{found.base & 0xFFFF_FFFF:X}"
 
 
-def _integer(option: Option, place: Place, log: RepairLog) -> Value:
+def _integer(option: Option, place: Place) -> Value:
     found = _spelled(option.value, place)
     if found is None:
-        if option.value.strip().lower() not in _NO_NUMBER:
-            _note(option, place, log, "left out, for it is no number")
-        else:
-            _note(option, place, log, "left out")
+        none = option.value.strip().lower() in _NO_NUMBER
+        _note(option, place, "left out" if none else "left out, for it is no number")
         return NOTHING
     value, oddity = fitted(found.value, place.data_type, option.value)
     if value is None:
         name = types.type_name(place.data_type)
-        _note(option, place, log, f"left out, for {name} does not hold it")
+        _note(option, place, f"left out, for {name} does not hold it")
         return NOTHING
     oddity = found.oddity or oddity
     if oddity:
-        _note(option, place, log, f"{oddity}: read as {value}")
+        _note(option, place, f"{oddity}: read as {value}")
     return Value(value, text=option.value)
 
 
@@ -136,11 +132,11 @@ def _spelled(text: str, place: Place) -> Spelled | None:
         return found
     digits = text.strip()
     wide = int(digits, 16)
-    if is_mapping(place.index) and place.sub:
+    if types.is_mapping(place.index) and place.sub:
         hexadecimal = len(digits) == 8 and wide >> 16 >= 0x1000 and 1 <= wide & 0xFF <= 64
     elif place.index == _DEVICE_TYPE:
         hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and found.value & 0xFFFF != _DRIVE_PROFILE
-    elif (is_communication(place.index) and place.sub == 1) or place.index in COB_ID_OBJECTS:
+    elif (types.is_communication(place.index) and place.sub == 1) or place.index in types.COB_ID_OBJECTS:
         # Bits 11 to 29 of a COB-ID of 11 bits are 0.
         hexadecimal = len(digits) == 8 and wide & 0x3FFF_F800 == 0
     else:
@@ -171,5 +167,5 @@ def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:
     return None, ""
 
 
-def _note(option: Option, place: Place, log: RepairLog, action: str) -> None:
-    log.add(place.section, f"{option.name} is {option.value[:60]!r}", action, option.line)
+def _note(option: Option, place: Place, action: str) -> None:
+    place.section.mend(f"{option.name} is {option.value[:60]!r}", action, option.line)

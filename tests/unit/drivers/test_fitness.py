@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.cia402.profile import Mode
-from drivers.sheets.fitness import Fitness, assess, mode_name
+from drivers.sheets.fitness import Fitness, assess
 from tests.unit.drivers.eds_maker import NODE, U16, U32, Pdo, four_pdos, sheet, sub, variable
 
 
@@ -29,7 +29,7 @@ def test_identity_comes_from_the_identity_object_first() -> None:
 
 def test_modes_are_those_of_6502h() -> None:
     found = fitness(modes="0x25")
-    assert [mode_name(mode) for mode in found.modes] == ["profile position", "profile velocity", "homing"]
+    assert [mode.title for mode in found.modes] == ["profile position", "profile velocity", "homing"]
     assert found.best is not None
     assert found.best.mode is Mode.PROFILE_VELOCITY
     assert any("no torque mode" in remark for remark in found.remarks)

@@ -4,9 +4,8 @@ import pytest
 
 from drivers.canopen.pdo import PdoMap
 from drivers.canopen.pdo_budget import budget_of, content_of
-from drivers.cia402.pdo_layouts import Features
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, features_of, plan_pdos
-from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.pdo_plans import Features, mode_plan
 from drivers.cia402.profile import Mode
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import parse_dictionary

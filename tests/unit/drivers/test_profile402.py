@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from drivers.canopen.error_codes import error_text
 from drivers.cia402.objects402 import Unit, unit_parts, unit_word
 from drivers.cia402.profile import (
     COMMAND_PATTERNS,
@@ -17,7 +18,6 @@ from drivers.cia402.profile import (
     State,
     command_path,
     commands_in,
-    error_text,
     state_of,
     supported_mode_bit,
 )

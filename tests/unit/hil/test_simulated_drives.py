@@ -12,7 +12,7 @@ from hil.configuration.config import BenchConfig
 from hil.execution.simulated_drives import ids_on_the_bus, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
 from virtual_bus.device.lss_slave import NODE_ID_KEY
-from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.parameter_storage import FileStore
 
 
 def bench_lacking(lacks: list[Any]) -> BenchConfig:

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import wire_bits as reference_wire_bits
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError, Disturbance
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.bus.port import Port
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.frame import Frame

@@ -8,7 +8,7 @@ from tests.unit.virtual_bus.device_bench import RecordingApplication
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
-from virtual_bus.device.parameter_store import MemoryStore, ParameterStore
+from virtual_bus.device.parameter_storage import MemoryStore, ParameterStore
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
@@ -239,9 +239,9 @@ def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
     for request in (b"\x04\x01", b"\x13\x00\x02", b"\x15\x05"):
         master.send(Frame(0x7E5, request.ljust(8, b"\x00")))
     timeline.run_until(Instant(4 * NS_PER_MS))
-    assert attached.port.bitrate_bit_s == 1_000_000
+    assert attached.port.controller.bitrate_bit_s == 1_000_000
     timeline.run_until(Instant(7 * NS_PER_MS))
-    assert attached.port.bitrate_bit_s == 500_000
+    assert attached.port.controller.bitrate_bit_s == 500_000
     master.send(Frame(0x123))
     timeline.run_until(Instant(8 * NS_PER_MS))
     assert segment.errors > 0, "at half the rate it destroys the frames of the others"

@@ -19,7 +19,7 @@ from tests.unit.virtual_bus.device_bench import (
 )
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.canopen_device import CanopenDevice
-from virtual_bus.device.parameter_store import FileStore, MemoryStore
+from virtual_bus.device.parameter_storage import FileStore, MemoryStore
 from virtual_bus.device.sdo_abort import AbortCode
 
 SAVE, LOAD = 0x65766173, 0x64616F6C

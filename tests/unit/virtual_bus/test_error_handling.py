@@ -17,8 +17,8 @@ from tests.unit.virtual_bus.error_bench import (
     crc_delimiter,
     length,
 )
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import BusError, ErrorKind
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.frame import Frame
 
 
@@ -36,8 +36,8 @@ def test_an_error_that_all_see_at_once_costs_six_flag_bits_and_the_delimiter() -
     end = (attempt + INTERMISSION + length(FRAME)) * BIT_NS
     assert sender.sent == [end]
     assert [node.got for node in receivers] == [[(end, FRAME)]] * 2
-    assert (sender.port.transmit_errors, sender.port.receive_errors) == (8 - 1, 0)
-    assert [node.port.receive_errors for node in receivers] == [1 - 1] * 2
+    assert (sender.port.controller.transmit_errors, sender.port.controller.receive_errors) == (8 - 1, 0)
+    assert [node.port.controller.receive_errors for node in receivers] == [1 - 1] * 2
     assert (bench.segment.frames, bench.segment.errors) == (1, 1)
     busy = (attempt + INTERMISSION + length(FRAME) + INTERMISSION) * BIT_NS
     assert bench.segment.busy_ns == busy
@@ -54,7 +54,7 @@ def test_a_bit_error_in_the_data_is_answered_within_twelve_flag_bits() -> None:
         gap = starts[1] // BIT_NS - place - 1 - DELIMITER - INTERMISSION
         assert FLAG <= gap <= 2 * FLAG, place
         assert [frame for _, frame in bench.nodes[1].got] == [FRAME]
-        assert bench.nodes[0].port.transmit_errors == 7, place
+        assert bench.nodes[0].port.controller.transmit_errors == 7, place
 
 
 def test_one_active_receiver_with_a_wrong_crc_makes_everybody_wait_for_the_repetition() -> None:
@@ -64,7 +64,7 @@ def test_one_active_receiver_with_a_wrong_crc_makes_everybody_wait_for_the_repet
     bench.run()
     assert len(starts) == 2
     assert [len(node.got) for node in bench.nodes] == [0, 1, 1]
-    assert bench.nodes[0].port.transmit_errors == 8 - 1
+    assert bench.nodes[0].port.controller.transmit_errors == 8 - 1
 
 
 def test_alone_without_acknowledgement_it_gets_passive_and_tries_for_ever() -> None:
@@ -79,7 +79,7 @@ def test_alone_without_acknowledgement_it_gets_passive_and_tries_for_ever() -> N
     assert set(gaps[15:]) == {attempt + INTERMISSION + SUSPEND}
     assert len(gaps) > 100
     assert alone.states == [((15 * (attempt + INTERMISSION) + attempt) * BIT_NS, ErrorState.PASSIVE)]
-    assert alone.port.transmit_errors == 128
+    assert alone.port.controller.transmit_errors == 128
     assert {error.kind for error in bench.errors} == {ErrorKind.ACKNOWLEDGEMENT}
     assert bench.segment.frames == 0
 
@@ -94,7 +94,7 @@ def test_a_second_node_that_is_plugged_in_acknowledges_at_last() -> None:
     other.port.plug()
     bench.run(21_000)
     assert [frame for _, frame in other.got] == [FRAME]
-    assert (sender.port.transmit_errors, sender.port.error_state) == (127, ErrorState.ACTIVE)
+    assert (sender.port.controller.transmit_errors, sender.port.error_state) == (127, ErrorState.ACTIVE)
 
 
 def test_sixteen_errors_to_passive_and_thirty_two_to_bus_off() -> None:
@@ -114,7 +114,7 @@ def test_sixteen_errors_to_passive_and_thirty_two_to_bus_off() -> None:
         (starts[31] + attempt * BIT_NS, ErrorState.BUS_OFF),
     ]
     assert other.port.error_state is ErrorState.ACTIVE
-    assert other.port.receive_errors == 32
+    assert other.port.controller.receive_errors == 32
     assert sender.port.pending == 0
     with pytest.raises(can.CanOperationError, match="bus-off"):
         sender.port.send(FRAME)
@@ -133,7 +133,7 @@ def test_recovery_takes_128_times_11_bits_of_an_idle_bus() -> None:
     bench.run(10_000)
     back = 1_000_000 + 128 * 11 * BIT_NS
     assert off.states == [(0, ErrorState.BUS_OFF), (back, ErrorState.ACTIVE)]
-    assert (off.port.transmit_errors, off.port.receive_errors) == (0, 0)
+    assert (off.port.controller.transmit_errors, off.port.controller.receive_errors) == (0, 0)
     other.port.send(FRAME)
     off.port.send(FRAME)
     bench.run(20_000)

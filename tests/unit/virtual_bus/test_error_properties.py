@@ -9,8 +9,8 @@ from drivers.record import values_of
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
 from tests.unit.virtual_bus.error_bench import Bench, length
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import Disturbance
-from virtual_bus.bus.error_state import ErrorState
 from virtual_bus.frame import Frame
 
 EXAMPLES = settings(derandomize=True, deadline=None)
@@ -51,7 +51,7 @@ def test_each_frame_reaches_each_healthy_receiver_exactly_once(
 
     def judge(_sender: str, frame: Frame, _at: Instant) -> Disturbance | None:
         counters.extend(
-            (node.port.transmit_errors, node.port.receive_errors, node.port.error_state)
+            (node.port.controller.transmit_errors, node.port.controller.receive_errors, node.port.error_state)
             for node in bench.nodes
         )
         if source.random() >= probability:

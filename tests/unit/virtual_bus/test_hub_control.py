@@ -10,7 +10,7 @@ import can
 import pytest
 
 from drivers.timebase import MonotonicClock, instant_after
-from virtual_bus.bus.error_state import ErrorState
+from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.hub import HubBus
 from virtual_bus.frame import Frame
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from drivers.timebase import Instant
 from tests.unit.virtual_bus.can_reference import random_frame
-from virtual_bus.bus.hub_control import Request, encode_request, encode_status
 from virtual_bus.bus.hub_protocol import (
     BATCH_FRAMES_MAX,
     FRAME_BYTES,
@@ -17,12 +16,15 @@ from virtual_bus.bus.hub_protocol import (
     Hello,
     MalformedRecord,
     Received,
+    Request,
     decode_answer,
     decode_frame,
     decode_hello,
     encode_frame,
     encode_hello,
     encode_refusal,
+    encode_request,
+    encode_status,
     encode_welcome,
     frame_of,
     is_own,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.timebase import Instant
-from virtual_bus.bus.inbox import Inbox, ReceivedFrame
+from virtual_bus.bus.host_port import Inbox, ReceivedFrame
 from virtual_bus.frame import Frame
 
 

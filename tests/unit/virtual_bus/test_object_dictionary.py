@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
+from tests.eds_export import export_eds
 from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, TARGET, Bench
-from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort

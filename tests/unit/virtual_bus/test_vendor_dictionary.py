@@ -10,7 +10,7 @@ from drivers.sheets.dictionary import load_dictionary
 from drivers.timebase import Instant
 from tests.motors import LING
 from virtual_bus.device.object_dictionary import ObjectDictionary
-from virtual_bus.device.parameter_store import FileStore
+from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from pydantic import model_validator
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.timebase import NS_PER_MS, Instant
-from virtual_bus.error_register import ErrorRegister
 from virtual_bus.faults.fault_table import Number, Seconds, ns, require
 from virtual_bus.faults.log_kind import LogNumber, node_event
 from virtual_bus.faults.node_fault import Draw, NodeEvent, NodeOccasion, StruckNode
