@@ -28,6 +28,8 @@ NORM_TOLERANCE = 1e-8
 """Relative: no frequency has a gain beyond the norm that is returned times one plus this."""
 _RAISED = (1e-4, 1e-3, 1e-2, 0.03)
 """Relative: so much above the larger norm of two loops a bound for all between them is tried."""
+_ROUGH_LOOK = np.append(0.0, np.geomspace(1e-3, 30.0, 60))
+"""In rad per delay, or per time of the fastest rate where that is longer."""
 _AT_AXIS = 1e-12
 """Relative distance from the imaginary axis below which a root counts as on it."""
 _CELL_MIN = 1e-11
@@ -155,6 +157,11 @@ def peaks(loop: DelayLoop, share: float = 0.5) -> list[Peak]:
 def sampled_norm(loop: DelayLoop) -> float:
     """As :func:`hinf_norm` for a loop known to be stable, without the proof: the largest of :func:`peaks`."""
     return max(peak.gain for peak in peaks(loop, share=0.8))
+
+
+def rough_norm(loop: DelayLoop) -> float:
+    """The largest of |G| at a few frequencies, none far from the peak: for units, its size is enough."""
+    return float(np.max(loop_function(loop).magnitude(_ROUGH_LOOK)))
 
 
 def _magnitude_squared(p: Array) -> Array:

@@ -49,6 +49,11 @@ def node_count(network: SampledNetwork) -> int:
     return network.losses_max + 1 + (network.behind if network.strategy is Strategy.ARRIVAL else 0)
 
 
+def delivery_node_count(network: SampledNetwork) -> int:
+    """Of its nodes at which a sample has just begun to act."""
+    return network.behind + 1 if network.strategy is Strategy.ARRIVAL else 1
+
+
 def families(network: SampledNetwork) -> list[Family]:
     """Every step that the network admits."""
     if network.strategy is Strategy.ARRIVAL:

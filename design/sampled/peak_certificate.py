@@ -26,6 +26,7 @@ from scipy.optimize import nnls
 
 from design.delay.delay_loop import Array
 from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
+from design.sampled.admissible_steps import node_count
 from design.sampled.held_loop import HeldLoop
 from design.sampled.loss_patterns import Pattern
 from design.sampled.peak_steps import (
@@ -90,7 +91,7 @@ def certify_peak(
     ``decay_per_s``: what it certified; ``found``: the largest error known, rad/s per N m.
     """
     L = coordinates(loop, patterns, _UNITS_AT * gain)
-    for way in ways_of(loop, (False, True)):
+    for way in ways_of(loop, (False, True), node_count(loop.network)):
         for part in _DECAY_PARTS:
             norm = _norm(loop, L, way, part * decay_per_s)
             if norm is not None:

@@ -26,7 +26,7 @@ import numpy as np
 from design.delay.delay_loop import Array
 from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality, Unknowns
 from design.errors import NoSolution
-from design.sampled.admissible_steps import node_count
+from design.sampled.admissible_steps import delivery_node_count, node_count
 from design.sampled.held_loop import HeldLoop
 from design.sampled.loss_patterns import Pattern
 from design.sampled.sequence_graph import Edge, between_deliveries, edges_of
@@ -43,6 +43,8 @@ _STRICT = 1e-6
 """Margin demanded of the solver, in the same coordinates."""
 _BISECTIONS = 14
 _DECAY_TOLERANCE = 2e-4
+_COARSE_FROM, _COARSE_TOLERANCE = 24, 1e-2
+"""States from which on a problem takes a minute, and the decay's tolerance there: its half fewer problems."""
 _LEVELS = 5
 _RAISED = (1e-4, 1e-3, 1e-2)
 """Relative: so much above the solver's gain the proof is tried."""
@@ -121,7 +123,7 @@ def certify_gain(
         # the solver's luck turns with the units; whatever it says, the proof decides
         best: SequenceCertificate | None = None
         L = coordinates(loop, patterns, units_at * found)
-        for way in ways_of(loop, remembering):
+        for way in ways_of(loop, remembering, _node_count(loop, other)):
             nodes, edges = _graph(loop, L, way, other)
             certificate = _least_gain(loop, nodes, edges, L, found)
             if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
@@ -147,7 +149,7 @@ def certify_decay(
     worst = min(pattern.decay_per_s for pattern in patterns)
     best: SequenceCertificate | None = None
     L = coordinates(loop, patterns, _UNITS_AT[0] * gain)
-    for way in ways_of(loop, remembering):
+    for way in ways_of(loop, remembering, _node_count(loop, other)):
         nodes, edges = _graph(loop, L, way, other)
         certificate = _fastest(Inequalities(loop, nodes, edges, L, None), worst)
         if certificate is not None and (best is None or _decay(certificate) > _decay(best)):
@@ -163,6 +165,11 @@ def _graph(loop: HeldLoop, L: Array, remembering: bool, other: HeldLoop | None) 
     return between_deliveries(edges) if other is None else (nodes, edges)
 
 
+def _node_count(loop: HeldLoop, other: HeldLoop | None) -> int:
+    """Of that graph where nodes do not remember."""
+    return delivery_node_count(loop.network) if other is None else node_count(loop.network)
+
+
 def _gain(certificate: SequenceCertificate) -> float:
     assert certificate.gain is not None
     return certificate.gain
@@ -173,19 +180,19 @@ def _decay(certificate: SequenceCertificate) -> float:
     return certificate.decay_per_s
 
 
-def ways_of(loop: HeldLoop, remembering: Sequence[bool]) -> Sequence[bool]:
+def ways_of(loop: HeldLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:
     """Whether nodes remember: not where there is nothing to be remembered, or too much.
 
-    Raises NoSolution if the loop is too large for the inequalities.
+    ``nodes``: of the graph where they do not. Raises NoSolution if the loop is too large.
     """
-    nodes = node_count(loop.network)
     if loop.kept * nodes ** (1.0 / 3.0) > _SIZE_MAX:
         raise NoSolution(
             "certificate for arbitrary sequences",
             f"{loop.kept} states and {nodes} nodes are too many",
             "a longer period or a shorter agreed delay makes the loop smaller",
         )
-    if nodes == 1 or loop.kept * nodes ** (2.0 / 3.0) > _SIZE_REMEMBERING_MAX:
+    memories = node_count(loop.network)
+    if memories == 1 or loop.kept * memories ** (2.0 / 3.0) > _SIZE_REMEMBERING_MAX:
         return (False,)
     return remembering
 
@@ -224,7 +231,8 @@ def _least_gain(
 def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
     """By bisection, after no decay at all and nearly the ``worst`` known, which often is proved."""
     low, high, best = 0.0, worst, None
-    rates = [0.0, worst * (1.0 - _DECAY_TOLERANCE)]
+    tolerance = _DECAY_TOLERANCE if len(system.L) < _COARSE_FROM else _COARSE_TOLERANCE
+    rates = [0.0, worst * (1.0 - tolerance)]
     for number in range(_BISECTIONS):
         rate = rates[number] if number < len(rates) else 0.5 * (low + high)
         growth = math.exp(2.0 * rate * system.period_s)
@@ -236,7 +244,7 @@ def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
             return None
         else:
             high = rate
-        if high - low <= _DECAY_TOLERANCE * high:
+        if high - low <= tolerance * high:
             break
     return best
 

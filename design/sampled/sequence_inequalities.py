@@ -14,8 +14,9 @@ from scipy.linalg import cholesky
 
 from design.delay.delay_loop import Array
 from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
+from design.sampled.admissible_steps import Delivery
 from design.sampled.held_loop import HeldLoop
-from design.sampled.loss_patterns import Pattern
+from design.sampled.loss_patterns import Pattern, repeated
 from design.sampled.sequence_graph import Edge
 from design.sampled.step_maps import step_maps, value_maps
 from design.sampled.value_map import ValueMap, nothing
@@ -25,6 +26,9 @@ MARGIN = 1e-9
 _EXCHANGES = 12
 _ADDED = 3
 """Corners of an edge that are added in one exchange."""
+_LOOKED_AT = 1000
+"""Corners of an edge that are looked at, evenly spread, until these are met; then at every one."""
+_ALL = slice(None)
 _FIRST_PARTS = (0.0, 0.2, 0.5, 1.0)
 _TOLERANCE = 1e-8
 """Of the solver, relative; whether it is reached or not, what it returns is proved anew."""
@@ -93,12 +97,14 @@ class Inequalities:
             for s in range(len(corners.differences))
         ]
 
-    def slack(self, P: Sequence[Array], place: int, growth: float, squared: float = 1.0) -> Array:
+    def slack(
+        self, P: Sequence[Array], place: int, growth: float, squared: float = 1.0, part: slice = _ALL
+    ) -> Array:
         """(N,): smallest eigenvalue of each corner's inequality of one edge; -inf for an infinite value.
 
-        ``squared``: of the gain over the level's, for W alone.
+        ``squared``: of the gain over the level's, for W alone; ``part``: of the corners.
         """
-        values, finite = self.values(P, place, squared)
+        values, finite = self.values(P, place, squared, part)
         edge = self.edges[place]
         smallest = np.linalg.eigvalsh(P[edge.source] - growth**edge.periods * values)[:, 0]
         return np.where(finite, smallest, -np.inf)
@@ -109,25 +115,27 @@ class Inequalities:
         values, _ = self.values(P, place)
         return float(np.max(np.linalg.eigvalsh(inverse.T @ values @ inverse)))
 
-    def values(self, P: Sequence[Array], place: int, squared: float = 1.0) -> tuple[Array, np.ndarray]:
+    def values(
+        self, P: Sequence[Array], place: int, squared: float = 1.0, part: slice = _ALL
+    ) -> tuple[Array, np.ndarray]:
         """(N, k, k): what the steps of an edge make of P_j, all between corners counted; where finite."""
-        edge, maps, before = self.edges[place], self.maps[place], self.before[place]
+        edge, maps, before = self.edges[place], self.maps[place][part], self.before[place]
         if self.level is not None:
             maps, before = (replace(each, W=each.W / squared) for each in (maps, before))
         value, finite = maps.of(P[edge.target])
-        value = (1.0 + edge.epsilon) * value + self._between(P[edge.target], place)
+        value = (1.0 + edge.epsilon) * value + self._between(P[edge.target], place, part)
         if not edge.before:
             return value, finite
         whole, also_finite = before.of(value)
         return whole, finite & also_finite
 
-    def _between(self, P: Array, place: int) -> Array:
-        total = np.zeros((len(self.edges[place].corners.times_s), *P.shape))
+    def _between(self, P: Array, place: int, part: slice) -> Array:
+        total = np.zeros((len(self.edges[place].corners.times_s[part]), *P.shape))
         n = len(self._loop.model.A)
         columns = self.L[:, :n]
         sizes = np.sqrt(np.maximum(np.einsum("ki,kl,li->i", columns, P, columns), 0.0))
         for difference, bends, outputs in self.excess[place]:
-            size = (bends @ sizes) ** 2 + outputs
+            size = (bends[part] @ sizes) ** 2 + outputs[part]
             total += size[:, None, None] * np.outer(difference, difference)
         return total
 
@@ -202,16 +210,30 @@ def exchanged(
         answer = P, float(y[-1])
         if answer[1] >= objective_max:
             return answer
-        missing = 0
-        for place in range(len(system.edges)):
-            slack = system.slack(P, place, growth, float(y[-1]))
-            bad = np.flatnonzero(slack < MARGIN)
-            missing += len(bad)
-            worst = bad[np.argsort(slack[bad])[:_ADDED]]
-            chosen[place] = sorted({*chosen[place], *(int(corner) for corner in worst)})
-        if missing == 0:
+        for count in (_LOOKED_AT, None):
+            broken = _broken(system, P, growth, answer[1], count)
+            wider = [sorted({*own, *broken.get(place, ())}) for place, own in enumerate(chosen)]
+            if wider != chosen:
+                break
+        else:
+            # met, or as nearly as the solver can
             return answer
+        chosen = wider
     return answer
+
+
+def _broken(
+    system: Inequalities, P: Sequence[Array], growth: float, squared: float, count: int | None
+) -> dict[int, list[int]]:
+    """The worst corners that do not hold, by edge, of ``count`` or of all."""
+    found = {}
+    for place, edge in enumerate(system.edges):
+        stride = 1 if count is None else max(1, len(edge.corners.times_s) // count)
+        slack = system.slack(P, place, growth, squared, slice(None, None, stride))
+        bad = np.flatnonzero(slack < MARGIN)
+        if len(bad):
+            found[place] = (stride * bad[np.argsort(slack[bad])[:_ADDED]]).tolist()
+    return found
 
 
 def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
@@ -222,9 +244,13 @@ def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
 
 
 def coordinates(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> Array:
-    """L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1."""
+    """L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1.
+
+    Delays of whole periods are seen to as well: without them an entry that matters in one node alone, where
+    ``patterns`` may never come, would count as nothing, and every switching that it takes part in as large.
+    """
     total = np.zeros((loop.kept, loop.kept))
-    for pattern in patterns:
+    for pattern in [*patterns, *_whole_delays(loop)]:
         maps = step_maps(loop, pattern.steps, gain)
         for phase in range(len(maps)):
             whole = maps[phase]
@@ -237,3 +263,13 @@ def coordinates(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> Arr
     size = np.sqrt(np.diag(total) + 1e-12 * np.trace(total))
     correlation = total / np.outer(size, size)
     return np.asarray(cholesky(correlation + _ROUND * np.eye(len(size))) * size)
+
+
+def _whole_delays(loop: HeldLoop) -> list[Pattern]:
+    """Each delay of whole periods, for ever: there the sample that is held acts throughout."""
+    network = loop.network
+    first = math.ceil(network.delay_min_s / network.period_s)
+    return [
+        repeated(loop, (Delivery(1, periods * network.period_s),))
+        for periods in range(first, network.behind + 1)
+    ]

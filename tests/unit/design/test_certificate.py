@@ -50,7 +50,7 @@ def test_published_design_certified() -> None:
 
 
 def test_an_asked_order_is_found() -> None:
-    """In random stable loops up to 0.8 of their largest delay, orders 0 to 4; 200 in ``bench_design``."""
+    """In random stable loops up to 0.8 of their largest delay, of orders 0 to 4; 200 by ``bench_design``."""
     draw = np.random.default_rng(5)
     assert sum(order_is_found(draw) for _ in range(60)) >= 57
 

@@ -39,7 +39,7 @@ def test_it_cannot_be_less_than_what_inertia_alone_makes_of_the_load() -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_certified_is_never_below_brute_force_nor_far_above(seed: int) -> None:
-    """All sequences of a few periods; more seeds in ``bench_design --random``."""
+    """All sequences of a few periods; more seeds in ``bench_design peaks``."""
     certified, found, brute = peaks_of(seed)
     assert brute <= certified
     assert found <= certified
