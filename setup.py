@@ -27,6 +27,8 @@ sys.path.insert(0, str(ROOT))  # pip imports this file from elsewhere
 from drivers.compiled import MANIFEST, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
 
 REQUIRED = bool(os.environ.get("SERVOBENCH_COMPILE"))
+MYPY = ["--cache-dir=build/mypy", "--follow-imports=silent"]
+"""Silent: a module that is not compiled may use a package that the build under pip has not."""
 
 
 def _below(folder: str, names: str) -> list[str]:
@@ -103,7 +105,7 @@ def extensions() -> list[Extension]:
     paths = [path for group in GROUPS.values() for path in group]
     separate = [(group, library_of(name).removesuffix("__mypyc")) for name, group in GROUPS.items()]
     with redirect_stdout(sys.stderr):  # its remarks belong to the log, like the compiler's
-        made = mypycify(["--cache-dir=build/mypy", *paths], opt_level="3", debug_level="0", separate=separate)
+        made = mypycify([*MYPY, *paths], opt_level="3", debug_level="0", separate=separate)
     # A fused multiply-add, where the processor has it, would change the last bit of a result.
     flags = ["-ffp-contract=off"]
     if sys.platform == "linux":
