@@ -76,7 +76,7 @@ wheel: $(TOOLS)
 	@$(BIN)/python -c 'import setuptools.build_meta as backend; backend.build_sdist("dist")' >build/wheel.log 2>&1 \
 	  && rm -rf build/wheel && SERVOBENCH_COMPILE=$(if $(SERVOBENCH_PURE),,1) $(BIN)/pip wheel --quiet --no-deps \
 	     --no-build-isolation --wheel-dir build/wheel . >>build/wheel.log 2>&1 || { cat build/wheel.log; exit 1; }
-	@$(BIN)/auditwheel --quiet repair --wheel-dir dist build/wheel/*.whl 2>>build/wheel.log || { \
+	@PATH="$(abspath $(BIN)):$$PATH" auditwheel repair --wheel-dir dist build/wheel/*.whl >>build/wheel.log 2>&1 || { \
 	  cp build/wheel/*.whl dist; echo "auditwheel gives it no manylinux tag; see build/wheel.log" >&2; }
 	@ls -sh dist
 
