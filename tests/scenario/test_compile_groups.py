@@ -30,6 +30,13 @@ from drivers.point import Point
 def read(point: Point) -> tuple[int, int, int]:
     return point.x, point.y, point.total()
 """
+PROJECT = """
+[project]
+name = "small"
+version = "0"
+[tool.setuptools]
+packages = []
+"""
 COMPILE = """
 import sys, setup
 setup.GROUPS = {"wire": ["drivers/point.py"], "bus": ["virtual_bus/reader.py"]}
@@ -53,7 +60,7 @@ def checkout(tmp_path: Path) -> Path:
     for path in ("setup.py", "drivers/__init__.py", "drivers/compiled.py", "virtual_bus/__init__.py"):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / path, tmp_path / path)
-    (tmp_path / "pyproject.toml").write_text("[tool.setuptools]\npackages = []\n")
+    (tmp_path / "pyproject.toml").write_text(PROJECT)
     (tmp_path / "drivers" / "point.py").write_text(POINT)
     (tmp_path / "virtual_bus" / "reader.py").write_text(READER)
     return tmp_path
