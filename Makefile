@@ -1,7 +1,7 @@
 # The commands of servobench. Each sets up what it needs first: a virtual environment from the
 # lock files (every archive checked by its hash), made anew only when a lock file changes.
 #
-#   make demo        run the example bench on the simulated drive
+#   make demo        run the example bench on the simulated drive; compiles nothing
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
@@ -13,8 +13,9 @@
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
-#   make compile     compile the hot modules; demo, test and bench do it by themselves
-#   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command: the same)
+#   make compile     compile what has changed of the hot modules; test and bench do it by themselves
+#   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
+#   make wheel       sdist and wheel for this Python, compiled, into dist/
 #   make lock        renew the lock files from pyproject.toml (UPGRADE=1: newest versions)
 #   make clean       remove the virtual environment and the tools' caches
 
@@ -32,7 +33,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure demo check format test unit test-vcan truth swarm mutate exits bench lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm mutate exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -60,20 +61,28 @@ $(TOOLS): requirements-dev.lock $(RUNTIME)
 
 # Whether a build is needed is decided by the digests of the sources, not by the ages of files.
 compile: $(RUNTIME)
-ifdef SERVOBENCH_PURE
-	@$(BIN)/python setup.py remove
-else
+ifndef SERVOBENCH_PURE
 	@mkdir -p build
-	@SERVOBENCH_COMPILE=1 $(BIN)/python setup.py --quiet build_ext --inplace 2>build/compile.log || { \
-	  cat build/compile.log; echo "The hot modules do not compile; SERVOBENCH_PURE=1 runs them interpreted" >&2; \
-	  $(BIN)/python setup.py remove; exit 1; }
+	@$(BIN)/python setup.py --quiet build_ext --inplace 2>build/compile.log || { \
+	  cat build/compile.log; echo "The hot modules do not compile; make pure runs them interpreted" >&2; exit 1; }
 endif
 
 pure: $(RUNTIME)
 	@$(BIN)/python setup.py remove
 
-demo: compile
+# The backends of pyproject.toml are in the lock: what is built is built with the versions of this environment.
+wheel: $(TOOLS)
+	@rm -rf dist && mkdir -p build dist
+	@$(BIN)/python -c 'import setuptools.build_meta as backend; backend.build_sdist("dist")' >build/wheel.log 2>&1 \
+	  && rm -rf build/wheel && SERVOBENCH_COMPILE=$(if $(SERVOBENCH_PURE),,1) $(BIN)/pip wheel --quiet --no-deps \
+	     --no-build-isolation --wheel-dir build/wheel . >>build/wheel.log 2>&1 || { cat build/wheel.log; exit 1; }
+	@PATH="$(abspath $(BIN)):$$PATH" auditwheel repair --wheel-dir dist build/wheel/*.whl >>build/wheel.log 2>&1 || { \
+	  cp build/wheel/*.whl dist; echo "auditwheel gives it no manylinux tag; see build/wheel.log" >&2; }
+	@ls -sh dist
+
+demo: $(RUNTIME)
 	@$(BIN)/hil run examples/ling2012.toml
+	@test -e drivers/compiled.json || echo "Interpreted; make compile (some minutes, once) makes it several times faster."
 
 check: $(TOOLS)
 	$(BIN)/ruff format --check .
@@ -137,4 +146,4 @@ lock: $(TOOLS)
 clean:
 	find design drivers hil virtual_bus -name '*.so' -delete
 	rm -f drivers/compiled.json
-	rm -rf $(VENV) $(PEERS) build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) build dist ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

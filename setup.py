@@ -1,7 +1,8 @@
-"""Compiles the hot modules with mypyc: ``SERVOBENCH_COMPILE=1 python setup.py build_ext --inplace``.
+"""Compiles the hot modules with mypyc, in groups: in place (``make compile``), or into a wheel.
 
-Everything else about the package stands in pyproject.toml. Without the variable nothing is compiled,
-and the same modules run interpreted, with the same results.
+Everything else about the package stands in pyproject.toml. What is not compiled runs interpreted, with the
+same results. A wheel is compiled where a C compiler is there; ``SERVOBENCH_COMPILE=1`` makes the lack of one
+an error, ``SERVOBENCH_PURE=1`` leaves the wheel uncompiled.
 """
 
 import json
@@ -9,115 +10,233 @@ import os
 import shutil
 import sys
 import sysconfig
+from collections.abc import Iterable, Sequence
 from contextlib import redirect_stdout
+from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
+from setuptools.errors import BaseError, CCompilerError
 
-ROOT = Path(__file__).parent
-ROOMS = ("design", "drivers", "virtual_bus", "hil")
-MANIFEST = ROOT / "drivers" / "compiled.json"
+ROOT = Path(__file__).resolve().parent
+sys.path.insert(0, str(ROOT))  # pip imports this file from elsewhere
+
+from drivers.compiled import MANIFEST, PURE, ROOMS, SUFFIX, digest_of, look  # noqa: E402
+
+REQUIRED = bool(os.environ.get("SERVOBENCH_COMPILE"))
+MYPY = ["--cache-dir=/dev/null", "--follow-imports=silent"]
+"""No cache: mypyc 2.4.1 fails at attributes of classes that it takes from one. Silent: a module that is not
+compiled may use a package that the build under pip has not."""
 
 
 def _below(folder: str, names: str) -> list[str]:
     return [f"{folder}/{name}.py" for name in names.split()]
 
 
-HOT_MODULES = [
-    *_below("drivers", "exchange record timebase"),
-    *_below("drivers/canopen", "frame_pump nmt"),
-    *_below("drivers/cia402", "command_watch drive_watch readings servo setpoint supervision"),
-    *_below("drivers/wire", "frame_port link message_port"),
-    *_below("hil/control", "compensation controllers"),
-    *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
-    *_below(
-        "hil/loop", "delay loop order_attribution pace safety samples scenario stamp_attribution syncs ticker"
-    ),
-    *_below("hil/recording", "ring row_writer"),
-    *_below("hil/rows", "records side_rows"),
-    *_below("virtual_bus", "event_heap frame pacing timeline"),
-    *_below("virtual_bus/bus", "bit_length bus_load controller error_frame error_handling"),
-    *_below("virtual_bus/bus", "frame_image held_frames host_port hub_broker hub_port hub_protocol"),
-    *_below("virtual_bus/bus", "judge listener port segment trial"),
-    *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
-    *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
-    *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware homing"),
-    *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
-    *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo servo_parameters"),
-    *_below("virtual_bus/drive", "trajectory user_units"),
-    *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
-    *_below("virtual_bus/hosting", "devices"),
-]
-"""What runs in every cycle of the loop or of a simulated drive."""
+GROUPS = {
+    "wire": [
+        *_below("drivers", "exchange record timebase"),
+        *_below("drivers/canopen", "frame_pump nmt"),
+        *_below("drivers/cia402", "command_watch drive_watch readings servo setpoint supervision"),
+        *_below("drivers/wire", "frame_port link message_port"),
+    ],
+    "loop": [
+        *_below("hil/control", "compensation controllers"),
+        *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
+        *_below("hil/loop", "delay loop order_attribution pace safety samples scenario"),
+        *_below("hil/loop", "stamp_attribution syncs ticker"),
+        *_below("hil/recording", "ring row_writer"),
+        *_below("hil/rows", "records side_rows"),
+    ],
+    "bus": [
+        *_below("virtual_bus", "event_heap frame pacing timeline"),
+        *_below("virtual_bus/bus", "bit_length bus_load controller error_frame error_handling"),
+        *_below("virtual_bus/bus", "frame_image held_frames host_port hub_broker hub_port hub_protocol"),
+        *_below("virtual_bus/bus", "judge listener port segment trial"),
+        *_below("virtual_bus/faults", "fates fault_injector fault_log fault_streams strikes"),
+    ],
+    "device": [
+        *_below("virtual_bus/device", "application canopen_device device_clock heartbeat object_dictionary"),
+        *_below("virtual_bus/device", "pdo_codec pdo_engine pdo_parameters rpdo station sync_consumer tpdo"),
+        *_below("virtual_bus/drive", "actual_values axis cyclic_modes error_codes firmware homing"),
+        *_below("virtual_bus/drive", "homing_methods machine operation_mode operation_modes power_state"),
+        *_below("virtual_bus/drive", "profile_position profile_torque profile_velocity servo"),
+        *_below("virtual_bus/drive", "servo_parameters trajectory user_units"),
+        *_below("virtual_bus/hosting", "devices"),
+    ],
+}
+"""What runs in every cycle of the loop or of a simulated drive. A group is one library, compiled anew as a
+whole; those it imports from come before it in the floors of docs/architecture.md (decision 0018)."""
 
 
 def compiler_lack() -> str | None:
     """Why C cannot be compiled here, or None."""
     compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
     if shutil.which(compiler) is None:
-        return f"no C compiler {compiler!r} is here"
+        return f"no C compiler {compiler!r} was there"
     header = Path(sysconfig.get_path("include"), "Python.h")
-    return None if header.exists() else f"{header} is not here (Debian: apt-get install python3-dev)"
+    return None if header.exists() else f"{header} was not there (Debian: apt-get install python3-dev)"
 
 
-def remove_compiled() -> None:
-    """Take away what an earlier build has left; the manifest first, so that half a build is known as one."""
-    MANIFEST.unlink(missing_ok=True)
+def remove_compiled(keep: Iterable[str] = ()) -> None:
+    """Take away what an earlier build has left beside the sources, but for the files ``keep``.
+
+    The manifest goes first: without it nothing of what is left is used.
+    """
+    (ROOT / MANIFEST).unlink(missing_ok=True)
+    kept = frozenset(keep)
     for room in ROOMS:
         for path in (ROOT / room).rglob("*.so"):
-            path.unlink()
+            if path.relative_to(ROOT).as_posix() not in kept:
+                path.unlink()
+
+
+def library_of(group: str) -> str:
+    """The name that the library of a group is imported by."""
+    room, _, _ = GROUPS[group][0].partition("/")
+    return f"{room}.compiled_{group}__mypyc"
 
 
 def extensions() -> list[Extension]:
-    """The hot modules as one library and a stub for each."""
+    """For each group a library, and for each module a stub that takes it from there."""
     from mypyc.build import mypycify
 
+    paths = [path for group in GROUPS.values() for path in group]
+    separate = [(group, library_of(name).removesuffix("__mypyc")) for name, group in GROUPS.items()]
     with redirect_stdout(sys.stderr):  # its remarks belong to the log, like the compiler's
-        made = mypycify(list(HOT_MODULES), opt_level="3", debug_level="0", group_name="drivers.compiled")
-    for extension in made:
-        # A fused multiply-add, where the processor has it, would change the last bit of a result.
-        extension.extra_compile_args.append("-ffp-contract=off")
-        if sys.platform == "linux":
-            # Calls among the modules go through no table that another library could change: 4 % of the time.
-            extension.extra_compile_args += ["-fvisibility=hidden", "-fno-semantic-interposition", "-fno-plt"]
-    return made
+        made = mypycify([*MYPY, *paths], opt_level="3", debug_level="0", separate=separate)
+    # A fused multiply-add, where the processor has it, would change the last bit of a result.
+    flags = ["-ffp-contract=off"]
+    if sys.platform == "linux":
+        # Calls within a group go through no table that another library could change: 4 % of the time.
+        flags += ["-fvisibility=hidden", "-fno-semantic-interposition", "-fno-plt"]
+    for extension in made:  # some of them share a list
+        extension.extra_compile_args = [*extension.extra_compile_args, *flags]
+    return list(made)
 
 
-class BuildWithManifest(build_ext):
-    """Notes from which sources the compiled modules were made."""
+def digest_of_extension(extension: Extension) -> str:
+    """What tells one build of an extension from another: its C, every header of ours in it, the flags."""
+    from mypy.version import __version__ as mypy_version
+
+    flags = [os.environ.get(name, "") for name in ("CC", "CFLAGS", "LDFLAGS")]
+    digest = blake2b(
+        "\0".join([mypy_version, *flags, *extension.extra_compile_args]).encode(), digest_size=16
+    )
+    for path in sorted({*extension.sources, *extension.depends}):
+        digest.update(path.encode() + Path(path).read_bytes())
+    return digest.hexdigest()
+
+
+def manifest_of(made: Iterable[Extension]) -> dict[str, Any]:
+    """From which sources each group is compiled, and against which other groups.
+
+    Against another: that group's class layouts and signatures, in its headers, are in this one's code.
+    """
+    depends = {extension.name: {Path(path).name for path in extension.depends} for extension in made}
+    return {
+        "suffix": SUFFIX,
+        "groups": {
+            group: {
+                "sources": {path: digest_of(ROOT / path) for path in paths},
+                "against": [
+                    other
+                    for other in GROUPS
+                    if other != group and f"__native_compiled_{other}.h" in depends[library_of(group)]
+                ],
+            }
+            for group, paths in GROUPS.items()
+        },
+    }
+
+
+class BuildGroups(build_ext):
+    """Compiles those extensions whose C has changed, and notes from which sources all were made."""
 
     def run(self) -> None:
-        from hil.machine.compiled import digest_of
-
-        sources = {name: digest_of(ROOT / name) for name in HOT_MODULES}
-        super().run()
+        manifest = manifest_of(self.extensions)
+        self.force = True  # what has not changed is found by its digest, not by the ages of files
+        self.parallel = len(os.sched_getaffinity(0))
+        target = ROOT / MANIFEST if self.inplace else Path(self.build_lib, MANIFEST)
         if self.inplace:
-            MANIFEST.write_text(json.dumps(sources, indent=1))
+            manifest["built"] = self._leave_out_what_is_built()
+        try:
+            super().run()
+        except (BaseError, CCompilerError) as error:
+            if self.inplace or REQUIRED:
+                raise
+            for path in Path(self.build_lib).rglob("*.so"):
+                path.unlink()
+            manifest = {"lack": f"compiling failed: {error}"}
+        target.write_text(json.dumps(manifest, indent=1))
+
+    def _leave_out_what_is_built(self) -> dict[str, str]:
+        """Extension -> digest, of all; those that lie beside their sources already are not compiled."""
+        digests = {extension.name: digest_of_extension(extension) for extension in self.extensions}
+        manifest = ROOT / MANIFEST
+        before = json.loads(manifest.read_text()).get("built", {}) if manifest.exists() else {}
+        files = {name: name.replace(".", "/") + SUFFIX for name in digests}
+        kept = [
+            name for name in digests if digests[name] == before.get(name) and (ROOT / files[name]).exists()
+        ]
+        remove_compiled(keep=[files[name] for name in kept])
+        self.extensions = [each for each in self.extensions if each.name not in kept]
+        anew = [group for group in GROUPS if library_of(group) not in kept]
+        if anew:
+            print(f"Compiling {', '.join(anew)} with mypyc: up to some minutes", flush=True)
+        return digests
 
 
-def main() -> None:
-    """Compile if that was asked for, is possible and is needed; else hand on to setuptools."""
-    if not os.environ.get("SERVOBENCH_COMPILE"):
-        setup()
-        return
-    os.chdir(ROOT)
+class NoteLack(build_py):
+    """A wheel that is not compiled tells why."""
+
+    lack = ""
+
+    def run(self) -> None:
+        super().run()
+        Path(self.build_lib, MANIFEST).write_text(json.dumps({"lack": self.lack}))
+
+
+def compile_in_place() -> None:
+    """Bring what is compiled beside the sources up to date, if that is possible."""
     lack = compiler_lack()
     if lack is not None:
         remove_compiled()
         print(f"Not compiled: {lack}. Everything works, interpreted and slower.")
-        return
-    from hil.machine.compiled import stale_modules
+    elif (build := look(ROOT)).why or build.sources != {path for group in GROUPS.values() for path in group}:
+        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups})
 
-    if MANIFEST.exists() and not stale_modules(ROOT, HOT_MODULES):
+
+def build_wheel() -> None:
+    """A wheel with compiled modules, or one without that tells why."""
+    for left in (ROOT / "build").glob("lib*"):  # modules that are no more would be packed too
+        shutil.rmtree(left)
+    lack = f"{PURE} was set" if os.environ.get(PURE) else compiler_lack()
+    if lack is None:
+        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups})
         return
-    remove_compiled()
-    print(f"Compiling {len(HOT_MODULES)} hot modules with mypyc: a minute or two", flush=True)
-    setup(ext_modules=extensions(), cmdclass={"build_ext": BuildWithManifest})
+    if REQUIRED:
+        sys.exit(f"SERVOBENCH_COMPILE is set, but {lack}")
+    print(f"Not compiled: {lack}", file=sys.stderr)
+    NoteLack.lack = lack
+    setup(cmdclass={"build_py": NoteLack})
+
+
+def main(arguments: Sequence[str]) -> None:
+    """What the command line asks for; anything but a build is left to setuptools."""
+    os.chdir(ROOT)
+    if arguments == ["remove"]:
+        remove_compiled()
+    elif "build_ext" in arguments:
+        compile_in_place()
+    elif "bdist_wheel" in arguments:
+        build_wheel()
+    else:
+        setup()
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["remove"]:
-        remove_compiled()
-    else:
-        main()
+    main(sys.argv[1:])

@@ -23,17 +23,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.compiled import notice, use_fresh
 from drivers.errors import BadInput
-from hil.machine.compiled import require_fresh
 from hil.terminal.adapter import adapter
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.eds import eds
-from hil.terminal.exit_status import complain, reported_errors
+from hil.terminal.exit_status import reported_errors
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
 from hil.terminal.recover import recover
-from hil.terminal.run_object import RunCommand, RunObject, not_begun
+from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 
@@ -218,11 +218,8 @@ def doctor(as_json: JsonOption = False) -> None:
 
 def main() -> None:
     """Entry point of the command ``hil``."""
-    try:
-        require_fresh()
-    except BadInput as error:
-        not_begun(error.exit_status, str(error))
-        sys.exit(complain(error))
+    if said := notice(use_fresh()):
+        typer.echo(f"hil: note: {said}", err=True)
     app()
 
 

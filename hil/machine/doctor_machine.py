@@ -1,10 +1,11 @@
-"""What this machine can do beside the bus: scheduling, memory, processors, viewer, disk."""
+"""What this machine can do beside the bus: scheduling, memory, processors, viewer, disk; what is compiled."""
 
 import resource
 import shutil
 import sysconfig
 from pathlib import Path
 
+from drivers import compiled
 from hil.machine.capability import Capability, Machine, capable, lacking
 
 CAP_IPC_LOCK = 14
@@ -70,7 +71,7 @@ def viewer(_machine: Machine) -> Capability:
     found = str(beside) if beside.exists() else shutil.which("rerun")
     if found:
         return capable(name, found, needed_for)
-    return lacking(name, "not found", needed_for, "make setup")
+    return lacking(name, "not found", needed_for, "pip install rerun-sdk")
 
 
 def display(machine: Machine) -> Capability:
@@ -103,6 +104,16 @@ def disk_space(_machine: Machine) -> Capability:
     return lacking(name, detail, needed_for, "hil run --record DIR with a DIR on a larger disk")
 
 
+def compiled_modules(_machine: Machine) -> Capability:
+    """Whether the modules that run in every cycle are compiled."""
+    name, needed_for = "compiled modules", "pace: interpreted, everything works several times slower"
+    build = compiled.use_fresh()
+    if not build.why:
+        return capable(name, ", ".join(build.compiled), needed_for)
+    held_back = f"{', '.join(build.held_back)} interpreted, " if build.held_back and build.compiled else ""
+    return lacking(name, f"{held_back or 'all interpreted, '}{build.why}", needed_for, compiled.remedy())
+
+
 def _raise_limit(kind: str, value: str) -> str:
     return f'echo "$USER - {kind} {value}" | sudo tee -a {LIMITS_FILE}, then log in again'
 
@@ -120,4 +131,5 @@ CHECKS = (
     display,
     headless_vulkan,
     disk_space,
+    compiled_modules,
 )

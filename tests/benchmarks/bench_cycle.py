@@ -1,7 +1,7 @@
 """How many times faster than real time a recorded bench with faults runs, and where a cycle's time goes.
 
 The whole: the example benches with one and three axes, in this checkout and, where its hot modules are
-compiled, in an interpreted copy beside it in the same run. The stages: layers of one axis put on each
+compiled, interpreted beside it in the same run. The stages: layers of one axis put on each
 other, beside a loop of plain Python that shows how fast this machine is now.
 """
 
@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.compiled import PURE, look
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
 from hil.configuration.motor_file import LING2012
-from hil.machine.compiled import MANIFEST, compiled_modules
 from hil.recording.ring import RingReader, RingWriter
 from hil.recording.row_writer import RowWriter
 from hil.rows.records import ROW, ROW_DTYPE
@@ -36,7 +36,6 @@ from virtual_bus.hosting.devices import attach_to_segment
 from virtual_bus.timeline import Timeline
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("design", "drivers", "virtual_bus", "hil")
 BENCHES = {"1 axis": "ling2012.toml", "3 axes": "three_axes.toml"}
 DURATION_S = 10.0
 CYCLES = 5_000
@@ -47,32 +46,23 @@ RUN = "from hil.cli import main; main()"
 
 def main() -> None:
     """Print two tables."""
-    compiled = bool(compiled_modules(ROOT))
+    compiled = bool(look().compiled)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        checkouts = {"compiled" if compiled else "interpreted": ROOT}
-        if compiled:
-            checkouts["interpreted"] = _interpreted_copy(folder / "interpreted")
-        _print_whole(checkouts, folder)
+        builds: dict[str, dict[str, str]] = {"compiled": {}} if compiled else {}
+        _print_whole({**builds, "interpreted": {PURE: "1"}}, folder)
     _print_stages()
 
 
-def _interpreted_copy(target: Path) -> Path:
-    leave_out = shutil.ignore_patterns("*.so", "__pycache__", Path(MANIFEST).name)
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, target / room, ignore=leave_out)
-    return target
-
-
-def _print_whole(checkouts: dict[str, Path], folder: Path) -> None:
+def _print_whole(builds: dict[str, dict[str, str]], folder: Path) -> None:
     print(f"{'whole bench, recorded':28} {'x real time':>12} {'us/cycle':>10}   x interpreted")
     for title, bench in BENCHES.items():
         source = ROOT / "examples" / bench
         if not source.exists():
             continue
         factors = {
-            name: _best_factor(checkout, _long_bench(source, folder), folder / f"{title}-{name}")
-            for name, checkout in checkouts.items()
+            name: _best_factor(environment, _long_bench(source, folder), folder / f"{title}-{name}")
+            for name, environment in builds.items()
         }
         for name, factor in factors.items():
             ratio = factor / factors["interpreted"]
@@ -90,14 +80,14 @@ def _long_bench(source: Path, folder: Path) -> Path:
     return long
 
 
-def _best_factor(checkout: Path, bench: Path, record: Path) -> float:
+def _best_factor(environment: dict[str, str], bench: Path, record: Path) -> float:
     """The best of some runs: what disturbs a run only makes it slower."""
     factors = []
     for number in range(REPEATS):
         done = subprocess.run(
             [sys.executable, "-c", RUN, "run", str(bench), "--json", "--record", f"{record}-{number}"],
-            cwd=checkout,
-            env={**os.environ, "PYTHONPATH": str(checkout), "CI": "1"},
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "CI": "1", **environment},
             capture_output=True,
             text=True,
             check=False,

@@ -135,7 +135,7 @@ class FaultTable(BaseModel):
         return self.model_dump(mode="json", exclude_none=True)
 
 
-class Window(FaultTable):
+class TimeWindow(FaultTable):
     """When a fault acts."""
 
     from_s: Seconds = 0.0
@@ -144,7 +144,7 @@ class Window(FaultTable):
     """Exclusive; None: to the end."""
 
     @model_validator(mode="after")
-    def _check_window(self) -> "Window":
+    def _check_window(self) -> "TimeWindow":
         if self.until_ns is not None:
             expected = f"a time after from_s = {self.from_s:g}"
             require(self.until_ns > self.from_ns, "until_s", self.until_s, expected)

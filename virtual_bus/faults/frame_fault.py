@@ -9,7 +9,7 @@ from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.errors import BadInput
 from virtual_bus.bus.judge import Direction
 from virtual_bus.faults.fault_streams import UniformStream
-from virtual_bus.faults.fault_table import NodeIds, Window, require
+from virtual_bus.faults.fault_table import NodeIds, TimeWindow, require
 from virtual_bus.faults.strikes import FOREVER, Hold, Strike
 
 BROADCAST: Final = 0
@@ -64,7 +64,7 @@ Frames = Annotated[
 ]
 
 
-class FrameFault(Window):
+class FrameFault(TimeWindow):
     """A fault of frames. A kind is one subclass, in a file of its own."""
 
     direction: Literal["both", "host_to_drive", "drive_to_host"] = "both"

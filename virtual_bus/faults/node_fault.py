@@ -13,7 +13,7 @@ from pydantic import model_validator
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.errors import MISSING
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant
-from virtual_bus.faults.fault_table import FaultTable, NodeIds, Number, Seconds, Window, ns, require
+from virtual_bus.faults.fault_table import FaultTable, NodeIds, Number, Seconds, TimeWindow, ns, require
 
 EVERY_MIN = Duration(100 * NS_PER_US)
 """No cycle is shorter; after a pause each strike that was missed is looked at."""
@@ -97,7 +97,7 @@ class NodeFault(FaultTable):
         return f"{kind.replace('_', ' ')} of {event.a / NS_PER_MS:g} ms, {node}"
 
 
-class Occasion(Window):
+class Occasion(TimeWindow):
     """Strikes once at ``at_s``, or again and again within a window, regularly or by chance.
 
     By chance: no memory, so the gaps are exponential; ``probability_per_s`` is the chance that it strikes

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 from typing import Annotated
 
 from drivers.timebase import Instant
-from virtual_bus.faults.fault_table import Window, within
+from virtual_bus.faults.fault_table import TimeWindow, within
 from virtual_bus.faults.log_kind import LogNumber, node_event
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 DRIFT_PPM_MAX = 10_000
 
 
-class ClockDrift(Window, NodeFault):
+class ClockDrift(TimeWindow, NodeFault):
     """The drive's clock runs faster by ``drift_ppm`` within a window, on top of its own drift."""
 
     kind = "clock_drift"
