@@ -29,7 +29,7 @@ HOT_MODULES = [
     *_below("drivers/canopen", "frame_pump nmt"),
     *_below("drivers/cia402", "command_watch drive_watch readings servo setpoint supervision"),
     *_below("drivers/wire", "frame_port link message_port"),
-    *_below("hil/control", "compensation controllers"),
+    *_below("hil/control", "compensation controllers load_filter motion predictor"),
     *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
     *_below(
         "hil/loop", "delay loop order_attribution pace safety samples scenario stamp_attribution syncs ticker"

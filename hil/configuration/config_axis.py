@@ -10,6 +10,7 @@ from hil.configuration.config_files import Section
 from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.drive_file import DriveFile, LoopOfDrive
 from hil.configuration.motor_file import MotorFile
+from hil.configuration.predictor_section import PredictorController
 from hil.configuration.quantities import (
     DropoutsInARow,
     Frequency,
@@ -142,7 +143,9 @@ class StateFeedbackController(Section):
 
 
 Compensator = Annotated[ArrivalCompensator | StampCompensator, Field(discriminator="kind")]
-Controller = Annotated[PidController | StateFeedbackController, Field(discriminator="kind")]
+Controller = Annotated[
+    PidController | StateFeedbackController | PredictorController, Field(discriminator="kind")
+]
 
 
 class DriveConfig(Section):
@@ -166,13 +169,13 @@ class DriveConfig(Section):
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: Compensator = ArrivalCompensator(kind="arrival")
-    controller: Controller = Field(description="a table with kind = 'pid' or 'state_feedback', or a path")
+    controller: Controller = Field(description="a table with its kind, or a path")
 
 
 class ControllerFile(Section):
     """A controller in a file of its own."""
 
-    controller: Controller = Field(description="the table [controller] with kind = 'pid' or 'state_feedback'")
+    controller: Controller = Field(description="the table [controller] with its kind")
 
 
 class StepReference(Section):

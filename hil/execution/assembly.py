@@ -16,8 +16,12 @@ from hil.configuration.config_axis import (
     StampCompensator,
     StepReference,
 )
+from hil.configuration.predictor_section import PredictorController
 from hil.control.compensation import Arrival, Stamp
 from hil.control.controllers import Pid, PidGains, StateFeedback
+from hil.control.load_filter import FilterNoise
+from hil.control.motion import MotionModel
+from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
 from hil.execution.world import SegmentPlan, World, WorldPlan
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
@@ -125,9 +129,12 @@ def _segment(segment: Reference) -> Segment:
     return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)
 
 
-def controller(drive: DriveConfig, period_s: float) -> Controller:
-    """The controller of one axis."""
+def controller(drive: DriveConfig, period_s: float, predicted: Compensator) -> Controller:
+    """The controller of one axis; ``predicted``: its compensator, which a predictor's controller asks."""
     wanted = drive.controller
+    if isinstance(wanted, PredictorController):
+        assert isinstance(predicted, Predictor)
+        return LoadCancelling(predictor_settings(wanted), predicted)
     if isinstance(wanted, PidController):
         gains = PidGains(
             proportional_nm_s_rad=wanted.proportional_nm_s_rad,
@@ -148,9 +155,29 @@ def controller(drive: DriveConfig, period_s: float) -> Controller:
     )
 
 
+def predictor_settings(wanted: PredictorController) -> PredictorSettings:
+    """What its section says, in the loop's units."""
+    model = MotionModel(
+        wanted.inertia_kg_m2,
+        wanted.viscous_friction_nm_s,
+        wanted.current_rate_rad_s,
+        wanted.filter_rate_rad_s,
+    )
+    noise = FilterNoise(
+        wanted.speed_noise_rad_s,
+        wanted.torque_noise_nm,
+        wanted.load_noise_nm_sqrt_s,
+        wanted.load_noise_max_nm_sqrt_s,
+    )
+    dead_time = Duration(round(wanted.dead_time_us * NS_PER_US))
+    return PredictorSettings(model, noise, wanted.speed_gain_nm_s_rad, wanted.torque_gain, dead_time)
+
+
 def compensator(drive: DriveConfig, period: Duration) -> Compensator:
-    """The delay compensator of one axis."""
+    """The delay compensator of one axis; a predictor is its own."""
     wanted = drive.compensator
+    if isinstance(drive.controller, PredictorController):
+        return Predictor(predictor_settings(drive.controller), period)
     if isinstance(wanted, StampCompensator):
         return Stamp(Duration(wanted.delay_us * NS_PER_US), period)
     return Arrival()
@@ -190,11 +217,12 @@ def axis(
         torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,
         dropouts_consecutive_max=wanted.limits.dropouts_consecutive_max,
     )
+    predicted = compensator(wanted, timing.period)
     parts = AxisParts(
         name=name,
         drive=drive,
-        controller=own_controller or controller(wanted, period_s),
-        compensator=compensator(wanted, timing.period),
+        controller=own_controller or controller(wanted, period_s, predicted),
+        compensator=predicted,
         guard=SafetyGuard(limits, period_s),
         reference=speed_profile(config.reference.get(name, ())),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),

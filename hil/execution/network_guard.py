@@ -13,7 +13,12 @@ from typing import Final
 from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig, StampCompensator, StateFeedbackController
+from hil.configuration.config_axis import (
+    DriveConfig,
+    PidController,
+    StampCompensator,
+    StateFeedbackController,
+)
 from hil.configuration.config_errors import raise_all
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
 from hil.configuration.network_file import Network, commands_unknown, load_network
@@ -45,7 +50,7 @@ class Allowed:
 def made_for(drive: DriveConfig) -> MadeFor | None:
     """What the controller of an axis was made for, if its file says so."""
     controller = drive.controller
-    return controller.made_for if isinstance(controller, StateFeedbackController) else None
+    return None if isinstance(controller, PidController) else controller.made_for
 
 
 def allowed(wanted: MadeFor, period: Duration) -> Allowed:
@@ -290,14 +295,14 @@ def certified_plans(
 
 def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
     controller = config.drive[axis].controller
-    assert isinstance(controller, StateFeedbackController)
+    certificate = controller.certificate if isinstance(controller, StateFeedbackController) else None
     limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
     own = current_loop_of(config, axis, simulated=simulated)
     return CertifiedPlan(
         period_us=config.loop.period_us,
         delay_us=limits.delay_max / NS_PER_US,
         losses_in_a_row=limits.losses_max,
-        gain=None if controller.certificate is None else controller.certificate.gain,
+        gain=None if certificate is None else certificate.gain,
         bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
         bandwidth_hz=None if own is None else own.bandwidth_hz,
         torque_rms_nm_max=wanted.torque_rms_nm_max,

@@ -17,6 +17,16 @@ from hil.terminal.current_loop_options import (
     CurrentBandwidthOption,
     current_loop,
 )
+from hil.terminal.design_predictor import (
+    DeadTimeOption,
+    EncoderCountsOption,
+    PeriodMsOption,
+    PredictorOptions,
+    SpeedFilterOption,
+    TorqueNoiseOption,
+    finish_predictor,
+    refuse_given,
+)
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, controller_out_option
 from hil.terminal.speed_options import (
@@ -53,6 +63,13 @@ class FeedbackName(StrEnum):
 
     FULL = "full"
     SPEED = "speed"
+
+
+class StructureName(StrEnum):
+    """What the feedback is."""
+
+    STATIC = "static"
+    PREDICTOR = "predictor"
 
 
 class TargetName(StrEnum):
@@ -107,6 +124,12 @@ TargetOption = Annotated[
         "--target", help="Make best the loop with constant delay, or the sampled one on the network."
     ),
 ]
+StructureOption = Annotated[
+    StructureName,
+    typer.Option(
+        "--structure", help="A static gain, or a predictor: Kalman filter, prediction, load cancelled."
+    ),
+]
 OutOption = Annotated[Path | None, controller_out_option("CONTROLLER.toml")]
 
 
@@ -130,6 +153,12 @@ def speed(
     integral: IntegralOption = False,
     integral_time_ms: IntegralTimeMsOption = None,
     target: TargetOption = TargetName.CONSTANT,
+    structure: StructureOption = StructureName.STATIC,
+    period_ms: PeriodMsOption = None,
+    encoder_counts: EncoderCountsOption = None,
+    speed_filter_hz: SpeedFilterOption = None,
+    drive_dead_time_us: DeadTimeOption = None,
+    torque_noise_nm: TorqueNoiseOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -138,8 +167,34 @@ def speed(
     With a gain or an error: the largest delay. With a delay or a network: the least gain. With
     both: the least gain, and whether it is enough. A network's delay is that of [Ling2012] (2.13),
     and the loop that really runs over it is certified as well.
+
+    A predictor is designed for a delay or a network: for the least peak after the load step.
     """
     with reported_errors():
+        asked = PredictorOptions(
+            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm
+        )
+        if structure is StructureName.PREDICTOR:
+            static = {
+                "--gamma": gamma,
+                "--error-percent": error_percent,
+                "--integral-time-ms": integral_time_ms,
+                "--integral": integral or None,
+            }
+            refuse_given(static, "nothing of it with --structure predictor")
+            over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
+            finish_predictor(
+                motor_of(motor),
+                current_loop(bench, axis, commissioned, current_bandwidth_hz),
+                asked,
+                None if delay_ms is None else 1e-3 * delay_ms,
+                over,
+                load_nm,
+                out,
+                as_json,
+            )
+            return
+        refuse_given(asked.given, "--structure predictor with it")
         _check_known(gamma, error_percent, delay_ms, network)
         if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
             expected = "full feedback without integral: Algorithm 4.2 knows no other"

@@ -1,0 +1,95 @@
+"""The shaft as a predictor sees it: torque, speed and the drive's filtered speed, in closed form.
+
+    T' = a (u - T)     J omega' = T - B omega - T_L     w' = f (omega - w)
+
+u: the command in force; T_L: the load torque, both constant over a piece; w: what 606Ch tells.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+_APART: Final = 1e-3
+"""Part of its rate by which the speed's filter is moved away from the current loop's, where they are equal:
+the closed form divides by their difference."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionModel:
+    """What turns, and what drives and watches it."""
+
+    inertia_kg_m2: float
+    viscous_friction_nm_s: float
+    current_rate_rad_s: float
+    """a: of the drive's current loop, of first order."""
+    filter_rate_rad_s: float
+    """f: of the first-order filter behind the drive's speed."""
+
+
+class Motion:
+    """State at one instant; it knows no clock, pieces come with their length."""
+
+    __slots__ = (
+        "_current_left",
+        "_current_rate",
+        "_filter_left",
+        "_filter_rate",
+        "_friction",
+        "_length_s",
+        "_per_inertia",
+        "_resonance",
+        "filtered_rad_s",
+        "speed_rad_s",
+        "torque_nm",
+    )
+
+    def __init__(self, model: MotionModel) -> None:
+        self.torque_nm = 0.0
+        self.speed_rad_s = 0.0
+        self.filtered_rad_s = 0.0
+        self._per_inertia = 1.0 / model.inertia_kg_m2
+        self._friction = model.viscous_friction_nm_s
+        self._current_rate = model.current_rate_rad_s
+        rate = model.filter_rate_rad_s
+        if abs(rate - self._current_rate) < _APART * self._current_rate:
+            rate = (1.0 + _APART) * self._current_rate
+        self._filter_rate = rate
+        self._resonance = rate / (rate - self._current_rate)
+        self._length_s = 0.0
+        self._current_left = 1.0
+        self._filter_left = 1.0
+
+    def copy(self, other: "Motion") -> None:
+        """Take the state of ``other``."""
+        self.torque_nm = other.torque_nm
+        self.speed_rad_s = other.speed_rad_s
+        self.filtered_rad_s = other.filtered_rad_s
+
+    def advance(self, command_nm: float, load_nm: float, length_s: float) -> None:
+        """On by ``length_s`` under a constant command and load, N m.
+
+        The friction's part is right to the second order of length x B/J, some 1e-6 over a period.
+        """
+        if length_s != self._length_s:
+            self._length_s = length_s
+            self._current_left = math.exp(-self._current_rate * length_s)
+            self._filter_left = math.exp(-self._filter_rate * length_s)
+        left, filter_left = self._current_left, self._filter_left
+        per_inertia, speed = self._per_inertia, self.speed_rad_s
+        missing = command_nm - self.torque_nm
+        slope = (command_nm - load_nm - self._friction * speed) * per_inertia
+        # The friction follows the speed: half of what the piece adds to it counts already.
+        slope *= 1.0 - 0.5 * self._friction * per_inertia * length_s
+        lag = missing * per_inertia / self._current_rate
+        turned = lag * self._resonance
+        behind = slope / self._filter_rate
+        self.torque_nm = command_nm - missing * left
+        self.speed_rad_s = speed + slope * length_s - lag * (1.0 - left)
+        self.filtered_rad_s = (
+            speed
+            + slope * length_s
+            - behind
+            - lag
+            + turned * left
+            + filter_left * (self.filtered_rad_s - speed + behind + lag - turned)
+        )
