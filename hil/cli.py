@@ -15,9 +15,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
 import sys
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -34,6 +35,9 @@ from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject, not_begun
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
+
+if TYPE_CHECKING:
+    from hil.configuration.config import BenchConfig
 
 app = typer.Typer(
     name="hil",
@@ -76,6 +80,15 @@ ReplayOption = Annotated[
         "--replay-faults", metavar="FILE", help="faults.jsonl of a run; instead of the bench's own faults."
     ),
 ]
+ControllersOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--controller",
+        metavar="AXIS=FILE.py:NAME",
+        help="A controller of one's own, or a controller file (AXIS=FILE.toml), in place of the bench's; "
+        "may be repeated.",
+    ),
+]
 NetworkOption = Annotated[
     Path | None,
     typer.Option(
@@ -110,6 +123,18 @@ def _hil(
     """Hardware-in-the-loop bench for networked PMSM servo drives over CANopen."""
 
 
+def _bench_to_run(bench: Path, controllers: Sequence[str], replay_faults: Path | None) -> "BenchConfig":
+    """The bench file with what the command line puts in place of its parts."""
+    from drivers.bounded_file import NamedBy
+    from hil.configuration.bench_file import load_bench, load_faults, with_controllers
+
+    config = with_controllers(load_bench(bench), controllers)
+    if replay_faults is None:
+        return config
+    named_by = NamedBy("--replay-faults", "", str(replay_faults))
+    return config.with_faults(load_faults(replay_faults, named_by))
+
+
 @app.command(cls=RunCommand)
 def run(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The bench file.")],
@@ -122,6 +147,7 @@ def run(
         Path | None, typer.Option("--record", metavar="DIR", help="Folder of the recording, new or empty.")
     ] = None,
     no_record: NoRecordOption = False,
+    controller: ControllersOption = None,
     replay_faults: ReplayOption = None,
     view: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
@@ -137,15 +163,9 @@ def run(
     """
     told = RunObject(as_json)
     with reported_errors(told.failed):
-        from drivers.bounded_file import NamedBy
-        from hil.configuration.bench_file import load_bench, load_faults
-
         if no_record and (record is not None or view):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
-        config = load_bench(bench)
-        if replay_faults is not None:
-            named_by = NamedBy("--replay-faults", "", str(replay_faults))
-            config = config.with_faults(load_faults(replay_faults, named_by))
+        config = _bench_to_run(bench, controller or (), replay_faults)
 
         from hil.configuration.quantities import odd_values
         from hil.execution.network_guard import loop_doubts

@@ -27,13 +27,13 @@ from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
 INERTIAS = (1.0, 0.7, 1.3)
 PHASES = (0.0, 0.2, 0.35, 0.5)
-"""Of a period, between a sample and the load step; later ones are nearer to the next sample's own step."""
+"""Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
 DELAY_MARGIN_S = 0.5e-3
 DELAY_MARGIN_SHARE = 0.1
 """Of the delay: the margin asked for is the larger of the two."""
 _MARGIN_STEP = 0.1
-"""Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
-half a period wide."""
+"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie
+unstable ones, half a period wide."""
 _MARGIN_REACH = 1.1
 _INERTIAS_BORNE = (0.65, 0.7, 1.3, 1.4)
 """With which it must be stable: a little beyond +-30 %, so that there it is well damped."""

@@ -1,7 +1,8 @@
 """Loading a bench file and the motor, controller and fault files that it names, with every fault of each."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,18 @@ from pydantic import ValidationError
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput, BenchError
 from hil.configuration.config import BenchConfig, Faults
-from hil.configuration.config_axis import Controller, ControllerFile, StateFeedbackController
 from hil.configuration.config_checks import cross_faults
 from hil.configuration.config_errors import bad_inputs_of, raise_all, translate
+from hil.configuration.controller_kinds import ControllerFile, ControllerSection, StateFeedbackController
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
 from virtual_bus.faults.fault_log import FAULTS_FILE
 from virtual_bus.faults.fault_plan_toml import fault_plan_mapping, read_fault_plan
 from virtual_bus.faults.replay import read_recorded
+
+ENTRY_POINTS = "servobench.controllers"
+"""Group of the entry points by which installed packages bring kinds of controllers and compensators."""
 
 
 def load_bench(path: Path) -> BenchConfig:
@@ -61,13 +65,55 @@ def bench_from(raw: Mapping[str, Any], source: str, folder: Path) -> BenchConfig
     return config.named(source)
 
 
-def load_controller(path: Path, named_by: NamedBy | None = None) -> Controller:
+def load_controller(path: Path, named_by: NamedBy | None = None) -> ControllerSection:
     """The controller file at ``path``. Raises BadInput or BadInputs."""
-    tables = read_toml(path, "controller file", named_by)
+    tables = dict(read_toml(path, "controller file", named_by))
+    if isinstance(tables.get("controller"), Mapping):
+        tables["controller"] = own_code_at(tables["controller"], path.parent)
     try:
         return ControllerFile.model_validate(tables).controller
     except ValidationError as error:
         raise_all(translate(error, str(path), tables, ControllerFile))
+
+
+def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A table of a controller or compensator in which a class of one's own is named from here.
+
+    Kinds that an installed package has under the entry point group :data:`ENTRY_POINTS` are classes, too;
+    none is imported for that.
+    """
+    found = dict(tables)
+    shipped = entry_points(group=ENTRY_POINTS)
+    if "object" not in found and isinstance(found.get("kind"), str) and found["kind"] in shipped.names:
+        found |= {"kind": "python", "object": shipped[found["kind"]].value}
+    name = found.get("object")
+    if isinstance(name, str) and ".py:" in name:
+        found["object"] = str(folder / name)
+    return found
+
+
+def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
+    """The bench with other controllers, each AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml.
+
+    Raises BadInput or BadInputs.
+    """
+    drives = dict(config.drive)
+    for text in asked:
+        axis, _, name = text.partition("=")
+        if axis not in drives or not name:
+            axes = ", ".join(config.axes)
+            expected = f"AXIS=FILE.py:NAME, AXIS=MODULE:NAME or AXIS=FILE.toml, and of the axes: {axes}"
+            raise BadInput("--controller", "", text, expected)
+        if name.endswith(".toml"):
+            controller = load_controller(Path(name), NamedBy("--controller", "", text))
+        else:
+            tables = {"controller": {"kind": "python", "object": name}}
+            try:
+                controller = ControllerFile.model_validate(tables).controller
+            except ValidationError as error:
+                raise_all(translate(error, "--controller", tables, ControllerFile))
+        drives[axis] = drives[axis].model_copy(update={"controller": controller})
+    return config.model_copy(update={"drive": drives})
 
 
 def strategy_of(
@@ -130,6 +176,9 @@ class _Expansion:
             if isinstance(value, str):
                 named_by = NamedBy(self._source, f"drive.{name}.{part}", value)
                 tables[part] = self._attempt(named_by.key, partial(read, self._folder / value, named_by))
+        for part in ("controller", "compensator"):
+            if isinstance(tables.get(part), Mapping):
+                tables[part] = own_code_at(tables[part], self._folder)
         if isinstance(tables.get("eds"), str):
             tables["eds"] = str(self._folder / tables["eds"])
         controller = tables.get("controller")

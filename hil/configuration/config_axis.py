@@ -7,16 +7,14 @@ from pydantic import AfterValidator, Field
 
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_files import Section
+from hil.configuration.controller_kinds import ArrivalCompensator, CompensatorSection, ControllerSection
 from hil.configuration.current_controller_file import CurrentControl
-from hil.configuration.drive_file import DriveFile, LoopOfDrive
+from hil.configuration.drive_file import DriveFile
 from hil.configuration.motor_file import MotorFile
-from hil.configuration.predictor_section import PredictorController
 from hil.configuration.quantities import (
     DropoutsInARow,
     Frequency,
-    Gain,
     HeartbeatTimeout,
-    PositiveGain,
     SignedSpeed,
     SignedTorque,
     SlewRate,
@@ -24,7 +22,6 @@ from hil.configuration.quantities import (
     TimeConstant,
     Torque,
 )
-from hil.configuration.speed_controller_file import Certificate, MadeFor
 from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.drive.lacks import PATTERN
 
@@ -84,70 +81,6 @@ class Limits(Section):
         return None if wanted is None else wanted * RAD_S_PER_RPM
 
 
-class ArrivalCompensator(Section):
-    """The newest reading is used as soon as it is there."""
-
-    kind: Literal["arrival"]
-
-
-class StampCompensator(Section):
-    """A reading acts when it is exactly ``delay_us`` old, [Ling2012] 2.3.
-
-    Drives sample at SYNCs; with ``loop.actuation = "on_sync"``, without which this is refused, they act at
-    SYNCs too. So ``delay_us`` is a whole number of periods.
-    """
-
-    kind: Literal["stamp"]
-    delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
-
-
-class TunedFor(Section):
-    """``made_for`` of a PID: what its rule went by."""
-
-    crossover_rad_s: float = Field(gt=0, description="where the speed loop crosses over, rad/s")
-    current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
-
-
-class PidController(Section):
-    """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
-
-    kind: Literal["pid"]
-    proportional_nm_s_rad: PositiveGain = Field(description="Kp, N m per rad/s")
-    integral_nm_rad: PositiveGain = 0.0
-    derivative_nm_s2_rad: PositiveGain = 0.0
-    derivative_filter_s: TimeConstant = 0.002
-    anti_windup_s: TimeConstant | None = None
-    """Time constant of back-calculation; Kp/Ki if absent."""
-    feedforward_nm_s_rad: Gain = 0.0
-    """Torque per reference speed, usually the viscous friction."""
-    made_for: TunedFor | None = None
-    """Absent: nobody says; ``hil run`` then goes by the gains alone."""
-
-
-Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]
-
-
-class StateFeedbackController(Section):
-    """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14).
-
-    A third gain acts on the integral of the speed error.
-    """
-
-    kind: Literal["state_feedback"]
-    gain: Gains = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
-    feedforward_load_nm: SignedTorque = 0.0
-    """Load torque that the nominal current carries beside the friction."""
-    made_for: MadeFor | None = None
-    """The network and the drive that it was designed for; ``hil run`` refuses others."""
-    certificate: Certificate | None = None
-
-
-Compensator = Annotated[ArrivalCompensator | StampCompensator, Field(discriminator="kind")]
-Controller = Annotated[
-    PidController | StateFeedbackController | PredictorController, Field(discriminator="kind")
-]
-
-
 class DriveConfig(Section):
     """One axis: where its drive is, what turns on it, and who commands it."""
 
@@ -168,14 +101,8 @@ class DriveConfig(Section):
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
-    compensator: Compensator = ArrivalCompensator(kind="arrival")
-    controller: Controller = Field(description="a table with its kind, or a path")
-
-
-class ControllerFile(Section):
-    """A controller in a file of its own."""
-
-    controller: Controller = Field(description="the table [controller] with its kind")
+    compensator: CompensatorSection = ArrivalCompensator(kind="arrival")
+    controller: ControllerSection = Field(description="a table with its kind, e.g. 'pid', or a path")
 
 
 class StepReference(Section):

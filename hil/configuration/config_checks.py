@@ -11,7 +11,8 @@ from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig, SineReference, StampCompensator, peak_speed_rpm
+from hil.configuration.config_axis import DriveConfig, SineReference, peak_speed_rpm
+from hil.configuration.controller_kinds import StampCompensator
 from hil.configuration.motor_file import speed_max_rpm
 
 FRAME_BITS_WITHOUT_DATA = 47

@@ -5,9 +5,15 @@ from typing import Literal
 
 from pydantic import Field
 
+from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import MadeFor
+from hil.control.load_filter import FilterNoise
+from hil.control.motion import MotionModel
+from hil.control.predictor import LoadCancelling, PredictorSettings
+from hil.control.setup import Setup
+from hil.loop.axis_roles import Controller
 
 
 class PredictorFigures(Section):
@@ -49,12 +55,20 @@ class PredictorController(Section):
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
     figures: PredictorFigures | None = None
 
-    @property
-    def current_rate_rad_s(self) -> float:
-        """``current_bandwidth_hz`` in rad/s."""
-        return math.tau * self.current_bandwidth_hz
-
-    @property
-    def filter_rate_rad_s(self) -> float:
-        """``speed_filter_hz`` in rad/s."""
-        return math.tau * self.speed_filter_hz
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis, which brings its predictor."""
+        model = MotionModel(
+            self.inertia_kg_m2,
+            self.viscous_friction_nm_s,
+            math.tau * self.current_bandwidth_hz,
+            math.tau * self.speed_filter_hz,
+        )
+        noise = FilterNoise(
+            self.speed_noise_rad_s,
+            self.torque_noise_nm,
+            self.load_noise_nm_sqrt_s,
+            self.load_noise_max_nm_sqrt_s,
+        )
+        dead_time = Duration(round(self.dead_time_us * NS_PER_US))
+        settings = PredictorSettings(model, noise, self.speed_gain_nm_s_rad, self.torque_gain, dead_time)
+        return LoadCancelling(settings, setup.period)

@@ -11,7 +11,7 @@ too. The feedback sees a plant without delay, and the load it knows is cancelled
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import Final
 
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant
@@ -133,16 +133,20 @@ class Predictor(Compensator):
 
 
 class LoadCancelling(Controller):
-    """Feedback of what a predictor tells, against the load that it knows."""
+    """Feedback of what its predictor tells, against the load that it knows."""
 
-    channels: ClassVar[tuple[str, ...]] = ("load_estimate_nm", "innovation_rad_s")
-
-    def __init__(self, settings: PredictorSettings, predictor: Predictor) -> None:
-        self._predictor = predictor
+    def __init__(self, settings: PredictorSettings, period: Duration) -> None:
+        self._predictor = Predictor(settings, period)
         self._speed_gain = settings.speed_gain_nm_s_rad
         self._torque_gain = settings.torque_gain
         self._friction = settings.model.viscous_friction_nm_s
         self._inertia = settings.model.inertia_kg_m2
+
+    def channels(self) -> tuple[str, ...]:
+        return ("load_estimate_nm", "innovation_rad_s")
+
+    def observer(self) -> Compensator:
+        return self._predictor
 
     def output(self, context: Context) -> SetPoint:
         estimate, period = context.estimate, context.period

@@ -5,23 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.exchange import Drive
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, duration_s
+from drivers.timebase import NS_PER_S, Duration, duration_s
 from drivers.wire.adapters import BusSpec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import (
-    DriveConfig,
-    PidController,
-    RampReference,
-    Reference,
-    StampCompensator,
-    StepReference,
-)
-from hil.configuration.predictor_section import PredictorController
-from hil.control.compensation import Arrival, Stamp
-from hil.control.controllers import Pid, PidGains, StateFeedback
-from hil.control.load_filter import FilterNoise
-from hil.control.motion import MotionModel
-from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
+from hil.configuration.config_axis import RampReference, Reference, StepReference
+from hil.control.setup import Setup
 from hil.execution.world import SegmentPlan, World, WorldPlan
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
@@ -44,6 +32,9 @@ from virtual_bus.frame import Frame
 SYNC_FRAME = Frame(0x080)
 FRAME_BITS_BARE = 44
 """Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
+PATIENCE_SIMULATED_S = 10.0
+"""How long a call of one's own code may take in simulated time, s: more than a solver takes for a step. On a
+bus in real time a drive stops by itself when it misses the host, which is then the limit."""
 COMMAND_FRAME = Frame(0x201, bytes(4))
 """As long as a command can be told to be before its data are known."""
 
@@ -129,58 +120,19 @@ def _segment(segment: Reference) -> Segment:
     return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)
 
 
-def controller(drive: DriveConfig, period_s: float, predicted: Compensator) -> Controller:
-    """The controller of one axis; ``predicted``: its compensator, which a predictor's controller asks."""
-    wanted = drive.controller
-    if isinstance(wanted, PredictorController):
-        assert isinstance(predicted, Predictor)
-        return LoadCancelling(predictor_settings(wanted), predicted)
-    if isinstance(wanted, PidController):
-        gains = PidGains(
-            proportional_nm_s_rad=wanted.proportional_nm_s_rad,
-            integral_nm_rad=wanted.integral_nm_rad,
-            derivative_nm_s2_rad=wanted.derivative_nm_s2_rad,
-            derivative_filter_s=wanted.derivative_filter_s,
-            anti_windup_s=wanted.anti_windup_s,
-            feedforward_nm_s_rad=wanted.feedforward_nm_s_rad,
-        )
-        return Pid(gains, period_s)
-    motor = drive.motor.parameters
-    return StateFeedback(
-        wanted.gain,
-        motor.torque_constant_nm_a,
-        motor.viscous_friction_nm_s,
-        wanted.feedforward_load_nm,
-        period_s,
+def setup_of(config: BenchConfig, name: str, *, real_time: bool) -> Setup:
+    """What controller and compensator of an axis are told of it."""
+    drive = config.drive[name]
+    patience_s = config.host.heartbeat_timeout_ms / 1e3 if real_time else PATIENCE_SIMULATED_S
+    return Setup(
+        name,
+        config.loop.period,
+        drive.motor.parameters,
+        drive.limits.torque_max_nm,
+        drive.limits.speed_max_rad_s,
+        patience_s,
+        config.source or "bench",
     )
-
-
-def predictor_settings(wanted: PredictorController) -> PredictorSettings:
-    """What its section says, in the loop's units."""
-    model = MotionModel(
-        wanted.inertia_kg_m2,
-        wanted.viscous_friction_nm_s,
-        wanted.current_rate_rad_s,
-        wanted.filter_rate_rad_s,
-    )
-    noise = FilterNoise(
-        wanted.speed_noise_rad_s,
-        wanted.torque_noise_nm,
-        wanted.load_noise_nm_sqrt_s,
-        wanted.load_noise_max_nm_sqrt_s,
-    )
-    dead_time = Duration(round(wanted.dead_time_us * NS_PER_US))
-    return PredictorSettings(model, noise, wanted.speed_gain_nm_s_rad, wanted.torque_gain, dead_time)
-
-
-def compensator(drive: DriveConfig, period: Duration) -> Compensator:
-    """The delay compensator of one axis; a predictor is its own."""
-    wanted = drive.compensator
-    if isinstance(drive.controller, PredictorController):
-        return Predictor(predictor_settings(drive.controller), period)
-    if isinstance(wanted, StampCompensator):
-        return Stamp(Duration(wanted.delay_us * NS_PER_US), period)
-    return Arrival()
 
 
 def axis(
@@ -193,12 +145,13 @@ def axis(
     syncs: SyncLog,
     record: Callable[[CycleRecord], None],
     tell: Callable[[str], None],
-    own_controller: Controller | None = None,
+    controller: Controller,
+    compensator: Compensator,
 ) -> Axis:
     """The ``number``-th axis of the bench, on ``drive``.
 
     ``reading_bytes``: length of the frame that carries the speed. ``syncs``: of its segment. ``tell``: takes
-    what is to be said of the drive's clock. ``own_controller``: in place of the bench's.
+    what is to be said of the drive's clock.
     """
     name = config.axes[number]
     wanted = config.drive[name]
@@ -217,12 +170,11 @@ def axis(
         torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,
         dropouts_consecutive_max=wanted.limits.dropouts_consecutive_max,
     )
-    predicted = compensator(wanted, timing.period)
     parts = AxisParts(
         name=name,
         drive=drive,
-        controller=own_controller or controller(wanted, period_s, predicted),
-        compensator=predicted,
+        controller=controller,
+        compensator=compensator,
         guard=SafetyGuard(limits, period_s),
         reference=speed_profile(config.reference.get(name, ())),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
@@ -236,7 +188,7 @@ def axis(
     return Axis(number, parts, timing.period, record, Duration(later))
 
 
-def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan]) -> ReviewPlan:
+def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan], real_time: bool) -> ReviewPlan:
     """What figures and verdict of a run of the bench depend on.
 
     ``certified``: of the axes whose controllers have certificates.
@@ -250,7 +202,7 @@ def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan]) -> 
         )
         for name, drive in sorted(config.drive.items())
     )
-    return ReviewPlan(axes, _limits(config, certified.values()), config.verdict.settling)
+    return ReviewPlan(axes, _limits(config, certified.values(), real_time), config.verdict.settling)
 
 
 def recording_plan(
@@ -274,7 +226,7 @@ def recording_plan(
         bus=bus,
         real_time=world.real_time,
         deadline=config.loop.deadline,
-        review=review_plan(config, certified),
+        review=review_plan(config, certified, world.real_time),
         bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
         started_at=world.clock.now(),
         wall_offset=world.wall_offset,
@@ -299,11 +251,14 @@ def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:
     }
 
 
-def _limits(config: BenchConfig, certified: Collection[CertifiedPlan]) -> VerdictLimits:
-    """The bench file's, with what the controllers' files ask of the torque; of several the smallest."""
+def _limits(config: BenchConfig, certified: Collection[CertifiedPlan], real_time: bool) -> VerdictLimits:
+    """The bench file's, with what the controllers' files ask of the torque; of several the smallest.
+
+    What the controllers take of the host is judged where the drives wait for it.
+    """
     asked = [config.verdict.torque_rms_nm_max, *(plan.torque_rms_nm_max for plan in certified)]
     return replace(
-        config.verdict.limits,
+        config.verdict.limits if real_time else replace(config.verdict.limits, compute_us_max=None),
         torque_rms_nm_max=min((each for each in asked if each is not None), default=None),
     )
 

@@ -1,6 +1,7 @@
 """A whole run: the bus, the drives, the loop, the recording, and a safe end whatever happens in between."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +16,14 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.quantities import odd_values
 from hil.execution import assembly
+from hil.execution.axis_code import (
+    AxisCode,
+    axis_code,
+    channels_of,
+    keep_sources,
+    sources_text,
+    with_kept_sources,
+)
 from hil.execution.bus_guard import BusGuard
 from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
@@ -84,6 +93,7 @@ def run_bench(
     worse = uncertified(config, network, allow_uncertified, replaced, spec.simulated)
     paced = check_time(spec, time)
     check_sync_source(config, spec)
+    code = axis_code(config, controllers, real_time=paced or not spec.simulated)
     seed = config.bench.seed if seed is None else seed
     log = FaultLog() if config.fault_plan is not None else None
     world_plan = assembly.world_plan(config, spec, paced, seed, log)
@@ -91,15 +101,20 @@ def run_bench(
     with stop_signals(stop) as asked, open_world(world_plan, devices) as world:
         folder = (record or RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}") if keep else None
         certified = certified_plans(config, replaced, spec.simulated)
-        plan = assembly.recording_plan(config, world, folder, seed, str(spec), view, certified)
+        plan = assembly.recording_plan(
+            with_kept_sources(config, code), world, folder, seed, str(spec), view, certified
+        )
+        plan = replace(plan, channels=channels_of(code), sources=sources_text(code))
         recorder = start_recording(plan)
+        if folder is not None:
+            keep_sources(code, folder)
         if log is not None:
             log.send_to(recorder.fault_block)
         planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
         conclusion = Conclusion(config.axes, config.fault_plan, planned)
         with conclusion.explaining(lambda: concluded(recorder.close(conclusion.outcome))):
             run = _Run(
-                config, world, recorder, conclusion, asked, progress, controllers, worse, devices, sheets
+                config, world, recorder, conclusion, asked, progress, code, replaced, worse, devices, sheets
             )
         with timing_conditions(world.real_time and privileged) as refused:
             try:
@@ -129,7 +144,8 @@ class _Run:
         conclusion: Conclusion,
         stop: StopRequest,
         progress: Progress,
-        controllers: Mapping[str, Controller],
+        code: Mapping[str, AxisCode],
+        replaced: Collection[str],
         worse: Uncertified,
         servos: Sequence[SimulatedServo],
         sheets: Mapping[str, LoadedDictionary],
@@ -140,7 +156,8 @@ class _Run:
         self._watch = RecordingWatch(recorder, config.recording.on_failure == "continue", progress, self._say)
         self._stop = stop
         self._progress = progress
-        self._controllers = controllers
+        self._code = code
+        self._replaced = replaced
         self._worse = worse
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
@@ -216,12 +233,12 @@ class _Run:
                 self._load.find(drive, self._say),
                 timing,
                 syncs[config.drive[drive.name].segment],
-                self._recorder.record if own is not None else self._watched(drive.name),
+                self._recorder.record if drive.name in self._replaced else self._watched(drive.name),
                 self._teller(drive),
-                own,
+                self._code[drive.name].controller,
+                self._code[drive.name].compensator,
             )
             for number, drive in enumerate(self._drives)
-            for own in [self._controllers.get(drive.name)]
         ]
         self._axes = axes
         self._guard.arm(syncs, own_sync=self._sync_source is SyncSource.OWN)
@@ -255,6 +272,9 @@ class _Run:
         host = self._config.host
         for note in (*self._worse.notes, *self._worse.doubts, *odd_values(self._config)):
             self._say(note, "WARN")
+        for axis, code in self._code.items():
+            for key, kept in code.own.items():
+                self._say(f"{axis}: {key} {kept.name}, BLAKE2b {kept.digest}")
         self._enter("connecting")
         for drive in self._drives:
             identity = connect(drive, host.connect_timeout_s, self._stop)

@@ -13,15 +13,12 @@ from typing import Final
 from drivers.errors import BadInput, LimitExceeded
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import (
-    DriveConfig,
-    PidController,
-    StampCompensator,
-    StateFeedbackController,
-)
+from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_errors import raise_all
+from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
 from hil.configuration.network_file import Network, commands_unknown, load_network
+from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import DesignPlant, MadeFor
 from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
@@ -50,7 +47,9 @@ class Allowed:
 def made_for(drive: DriveConfig) -> MadeFor | None:
     """What the controller of an axis was made for, if its file says so."""
     controller = drive.controller
-    return None if isinstance(controller, PidController) else controller.made_for
+    if isinstance(controller, StateFeedbackController | PredictorController):
+        return controller.made_for
+    return None
 
 
 def allowed(wanted: MadeFor, period: Duration) -> Allowed:

@@ -10,7 +10,7 @@ from typing import Final
 
 from design.motor import PmsmParameters
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import PidController
+from hil.configuration.controller_kinds import PidController
 from hil.configuration.drive_current_loop import KnownLoop, current_loop_of
 
 _PHASE_LOST_DEG: Final = 5.0

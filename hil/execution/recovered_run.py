@@ -55,7 +55,7 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         bus=config.bus.spec,
         real_time=False,
         deadline=config.loop.deadline,
-        review=assembly.review_plan(config, certified_plans(config, (), spec.simulated)),
+        review=assembly.review_plan(config, certified_plans(config, (), spec.simulated), not spec.simulated),
         bench_toml="",
         frames=config.recording.frames,
         segments=tuple(segment.name for segment in config.bus.segment),

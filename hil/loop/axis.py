@@ -116,7 +116,6 @@ class Axis:
         self._context = Context(period, parts.reference)
         self._host = MonotonicClock()
         """For what compensator and controller take, also where time is simulated."""
-        self._channels = len(parts.controller.channels)
         self._by_stamp = parts.by_stamp
         self._by_order = parts.by_order
         self._commands = parts.commands
@@ -183,10 +182,8 @@ class Axis:
 
     def reset(self) -> None:
         """The first cycle is about to begin."""
-        compensator: object = self._compensator  # which may be the controller, too
+        self._compensator.reset()
         self._controller.reset()
-        if compensator is not self._controller:
-            self._compensator.reset()
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
@@ -262,8 +259,7 @@ class Axis:
         if sent is not None:
             self._compensator.sent(command)
         self._controller.update(context, command)
-        if self._channels:
-            decision.channels = self._controller.telemetry()
+        decision.channels = self._controller.telemetry()
         decision.compute_ns = took + self._host.now() - began
         context.samples.clear()
         decision.estimate = estimate

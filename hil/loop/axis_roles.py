@@ -4,7 +4,7 @@ The first two are version 1 of the protocol for controllers of one's own, ``docs
 """
 
 from collections.abc import Sequence
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from mypy_extensions import mypyc_attr
 
@@ -45,8 +45,13 @@ class Controller:
     Neither reads a clock: the context has all instants.
     """
 
-    channels: ClassVar[tuple[str, ...]] = ()
-    """Names of values of its own that are recorded, the unit last: ``load_torque_nm``."""
+    def channels(self) -> Sequence[str]:
+        """Names of values of its own that are recorded, at most 8, the unit last: ``load_torque_nm``."""
+        return ()
+
+    def observer(self) -> Compensator | None:
+        """A compensator of its own, in place of the bench's; None: it takes what it is given."""
+        return None
 
     def reset(self) -> None:
         """The first cycle is about to begin."""
@@ -59,7 +64,7 @@ class Controller:
         """Advance by one period. ``command``: what this cycle's set-point became by the limits."""
 
     def telemetry(self) -> Sequence[float]:
-        """The values of its channels in this cycle; asked after ``update``."""
+        """The values of its channels in this cycle, in their order; asked after ``update``."""
         return ()
 
 

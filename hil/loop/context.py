@@ -9,6 +9,9 @@ from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.loop.samples import AT_REST, Sample, StateEstimate
 from hil.loop.scenario import SpeedProfile
 
+CHANNELS_MAX: Final = 8
+"""Values of its own that a controller may tell in a cycle: each costs 8 bytes of every row of every run."""
+
 
 class WrongSetPoint(BenchError):
     """A controller's answer is not of the quantity that its axis takes, or is none at all."""

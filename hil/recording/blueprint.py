@@ -21,7 +21,7 @@ def layout(plan: RecordingPlan, summary: Summary | None = None, delay_least_us: 
     """
     names = [axis.name for axis in plan.review.axes]
     delay_range = _delay_range(plan, summary, delay_least_us)
-    plots = [_axis_plots(name, summary, delay_range) for name in names]
+    plots = [_axis_plots(name, summary, delay_range, name in plan.channels) for name in names]
     # One lane for each axis' drive and link, one for the phase, one for the host
     lanes = 2 * len(names) + 2
     states_share = min(_STATES_SHARE + _LANE_SHARE * lanes, _STATES_SHARE_MAX)
@@ -58,7 +58,10 @@ def layout(plan: RecordingPlan, summary: Summary | None = None, delay_least_us: 
     )
 
 
-def _axis_plots(name: str, summary: Summary | None, delay_range: tuple[float, float] | None) -> rrb.Vertical:
+def _axis_plots(
+    name: str, summary: Summary | None, delay_range: tuple[float, float] | None, has_channels: bool
+) -> rrb.Vertical:
+    own = [_plot(f"/{name}/controller", "Told by the controller")] if has_channels else []
     return rrb.Vertical(
         _plot(f"/{name}/speed", "Speed [rpm]"),
         _plot(f"/{name}/error", "Speed error [rpm]", _error_range(summary), legend=False),
@@ -67,6 +70,7 @@ def _axis_plots(name: str, summary: Summary | None, delay_range: tuple[float, fl
         rrb.Horizontal(
             _plot(f"/{name}/commands", "Commands, from hand-over [us]"),
             _plot(f"/{name}/clock", "Clock offset since the start, with its bounds [us]", legend=False),
+            *own,
         ),
         row_shares=[2.0, 1.1, 1.3, 1.4, 1.4],
         name=name,

@@ -35,6 +35,8 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
         "bus": plan.bus,
         "axes": json.dumps([axis.name for axis in plan.review.axes]),
         "drives": json.dumps(dict(drives)),
+        "channels": json.dumps(plan.channels),
+        "own_code": plan.sources,
         "time": "simulated" if plan.wall_offset is None else "real",
         FIRST_CYCLE_EPOCH: str(zero + plan.stamp_offset(zero)),
         FIRST_CYCLE: str(zero),

@@ -40,6 +40,7 @@ from hil.verdict.verdict import LimitResult
 
 _GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
 _GREEN, _VIOLET, _YELLOW, _CORAL = (112, 224, 128), (200, 160, 255), (255, 214, 92), (255, 122, 66)
+_CHANNEL_COLORS = (_BLUE, _GREEN, _VIOLET, _YELLOW, _CORAL, _GREY)
 _STATE_COLORS = {
     State.NOT_READY: 0x50555CFF,
     State.SWITCH_ON_DISABLED: 0x50555CFF,
@@ -243,6 +244,8 @@ class Telemetry:
         self._plot(f"/{name}/delay/uncertain", doubtful["due_at"], at_us)
         self._show_commands(name, rows)
         self._show_clock(number, name, rows)
+        for place, channel in enumerate(self._plan.channels.get(name, ())):
+            self._plot(f"/{name}/controller/{channel}", due_at, rows[f"channel_{place}"])
 
     def _show_commands(self, name: str, rows: Rows) -> None:
         """From handing a command over until it was on the bus, and until it acted at the latest."""
@@ -250,6 +253,9 @@ class Telemetry:
             known = rows[rows[instant] != NOTHING]
             way_us = (known[instant] - known["command_handed_at"]) / NS_PER_US
             self._plot(f"/{name}/commands/{series}", known["due_at"], way_us)
+        computed = rows[rows["compute_ns"] != NOTHING]
+        compute_us = computed["compute_ns"] / NS_PER_US
+        self._plot(f"/{name}/commands/computing", computed["due_at"], compute_us)
         lost = rows[rows["command_fate"] == _LOST]
         self._plot(f"/{name}/commands/lost", lost["due_at"], np.zeros(lost.size))
 
@@ -322,9 +328,13 @@ class Telemetry:
             self._marks(f"/{name}/delay/uncertain", "uncertain", diamond, _VIOLET)
             self._line(f"/{name}/commands/on_bus", ["on the bus"], [_BLUE])
             self._line(f"/{name}/commands/acting", ["acting, at the latest"], [_GREEN])
+            self._line(f"/{name}/commands/computing", ["computing"], [_ORANGE])
             self._marks(f"/{name}/commands/lost", "lost", cross)
             self._line(f"/{name}/clock/bounds", ["at least", "at most"], [_GREY, _GREY])
             self._line(f"/{name}/clock/offset", ["offset"], [_VIOLET])
+            for place, channel in enumerate(self._plan.channels.get(name, ())):
+                color = _CHANNEL_COLORS[place % len(_CHANNEL_COLORS)]
+                self._line(f"/{name}/controller/{channel}", [channel], [color])
 
     def _line(
         self, path: str, names: list[str], colors: list[tuple[int, int, int]], width: float = 1.0

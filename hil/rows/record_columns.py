@@ -3,7 +3,8 @@
 import json
 from typing import Final, NamedTuple
 
-from hil.rows.records import CAUSES, CHANNELS_MAX, COMMAND_FATES, NOTHING
+from hil.loop.context import CHANNELS_MAX
+from hil.rows.records import CAUSES, COMMAND_FATES, NOTHING
 
 FORMAT: Final = "2"
 """Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""

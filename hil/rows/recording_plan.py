@@ -111,6 +111,10 @@ class RecordingPlan:
     """Whether a Rerun viewer shows the run while it goes on."""
     period_us: int = 0
     """Of the loop, for network.toml; 0: none is written."""
+    channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By axis, the names of what its controller tells of its own."""
+    sources: str = "{}"
+    """Which code of the user's own ran, by axis and key: object and digest of its file, JSON."""
     notes: Mapping[str, str] = field(default_factory=dict)
     """Shown beside the verdict, e.g. {"controller": "pid"}."""
 

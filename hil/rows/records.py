@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.exchange import Command, Reading
 from drivers.timebase import Duration, Instant
+from hil.loop.context import CHANNELS_MAX
 from hil.loop.samples import (
     CommandFate,
     CycleRecord,
@@ -25,9 +26,6 @@ from hil.loop.samples import (
     Sending,
     StateEstimate,
 )
-
-CHANNELS_MAX: Final = 8
-"""Values of its own that a controller may tell in a cycle: each costs 8 bytes of every row of every run."""
 
 LAYOUT: tuple[tuple[str, str], ...] = (
     # CycleRecord

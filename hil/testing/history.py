@@ -1,5 +1,6 @@
 """One axis of a recorded run, cycle by cycle, as the assertions look at it."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.cia402.profile import State, state_of
 from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_S
+from drivers.timebase import NS_PER_S, NS_PER_US
 from hil.rows.records import CAUSES, FATE_SAMPLE, NOTHING, Rows
 
 Floats = NDArray[np.float64]
@@ -36,8 +37,9 @@ class Gap(NamedTuple):
 class AxisHistory:
     """Columns of (n,) values, one for each cycle; velocity and error are NaN where no reading was used."""
 
-    def __init__(self, name: str, rows: Rows) -> None:
-        """``rows``: (n,) of ROW_DTYPE in run time, of this axis, in order of sequence."""
+    def __init__(self, name: str, rows: Rows, channels: Callable[[], Sequence[str]] = tuple) -> None:
+        """``rows``: (n,) of ROW_DTYPE in run time, of this axis, in order of sequence; ``channels``: what its
+        controller tells of its own."""
         self.name = name
         self.time_s: Floats = rows["due_at"] / NS_PER_S
         self.reference_rad_s: Floats = rows["reference_rad_s"]
@@ -48,7 +50,21 @@ class AxisHistory:
         self.velocity_rad_s: Floats = np.where(self.sampled, rows["velocity_rad_s"], np.nan)
         self.error_rad_s: Floats = self.reference_rad_s - self.velocity_rad_s
         self.statusword: NDArray[np.int64] = rows["statusword"]
+        self.compute_us: Floats = np.where(
+            rows["compute_ns"] == NOTHING, np.nan, rows["compute_ns"] / NS_PER_US
+        )
+        """What compensator and controller took."""
         self._fate = rows["fate"]
+        self._rows = rows
+        self._channels = channels
+
+    def channel(self, name: str) -> Floats:
+        """What the controller told under this name, (n,). Raises ValueError: it has no such channel."""
+        names = self._channels()
+        if name not in names:
+            raise ValueError(f"channel {name!r}: {self.name} has {', '.join(names) or 'none'}")
+        values: Floats = self._rows[f"channel_{list(names).index(name)}"]
+        return values
 
     @property
     def scale_rad_s(self) -> float:

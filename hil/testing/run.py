@@ -22,7 +22,7 @@ from hil.configuration.config import BenchConfig
 from hil.execution.drive_settings import data_sheets
 from hil.recording.run_folder import EVENTS_FILE
 from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, read_records
+from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
 from hil.verdict.summary import Summary
@@ -96,7 +96,14 @@ class Run:
             name = axes[0]
         if name not in axes:
             raise ValueError(f"axis {name!r}: say one of {', '.join(axes)}")
-        return AxisHistory(name, self.rows[self.rows["axis"] == axes.index(name)])
+        mine = self.rows[self.rows["axis"] == axes.index(name)]
+        return AxisHistory(name, mine, lambda: self._channels.get(name, ()))
+
+    @cached_property
+    def _channels(self) -> dict[str, list[str]]:
+        """By axis, what its controller tells of its own."""
+        found: dict[str, list[str]] = json.loads(read_metadata(self.folder / RECORDS_FILE)["channels"])
+        return found
 
     # ---- what may be claimed --------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from hil.pytest_plugin import StartDrive
-from tests.scenario.processes import BENCH, changed_bench, run
+from tests.scenario.processes import BENCH, EXAMPLES, changed_bench, run
 
 CYCLES = 300
 """3 s at 100 Hz."""
@@ -26,6 +26,17 @@ class TwoProcesses:
         names = {path.name for path in (tmp_path / "run").iterdir()}
         assert {"run.rrd", "frames.log", "bench.toml", "summary.json"} <= names
         assert (tmp_path / "run" / "frames.log").stat().st_size > 0
+
+    def test_a_controller_of_one_s_own_runs_with_a_solver_in_every_cycle(
+        self, servo_bus: str, servo_process: StartDrive, tmp_path: Path
+    ) -> None:
+        servo_process(1)
+        mpc = EXAMPLES / "own_controller" / "mpc.toml"
+        _, summary, messages = run(mpc, servo_bus, tmp_path / "run")
+        assert summary["verdict"]["completed"] is True, messages
+        assert summary["cycles"] == CYCLES
+        assert 0.0 < summary["compute_us"]["p50"] <= summary["compute_us"]["max"]
+        assert (tmp_path / "run" / "axis1-controller.py").read_text() == mpc.with_suffix(".py").read_text()
 
     def test_a_run_leaves_the_drive_as_it_found_it(
         self, servo_bus: str, servo_process: StartDrive, tmp_path: Path

@@ -9,7 +9,7 @@ from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
 from design.sampled.held_loop import SampledNetwork, Strategy
 from drivers.errors import BadInput
-from hil.configuration.config_axis import StateFeedbackController
+from hil.configuration.controller_kinds import StateFeedbackController
 from hil.configuration.speed_controller_file import (
     Certificate,
     CurrentLoop,

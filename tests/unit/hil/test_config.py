@@ -11,8 +11,9 @@ from drivers.errors import MISSING, BadInput
 from drivers.wire.adapters import BITRATES_BIT_S
 from hil.configuration.bench_file import bench_from, load_bench, load_faults
 from hil.configuration.config import BenchConfig, BitRate
-from hil.configuration.config_axis import PidController, peak_speed_rpm
+from hil.configuration.config_axis import peak_speed_rpm
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
+from hil.configuration.controller_kinds import PidController
 from hil.configuration.motor_file import LING2012
 from hil.terminal.exit_status import error_text
 

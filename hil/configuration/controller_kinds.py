@@ -1,0 +1,144 @@
+"""The kinds of controllers and compensators: what a bench file says of each, and what is made of it.
+
+A new kind is its class in ``hil/control``, its section here, and its place in the union at the end.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from drivers.timebase import NS_PER_US, Duration
+from hil.configuration.config_files import Section
+from hil.configuration.drive_file import LoopOfDrive
+from hil.configuration.predictor_section import PredictorController
+from hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
+from hil.configuration.speed_controller_file import Certificate, MadeFor
+from hil.control.compensation import Arrival, Stamp
+from hil.control.controllers import Pid, PidGains, StateFeedback
+from hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
+from hil.control.setup import Setup
+from hil.loop.axis_roles import Compensator, Controller
+
+
+class ArrivalCompensator(Section):
+    """The newest reading is used as soon as it is there."""
+
+    kind: Literal["arrival"]
+
+    def build(self, setup: Setup) -> Compensator:  # noqa: ARG002
+        """The compensator of an axis."""
+        return Arrival()
+
+
+class StampCompensator(Section):
+    """A reading acts when it is exactly ``delay_us`` old, [Ling2012] 2.3.
+
+    Drives sample at SYNCs; with ``loop.actuation = "on_sync"``, without which this is refused, they act at
+    SYNCs too. So ``delay_us`` is a whole number of periods.
+    """
+
+    kind: Literal["stamp"]
+    delay_us: int = Field(gt=0, description="the age at which a reading acts, us")
+
+    def build(self, setup: Setup) -> Compensator:
+        """The compensator of an axis."""
+        return Stamp(Duration(self.delay_us * NS_PER_US), setup.period)
+
+
+class TunedFor(Section):
+    """``made_for`` of a PID: what its rule went by."""
+
+    crossover_rad_s: float = Field(gt=0, description="where the speed loop crosses over, rad/s")
+    current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
+
+
+class PidController(Section):
+    """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
+
+    kind: Literal["pid"]
+    proportional_nm_s_rad: PositiveGain = Field(description="Kp, N m per rad/s")
+    integral_nm_rad: PositiveGain = 0.0
+    derivative_nm_s2_rad: PositiveGain = 0.0
+    derivative_filter_s: TimeConstant = 0.002
+    anti_windup_s: TimeConstant | None = None
+    """Time constant of back-calculation; Kp/Ki if absent."""
+    feedforward_nm_s_rad: Gain = 0.0
+    """Torque per reference speed, usually the viscous friction."""
+    made_for: TunedFor | None = None
+    """Absent: nobody says; ``hil run`` then goes by the gains alone."""
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis."""
+        gains = PidGains(**self.model_dump(exclude={"kind", "made_for"}))
+        return Pid(gains, setup.period_s)
+
+
+Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]
+
+
+class StateFeedbackController(Section):
+    """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14).
+
+    A third gain acts on the integral of the speed error.
+    """
+
+    kind: Literal["state_feedback"]
+    gain: Gains = Field(description="K: [K1 in A/A, K2 in A s/rad], and K3 in A/rad if it is to integrate")
+    feedforward_load_nm: SignedTorque = 0.0
+    """Load torque that the nominal current carries beside the friction."""
+    made_for: MadeFor | None = None
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    certificate: Certificate | None = None
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis."""
+        motor = setup.motor
+        return StateFeedback(
+            self.gain,
+            motor.torque_constant_nm_a,
+            motor.viscous_friction_nm_s,
+            self.feedforward_load_nm,
+            setup.period_s,
+        )
+
+
+class OwnCode(Section):
+    """A class of one's own: ``object`` names it, ``parameters`` are its constructor's."""
+
+    kind: Literal["python"]
+    object: str = Field(
+        pattern=OBJECT_PATTERN,
+        description="a class, as MODULE:NAME, or FILE.py:NAME from the bench file's folder",
+    )
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+
+class OwnCompensator(OwnCode):
+    """A compensator of one's own."""
+
+    def build(self, setup: Setup) -> Compensator:
+        """The compensator of an axis; runs the code. Raises BadInput if it is none."""
+        return guarded_compensator(self.object, self.parameters, setup)
+
+
+class OwnController(OwnCode):
+    """A controller of one's own."""
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis; runs the code. Raises BadInput if it is none."""
+        return guarded_controller(self.object, self.parameters, setup)
+
+
+CompensatorSection = Annotated[
+    ArrivalCompensator | StampCompensator | OwnCompensator, Field(discriminator="kind")
+]
+ControllerSection = Annotated[
+    PidController | StateFeedbackController | PredictorController | OwnController,
+    Field(discriminator="kind"),
+]
+
+
+class ControllerFile(Section):
+    """A controller in a file of its own."""
+
+    controller: ControllerSection = Field(description="the table [controller] with its kind")

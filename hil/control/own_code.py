@@ -1,0 +1,296 @@
+"""Controllers and compensators of one's own: found, made, and kept from doing harm.
+
+Whatever such a class raises, an answer that is no number, and a call that does not come back end the run like
+any failure: the drives are brought to rest, and the message names the line.
+"""
+
+import importlib
+import importlib.util
+import inspect
+import math
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from hashlib import blake2b
+from pathlib import Path
+from types import FrameType, ModuleType
+from typing import Any, Final, TypeVar
+
+from drivers.errors import BadInput, BenchError
+from drivers.exchange import Command
+from drivers.record import values_of
+from drivers.timebase import NS_PER_S, Instant, MonotonicClock
+from hil.control.setup import Setup
+from hil.loop.axis_roles import Compensator, Controller
+from hil.loop.context import CHANNELS_MAX, Context, SetPoint
+from hil.loop.samples import Sample, StateEstimate
+
+OBJECT_PATTERN: Final = r"^([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*$"
+"""MODULE:NAME or FILE.py:NAME."""
+DIGEST_BYTES: Final = 16
+_FILES: Final = "controller file "
+"""Before the names of modules from files: no import statement finds them."""
+_SIGNAL: Final = signal.SIGRTMIN + 7
+"""One that nothing else of the bench, of pytest or of a solver is known to use."""
+_LOOK_S: Final = 0.05
+"""How often it is looked whether a call takes too long: far below any patience, and no load."""
+_CHANNEL: Final = re.compile(r"[a-z][a-z0-9_]*")
+
+
+class OwnCodeFailed(BenchError):
+    """A controller or compensator of one's own raised, gave no number, or did not come back."""
+
+
+class _TookTooLong(Exception):
+    """Raised in the midst of a call that does not come back."""
+
+
+def source_of(name: str) -> tuple[Path, str]:
+    """The file that holds the object, and its digest (BLAKE2b, 128 bit, hex); runs nothing of it but, for a
+    module in a package, that package. Raises ValueError: there is none."""
+    place, _, _ = name.rpartition(":")
+    if place.endswith(".py"):
+        path = Path(place)
+    else:
+        try:
+            spec = importlib.util.find_spec(place)
+        except ImportError:
+            spec = None
+        if spec is None or spec.origin is None:
+            raise ValueError(f"there is no module {place}")
+        path = Path(spec.origin)
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}")
+    return path, blake2b(path.read_bytes(), digest_size=DIGEST_BYTES).hexdigest()
+
+
+Role = TypeVar("Role", Compensator, Controller)
+
+
+def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Setup) -> Role:
+    key = f"drive.{setup.axis}.{role.__name__.lower()}"
+    expected = f"a class derived from hil.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
+    try:
+        found = getattr(_module_of(name), name.rpartition(":")[2])
+    except Exception as error:
+        raise BadInput(setup.source, f"{key}.object", name, expected, _told(error)) from error
+    if not (isinstance(found, type) and issubclass(found, role)):
+        raise BadInput(setup.source, f"{key}.object", name, expected)
+    try:
+        maker: Any = found
+        made: Role = maker(setup, **parameters)
+    except Exception as error:
+        takes = f"what {name} takes beside the setup"
+        raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, _told(error)) from error
+    return made
+
+
+def _module_of(name: str) -> ModuleType:
+    place, _, _ = name.rpartition(":")
+    if not place.endswith(".py"):
+        return importlib.import_module(place)
+    path = Path(place).resolve()
+    spec = importlib.util.spec_from_file_location(f"{_FILES}{path}", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} cannot be read as Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses and inspect look for it
+    beside = str(path.parent)
+    sys.path.insert(0, beside)  # as a program finds what is beside it
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(beside)
+    return module
+
+
+class _Watchdog:
+    """Interrupts the main thread in a call that does not come back.
+
+    By a signal from a thread that sleeps: a timer of the process would be taken from whoever else has set
+    one. A call in another thread is not interrupted, as no signal comes to it.
+    """
+
+    def __init__(self) -> None:
+        self._clock = MonotonicClock()
+        self._due: Instant | None = None
+        """By when the present call must be over; None between calls."""
+        self._watches = False
+
+    def begin(self, patience_s: float) -> None:
+        """A call begins in this thread."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if not self._watches:
+            self._watches = True
+            signal.signal(_SIGNAL, self._interrupt)
+            threading.Thread(target=self._watch, daemon=True).start()
+        self._due = Instant(self._clock.now() + round(patience_s * NS_PER_S))
+
+    def end(self) -> None:
+        """It is over."""
+        self._due = None
+
+    def _is_late(self) -> bool:
+        due = self._due
+        return due is not None and self._clock.now() > due
+
+    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
+        if self._is_late():
+            self._due = None
+            raise _TookTooLong
+
+    def _watch(self) -> None:
+        pause = threading.Event()
+        main = threading.main_thread().ident
+        assert main is not None
+        while not pause.wait(_LOOK_S):
+            if self._is_late():
+                signal.pthread_kill(main, _SIGNAL)
+
+
+_WATCHDOG: Final = _Watchdog()
+"""Of the process, as its signals are."""
+
+
+class _Guard:
+    """Around the calls of one object."""
+
+    def __init__(self, what: str, inner: object, setup: Setup) -> None:
+        self._what = f"{setup.axis}: the {what} {type(inner).__name__}"
+        self._file = inspect.getsourcefile(type(inner)) or ""
+        self._inner = inner
+        self._patience_s = setup.patience_s
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """A call of the object. Raises OwnCodeFailed."""
+        try:
+            _WATCHDOG.begin(self._patience_s)
+            yield
+        except BenchError:
+            raise
+        except _TookTooLong as error:
+            raise OwnCodeFailed(
+                f"{self._what} did not come back within {self._patience_s:g} s: {self._line_of(error)}"
+            ) from error
+        except Exception as error:
+            raise OwnCodeFailed(f"{self._what} failed: {self._line_of(error)}: {_told(error)}") from error
+        finally:
+            _WATCHDOG.end()
+
+    def refuse(self, method: str, found: object, expected: str) -> None:
+        """Raises OwnCodeFailed: what ``method`` returned is of no use."""
+        code = getattr(type(self._inner), method).__code__
+        place = f"{Path(code.co_filename).name}:{code.co_firstlineno} in {method}"
+        raise OwnCodeFailed(f"{self._what} failed: {place} returned {found!r}, expected {expected}")
+
+    def _line_of(self, error: BaseException) -> str:
+        """The innermost line of the object's own file, else the innermost of all."""
+        frames = list(_frames(error))
+        own = [frame for frame in frames if frame[0] == self._file]
+        file, line, function = (own or frames)[-1]
+        return f"{Path(file).name}:{line} in {function}"
+
+
+def _frames(error: BaseException) -> Iterator[tuple[str, int, str]]:
+    trace = error.__traceback__
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if code.co_filename != __file__:
+            yield code.co_filename, trace.tb_lineno, code.co_name
+        trace = trace.tb_next
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+class _GuardedController(Controller):
+    """See :func:`guarded_controller`."""
+
+    def __init__(self, inner: Controller, setup: Setup) -> None:
+        self._inner = inner
+        self._guard = _Guard("controller", inner, setup)
+        self._observer = inner.observer()
+        if self._observer is not None:
+            self._observer = _GuardedCompensator(self._observer, setup)
+
+    def channels(self) -> Sequence[str]:
+        return self._inner.channels()
+
+    def observer(self) -> Compensator | None:
+        return self._observer
+
+    def reset(self) -> None:
+        with self._guard.watching():
+            self._inner.reset()
+
+    def output(self, context: Context) -> SetPoint:
+        with self._guard.watching():
+            asked = self._inner.output(context)
+        if not isinstance(asked, SetPoint):
+            self._guard.refuse("output", asked, "a TorqueSetPoint, SpeedSetPoint or PositionSetPoint")
+        if not all(map(math.isfinite, values_of(asked))):  # type: ignore[arg-type]
+            self._guard.refuse("output", asked, "a number")
+        return asked
+
+    def update(self, context: Context, command: Command) -> None:
+        with self._guard.watching():
+            self._inner.update(context, command)
+
+    def telemetry(self) -> Sequence[float]:
+        with self._guard.watching():
+            told = [float(value) for value in self._inner.telemetry()]
+        if len(told) != len(self._inner.channels()):
+            self._guard.refuse("telemetry", told, f"a value for each of {self._inner.channels()}")
+        return told
+
+
+class _GuardedCompensator(Compensator):
+    """See :func:`guarded_compensator`."""
+
+    def __init__(self, inner: Compensator, setup: Setup) -> None:
+        self._inner = inner
+        self._guard = _Guard("compensator", inner, setup)
+
+    def reset(self) -> None:
+        with self._guard.watching():
+            self._inner.reset()
+
+    def receive(self, sample: Sample) -> None:
+        with self._guard.watching():
+            self._inner.receive(sample)
+
+    def sent(self, command: Command) -> None:
+        with self._guard.watching():
+            self._inner.sent(command)
+
+    def estimate(self, context: Context) -> StateEstimate:
+        with self._guard.watching():
+            found = self._inner.estimate(context)
+        if not isinstance(found, StateEstimate):
+            self._guard.refuse("estimate", found, "a StateEstimate")
+        return found
+
+
+def guarded_controller(name: str, parameters: Mapping[str, Any], setup: Setup) -> Controller:
+    """A controller of the class that ``name`` says, made as ``NAME(setup, **parameters)``.
+
+    Its calls raise OwnCodeFailed. Raises BadInput for a class that cannot be had or made, and for channels
+    that cannot be recorded.
+    """
+    inner = _made(Controller, name, parameters, setup)
+    channels = inner.channels()
+    if len(channels) > CHANNELS_MAX or not all(map(_CHANNEL.fullmatch, channels)):
+        expected = f"at most {CHANNELS_MAX} names of small letters, digits and _"
+        raise BadInput(name, "channels", channels, expected)
+    return _GuardedController(inner, setup)
+
+
+def guarded_compensator(name: str, parameters: Mapping[str, Any], setup: Setup) -> Compensator:
+    """A compensator, as :func:`guarded_controller`."""
+    return _GuardedCompensator(_made(Compensator, name, parameters, setup), setup)
