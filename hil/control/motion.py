@@ -12,6 +12,8 @@ from typing import Final
 _APART: Final = 1e-3
 """Part of its rate by which the speed's filter is moved away from the current loop's, where they are equal:
 the closed form divides by their difference."""
+_COASTS: Final = 1e-6
+"""1/s. A shaft that coasts longer has no friction that could be told from none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +32,14 @@ class Motion:
     """State at one instant; it knows no clock, pieces come with their length."""
 
     __slots__ = (
+        "_coasted",
+        "_coasting_rate",
         "_current_left",
         "_current_rate",
+        "_driven_s",
         "_filter_left",
         "_filter_rate",
-        "_friction",
+        "_lag",
         "_length_s",
         "_per_inertia",
         "_resonance",
@@ -48,14 +53,18 @@ class Motion:
         self.speed_rad_s = 0.0
         self.filtered_rad_s = 0.0
         self._per_inertia = 1.0 / model.inertia_kg_m2
-        self._friction = model.viscous_friction_nm_s
+        self._coasting_rate = model.viscous_friction_nm_s * self._per_inertia
         self._current_rate = model.current_rate_rad_s
         rate = model.filter_rate_rad_s
         if abs(rate - self._current_rate) < _APART * self._current_rate:
             rate = (1.0 + _APART) * self._current_rate
         self._filter_rate = rate
         self._resonance = rate / (rate - self._current_rate)
+        self._lag = self._per_inertia / (self._current_rate - self._coasting_rate)
+        """Speed that a missing N m costs until the current loop has made it, rad/s."""
         self._length_s = 0.0
+        self._coasted = 1.0
+        self._driven_s = 0.0
         self._current_left = 1.0
         self._filter_left = 1.0
 
@@ -68,26 +77,28 @@ class Motion:
     def advance(self, command_nm: float, load_nm: float, length_s: float) -> None:
         """On by ``length_s`` under a constant command and load, N m.
 
-        The friction's part is right to the second order of length x B/J, some 1e-6 over a period.
+        Torque and speed are exact; the filter takes the speed's drift for a straight line within the piece.
         """
+        if length_s <= 0.0:
+            return
         if length_s != self._length_s:
             self._length_s = length_s
             self._current_left = math.exp(-self._current_rate * length_s)
             self._filter_left = math.exp(-self._filter_rate * length_s)
-        left, filter_left = self._current_left, self._filter_left
-        per_inertia, speed = self._per_inertia, self.speed_rad_s
-        missing = command_nm - self.torque_nm
-        slope = (command_nm - load_nm - self._friction * speed) * per_inertia
-        # The friction follows the speed: half of what the piece adds to it counts already.
-        slope *= 1.0 - 0.5 * self._friction * per_inertia * length_s
-        lag = missing * per_inertia / self._current_rate
+            self._coasted = math.exp(-self._coasting_rate * length_s)
+            rate = self._coasting_rate
+            self._driven_s = (1.0 - self._coasted) / rate if rate > _COASTS else length_s
+        left, filter_left, coasted = self._current_left, self._filter_left, self._coasted
+        speed, missing = self.speed_rad_s, command_nm - self.torque_nm
+        lag = missing * self._lag
+        drifted = speed * coasted + (command_nm - load_nm) * self._per_inertia * self._driven_s
+        drifted += lag * (1.0 - coasted)
+        behind = (drifted - speed) / (self._filter_rate * length_s)
         turned = lag * self._resonance
-        behind = slope / self._filter_rate
         self.torque_nm = command_nm - missing * left
-        self.speed_rad_s = speed + slope * length_s - lag * (1.0 - left)
+        self.speed_rad_s = drifted - lag * (1.0 - left)
         self.filtered_rad_s = (
-            speed
-            + slope * length_s
+            drifted
             - behind
             - lag
             + turned * left
