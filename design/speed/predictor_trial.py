@@ -21,7 +21,7 @@ from design.speed.predictor_plant import (
     of_state,
 )
 
-STEP_SIGMAS = 2.0
+STEP_SIGMAS = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load."""
 _WITHIN = 4
 """Instants of a period at which the shaft is looked at."""

@@ -14,9 +14,9 @@ from typing import Final
 
 from hil.control.motion import Motion, MotionModel
 
-STEP_SIGMAS: Final = 2.0
-"""An innovation so many times its standard deviation is taken for a step of the load: one in 22 by chance,
-which adds a fifth to the torque's noise; at 3 a step is often seen a period later. [docs/control.md]"""
+STEP_SIGMAS: Final = 1.5
+"""An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven
+is, which the design reckons with; at 3 a step that comes late in a period is often seen a period later."""
 _PANELS: Final = 64
 """Of Simpson's rule over a period; its error is far below what a double tells of a covariance."""
 _SETTLING_STEPS: Final = 5000
