@@ -1,8 +1,8 @@
 """The predictor whose speed peaks least after a load step, within what it must bear.
 
 search      two poles of the feedback: speed and torque
-for each    the fastest walk of the load that keeps the torque's noise (quiet), and the fastest that is
-            stable with the delay margin and +-30 % of the inertia (bold)
+for each    the fastest walk of the load that is stable within the delay margin and +-30 % of the inertia
+            and keeps the torque's noise: of the quiet filter, and of the bold one that steps are followed by
 least       the largest peak over its own floor, of the motor and of +-30 % of its inertia, after the step
             of the load at the worst of some instants between two samples
 """
@@ -32,16 +32,16 @@ DELAY_MARGIN_S = 0.5e-3
 DELAY_MARGIN_SHARE = 0.1
 """Of the delay: the margin asked for is the larger of the two."""
 _MARGIN_STEP = 0.1
-"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie
-unstable ones, half a period wide."""
+"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
+ones, half a period wide."""
 _MARGIN_REACH = 1.1
 _INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
 """With which it must be stable: a little beyond +-30 %, so that there it is well damped."""
 _QUIET_SHARE = 0.75
 """Of the torque's noise, for the quiet filter."""
 _FALSE_STEPS = 0.45
-"""Share of the variance that is the bold filter's where nothing but noise comes, by long trials: one sample in
-seven is taken for a step, and the gains calm down within some."""
+"""Share of the variance that is the bold filter's where nothing but noise comes, by long trials: one sample
+in seven is taken for a step, and the gains calm down within some."""
 _SLOWEST, _FASTEST = 1e-2, 3e2
 """Walks that are looked at, in rated torques per root of s; they are the ends of a bisection."""
 _BISECTIONS = 10

@@ -62,7 +62,7 @@ class AdaptiveFilter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class LoadTrial:
     """What came of a run."""
 
     speeds_rad_s: Array
@@ -88,7 +88,7 @@ def load_step(
     delay_s: float | None = None,
     noise_rad_s: Array | None = None,
     lost: frozenset[int] = frozenset(),
-) -> Trial:
+) -> LoadTrial:
     """From rest; the load comes ``phase`` of a period after a sample, and the next one is number 0.
 
     ``plant``, ``delay_s``: the real ones, if they are not the predictor's; ``noise_rad_s``: (periods,) on the
@@ -122,7 +122,7 @@ def load_step(
         x = y
         estimate = before[0] @ estimate + before[1] * sent[whole + 1]
         estimate = after[0] @ estimate + after[1] * sent[whole]
-    return Trial(np.array(speeds), np.array(commands), filtering.steps_seen)
+    return LoadTrial(np.array(speeds), np.array(commands), filtering.steps_seen)
 
 
 def _look(plant: PredictorPlant, acts_s: float, at_s: float) -> tuple[Array, Array, Array]:

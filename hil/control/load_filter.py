@@ -12,7 +12,7 @@ at once, and calms down by itself. So the torque is quiet where nothing happens.
 from dataclasses import dataclass
 from typing import Final
 
-from hil.control.motion import Motion, MotionModel
+from hil.control.motion import MotionModel, ShaftMotion
 
 STEP_SIGMAS: Final = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven
@@ -78,7 +78,7 @@ class Covariance:
 
     def _transition(self, model: MotionModel, period_s: float) -> None:
         """What a unit of each state makes of the others within a period."""
-        speed, filtered = Motion(model), Motion(model)
+        speed, filtered = ShaftMotion(model), ShaftMotion(model)
         speed.speed_rad_s = 1.0
         filtered.filtered_rad_s = 1.0
         speed.advance(0.0, 0.0, period_s)
@@ -178,8 +178,8 @@ class LoadFilter:
         bold.correct()
 
 
-def _loaded(model: MotionModel, length_s: float) -> Motion:
+def _loaded(model: MotionModel, length_s: float) -> ShaftMotion:
     """What 1 N m of load makes of a shaft at rest within ``length_s``, with no torque against it."""
-    motion = Motion(model)
+    motion = ShaftMotion(model)
     motion.advance(0.0, 1.0, length_s)
     return motion

@@ -28,7 +28,7 @@ class MotionModel:
     """f: of the first-order filter behind the drive's speed."""
 
 
-class Motion:
+class ShaftMotion:
     """State at one instant; it knows no clock, pieces come with their length."""
 
     __slots__ = (
@@ -68,7 +68,7 @@ class Motion:
         self._current_left = 1.0
         self._filter_left = 1.0
 
-    def copy(self, other: "Motion") -> None:
+    def copy(self, other: "ShaftMotion") -> None:
         """Take the state of ``other``."""
         self.torque_nm = other.torque_nm
         self.speed_rad_s = other.speed_rad_s

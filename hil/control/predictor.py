@@ -16,7 +16,7 @@ from typing import Final
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import Motion, MotionModel
+from hil.control.motion import MotionModel, ShaftMotion
 from hil.loop.axis_roles import Compensator, Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.samples import AT_REST, Sample, StateEstimate
@@ -56,8 +56,8 @@ class Predictor(Compensator):
         self.innovation_rad_s = 0.0
         """The last reading's speed beside the one that was expected."""
         self._filter = LoadFilter(settings.model, settings.noise, self._period * PER_NS)
-        self._motion = Motion(settings.model)
-        self._ahead = Motion(settings.model)
+        self._motion = ShaftMotion(settings.model)
+        self._ahead = ShaftMotion(settings.model)
         self._last: Sample | None = None
         self._at = 0
         """For when the filter's state holds, ns."""
@@ -111,7 +111,7 @@ class Predictor(Compensator):
             last.reading.position_rad + travelled_rad, speed, ahead.torque_nm, Instant(at), last.sequence
         )
 
-    def _run(self, motion: Motion, start: int, end: int) -> None:
+    def _run(self, motion: ShaftMotion, start: int, end: int) -> None:
         """On through the commands that act between two instants, in pieces of a period at most."""
         acts_at, load_nm, period = self._acts_at, self.load_nm, self._period
         count, place = len(acts_at), 0

@@ -65,7 +65,7 @@ class FeedbackName(StrEnum):
     SPEED = "speed"
 
 
-class StructureName(StrEnum):
+class SpeedStructure(StrEnum):
     """What the feedback is."""
 
     STATIC = "static"
@@ -125,7 +125,7 @@ TargetOption = Annotated[
     ),
 ]
 StructureOption = Annotated[
-    StructureName,
+    SpeedStructure,
     typer.Option(
         "--structure", help="A static gain, or a predictor: Kalman filter, prediction, load cancelled."
     ),
@@ -153,7 +153,7 @@ def speed(
     integral: IntegralOption = False,
     integral_time_ms: IntegralTimeMsOption = None,
     target: TargetOption = TargetName.CONSTANT,
-    structure: StructureOption = StructureName.STATIC,
+    structure: StructureOption = SpeedStructure.STATIC,
     period_ms: PeriodMsOption = None,
     encoder_counts: EncoderCountsOption = None,
     speed_filter_hz: SpeedFilterOption = None,
@@ -174,14 +174,8 @@ def speed(
         asked = PredictorOptions(
             period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm
         )
-        if structure is StructureName.PREDICTOR:
-            static = {
-                "--gamma": gamma,
-                "--error-percent": error_percent,
-                "--integral-time-ms": integral_time_ms,
-                "--integral": integral or None,
-            }
-            refuse_given(static, "nothing of it with --structure predictor")
+        if structure is SpeedStructure.PREDICTOR:
+            _refuse_static(gamma, error_percent, integral_time_ms, integral)
             over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
             finish_predictor(
                 motor_of(motor),
@@ -234,6 +228,19 @@ def speed(
             out,
             as_json,
         )
+
+
+def _refuse_static(
+    gamma: float | None, error_percent: float | None, integral_time_ms: float | None, integral: bool
+) -> None:
+    """What a predictor is not designed by. Raises BadInput."""
+    static = {
+        "--gamma": gamma,
+        "--error-percent": error_percent,
+        "--integral-time-ms": integral_time_ms,
+        "--integral": integral or None,
+    }
+    refuse_given(static, "nothing of it with --structure predictor")
 
 
 def _check_known(

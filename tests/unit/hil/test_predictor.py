@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.control.load_filter import STEP_SIGMAS, FilterNoise
-from hil.control.motion import Motion, MotionModel
+from hil.control.motion import MotionModel, ShaftMotion
 from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import Sample, StateEstimate
@@ -51,7 +51,7 @@ def estimate(predictor: Predictor, acts_at: int) -> StateEstimate:
 
 @pytest.mark.parametrize("length_s", [1e-5, 3e-4, 1e-3])
 def test_motion_is_the_matrix_exponential(length_s: float) -> None:
-    motion = Motion(MODEL)
+    motion = ShaftMotion(MODEL)
     motion.torque_nm, motion.speed_rad_s, motion.filtered_rad_s = 0.4, 80.0, 78.0
     motion.advance(1.1, 0.6, length_s)
     x = scipy.linalg.expm(generator() * length_s) @ [0.4, 80.0, 78.0, 0.6, 1.1]
@@ -60,7 +60,7 @@ def test_motion_is_the_matrix_exponential(length_s: float) -> None:
 
 
 def test_motion_stands_a_filter_as_fast_as_the_current_loop() -> None:
-    motion = Motion(replace(MODEL, filter_rate_rad_s=MODEL.current_rate_rad_s))
+    motion = ShaftMotion(replace(MODEL, filter_rate_rad_s=MODEL.current_rate_rad_s))
     motion.advance(1.0, 0.0, 1e-3)
     x = scipy.linalg.expm(generator(replace(MODEL, filter_rate_rad_s=MODEL.current_rate_rad_s)) * 1e-3)
     assert motion.filtered_rad_s == pytest.approx(x[2, 4], rel=2e-3)
