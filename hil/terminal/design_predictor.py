@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.errors import BadInput
+from drivers.errors import MISSING, BadInput
 from hil.terminal.speed_options import print_figures
 
 if TYPE_CHECKING:
@@ -147,5 +147,5 @@ def _network(
     period_s = 1e-3 * (period_ms or _PERIOD_MS)
     if delay_s is None or delay_s < period_s:
         least = f"at least a period of {1e3 * period_s:g} ms, or --network"
-        raise BadInput("--delay-ms", "", None if delay_s is None else 1e3 * delay_s, least)
+        raise BadInput("--delay-ms", "", MISSING if delay_s is None else 1e3 * delay_s, least)
     return PredictorNetwork(period_s, delay_s - period_s, 0, measured=False)
