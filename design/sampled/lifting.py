@@ -12,11 +12,13 @@ an error that falls geometrically with the number of nodes.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import eigvals
 
 from design.delay.delay_loop import Array
+from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
 from design.sampled.held_loop import HeldLoop, Jump, Operation
 
@@ -37,7 +39,16 @@ class DiscreteSystem:
     D: Array
 
 
-def lifted(loop: HeldLoop, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
+class SampledLoop(Protocol):
+    """A loop whose plant runs under an input that is held between jumps: xi begins with x and that input."""
+
+    model: SpeedModel
+    size: int
+    kept: int
+    """So many entries of xi, the first, matter from one sample to the next."""
+
+
+def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
     """The loop over one period of a pattern, from weighted disturbance to weighted output."""
     collocation = _Collocation(loop, nodes)
     A, B = np.eye(loop.size), np.zeros((loop.size, 0))
@@ -96,7 +107,7 @@ class _Piece:
 class _Collocation:
     """Flows of one plant by Gauss-Legendre collocation."""
 
-    def __init__(self, loop: HeldLoop, nodes: int) -> None:
+    def __init__(self, loop: SampledLoop, nodes: int) -> None:
         self._model = loop.model
         self._size = loop.size
         x, w = np.polynomial.legendre.leggauss(nodes)

@@ -10,6 +10,7 @@ from pydantic import Field
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.drive_file import LoopOfDrive
+from hil.configuration.predictor_section import PredictorController
 from hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
 from hil.configuration.speed_controller_file import Certificate, MadeFor
 from hil.control.compensation import Arrival, Stamp
@@ -132,7 +133,8 @@ CompensatorSection = Annotated[
     ArrivalCompensator | StampCompensator | OwnCompensator, Field(discriminator="kind")
 ]
 ControllerSection = Annotated[
-    PidController | StateFeedbackController | OwnController, Field(discriminator="kind")
+    PidController | StateFeedbackController | PredictorController | OwnController,
+    Field(discriminator="kind"),
 ]
 
 

@@ -18,6 +18,7 @@ from hil.configuration.config_errors import raise_all
 from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
 from hil.configuration.network_file import Network, commands_unknown, load_network
+from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import DesignPlant, MadeFor
 from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
@@ -46,7 +47,9 @@ class Allowed:
 def made_for(drive: DriveConfig) -> MadeFor | None:
     """What the controller of an axis was made for, if its file says so."""
     controller = drive.controller
-    return controller.made_for if isinstance(controller, StateFeedbackController) else None
+    if isinstance(controller, StateFeedbackController | PredictorController):
+        return controller.made_for
+    return None
 
 
 def allowed(wanted: MadeFor, period: Duration) -> Allowed:
@@ -291,14 +294,14 @@ def certified_plans(
 
 def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
     controller = config.drive[axis].controller
-    assert isinstance(controller, StateFeedbackController)
+    certificate = controller.certificate if isinstance(controller, StateFeedbackController) else None
     limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
     own = current_loop_of(config, axis, simulated=simulated)
     return CertifiedPlan(
         period_us=config.loop.period_us,
         delay_us=limits.delay_max / NS_PER_US,
         losses_in_a_row=limits.losses_max,
-        gain=None if controller.certificate is None else controller.certificate.gain,
+        gain=None if certificate is None else certificate.gain,
         bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
         bandwidth_hz=None if own is None else own.bandwidth_hz,
         torque_rms_nm_max=wanted.torque_rms_nm_max,

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +18,16 @@ from hil.terminal.current_loop_options import (
     CurrentBandwidthOption,
     current_loop,
 )
+from hil.terminal.design_predictor import (
+    DeadTimeOption,
+    EncoderCountsOption,
+    PeriodMsOption,
+    PredictorOptions,
+    SpeedFilterOption,
+    TorqueNoiseOption,
+    finish_predictor,
+    refuse_given,
+)
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, motor_file
 from hil.terminal.output import print_figures, put, say_written
@@ -27,7 +38,9 @@ from hil.terminal.speed_options import (
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
+    from design.motor import PmsmParameters
     from design.sampled.held_loop import SampledNetwork
+    from hil.configuration.drive_current_loop import KnownLoop
     from hil.studies.speed.synthesis import DesignRequest
 
 
@@ -51,6 +64,13 @@ class FeedbackName(StrEnum):
 
     FULL = "full"
     SPEED = "speed"
+
+
+class SpeedStructure(StrEnum):
+    """What the feedback is."""
+
+    STATIC = "static"
+    PREDICTOR = "predictor"
 
 
 class TargetName(StrEnum):
@@ -105,6 +125,12 @@ TargetOption = Annotated[
         "--target", help="Make best the loop with constant delay, or the sampled one on the network."
     ),
 ]
+StructureOption = Annotated[
+    SpeedStructure,
+    typer.Option(
+        "--structure", help="A static gain, or a predictor: Kalman filter, prediction, load cancelled."
+    ),
+]
 OutOption = Annotated[Path | None, controller_out_option("CONTROLLER.toml")]
 
 
@@ -128,6 +154,12 @@ def speed(
     integral: IntegralOption = False,
     integral_time_ms: IntegralTimeMsOption = None,
     target: TargetOption = TargetName.CONSTANT,
+    structure: StructureOption = SpeedStructure.STATIC,
+    period_ms: PeriodMsOption = None,
+    encoder_counts: EncoderCountsOption = None,
+    speed_filter_hz: SpeedFilterOption = None,
+    drive_dead_time_us: DeadTimeOption = None,
+    torque_noise_nm: TorqueNoiseOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -135,48 +167,118 @@ def speed(
 
     With a gain or an error: the largest delay. With a delay or a network: the least gain. With
     both: the least gain, and whether it is enough. A network's delay is that of [Ling2012] (2.13),
-    and the loop that really runs over it is certified as well.
+    and the loop that really runs over it is certified as well. A predictor is designed for a delay
+    or a network: for the least peak after the load step.
     """
     with reported_errors():
-        _check_known(gamma, error_percent, delay_ms, network)
-        if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
-            expected = "full feedback without integral: Algorithm 4.2 knows no other"
-            raise BadInput("--method", "", method.value, expected)
-        if integral_time_ms is not None and not (integral and method is MethodName.EXACT):
-            raise BadInput(
-                "--integral-time-ms", "", integral_time_ms, "--integral and --method exact with it"
-            )
-        if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
-            raise BadInput("--target", "", target.value, "--network and --method exact with it")
+        asked = PredictorOptions(
+            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm
+        )
+        predicts = structure is SpeedStructure.PREDICTOR
+        if predicts:
+            _refuse_static(gamma, error_percent, integral_time_ms, integral)
+        else:
+            refuse_given(asked.given, "--structure predictor with it")
+            _check_known(gamma, error_percent, delay_ms, network)
+            _check_method(method, feedback, integral, integral_time_ms, target, network)
         parameters = motor_file(motor).parameters
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
-
-        from design.delay.speed_loop import Feedback, gain_for_error
-        from drivers.rotation import RAD_S_PER_RPM
-        from hil.studies.speed.synthesis import DesignRequest
-
-        load = load_nm or parameters.rated_torque_nm
-        at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
         over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
-        _finish(
-            DesignRequest(
-                motor=parameters,
-                gamma=gain_for_error(error_percent, load, at_rad_s) if error_percent else gamma,
-                delay_s=_delay_s(delay_ms, over),
-                network=over,
-                method=method.value,
-                feedback=Feedback(feedback.value),
-                integral=integral,
-                load_nm=load,
-                speed_rad_s=at_rad_s,
-                integral_time_s=None if integral_time_ms is None else 1e-3 * integral_time_ms,
-                current_bandwidth_hz=inner.bandwidth_hz,
-                for_sampled=target is TargetName.SAMPLED,
-            ),
-            inner.key,
-            out,
-            as_json,
-        )
+        if predicts:
+            finish_predictor(parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json)
+            return
+
+        wanted = _Wanted(gamma, error_percent, load_nm, speed_rpm)
+        way = _Way(method, feedback, integral, integral_time_ms, target)
+        request = _request(parameters, inner, over, _seconds(delay_ms), wanted, way)
+        _finish(request, inner.key, out, as_json)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """How good it is to be, and under which load."""
+
+    gamma: float | None
+    error_percent: float | None
+    load_nm: float | None
+    speed_rpm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """How a static feedback is found."""
+
+    method: MethodName
+    feedback: FeedbackName
+    integral: bool
+    integral_time_ms: float | None
+    target: TargetName
+
+
+def _request(
+    motor: "PmsmParameters",
+    inner: "KnownLoop",
+    network: "SampledNetwork | None",
+    delay_s: float | None,
+    wanted: _Wanted,
+    way: _Way,
+) -> "DesignRequest":
+    from design.delay.speed_loop import Feedback, gain_for_error
+    from drivers.rotation import RAD_S_PER_RPM
+    from hil.studies.speed.synthesis import DesignRequest
+
+    load = wanted.load_nm or motor.rated_torque_nm
+    at_rad_s = wanted.speed_rpm * RAD_S_PER_RPM if wanted.speed_rpm else motor.rated_speed_rad_s
+    percent = wanted.error_percent
+    return DesignRequest(
+        motor=motor,
+        gamma=gain_for_error(percent, load, at_rad_s) if percent else wanted.gamma,
+        delay_s=_delay_s(delay_s, network),
+        network=network,
+        method=way.method.value,
+        feedback=Feedback(way.feedback.value),
+        integral=way.integral,
+        load_nm=load,
+        speed_rad_s=at_rad_s,
+        integral_time_s=_seconds(way.integral_time_ms),
+        current_bandwidth_hz=inner.bandwidth_hz,
+        for_sampled=way.target is TargetName.SAMPLED,
+    )
+
+
+def _seconds(time_ms: float | None) -> float | None:
+    return None if time_ms is None else 1e-3 * time_ms
+
+
+def _check_method(
+    method: MethodName,
+    feedback: FeedbackName,
+    integral: bool,
+    integral_time_ms: float | None,
+    target: TargetName,
+    network: Path | None,
+) -> None:
+    """What each method knows. Raises BadInput."""
+    if method is MethodName.CCL and (feedback is FeedbackName.SPEED or integral):
+        expected = "full feedback without integral: Algorithm 4.2 knows no other"
+        raise BadInput("--method", "", method.value, expected)
+    if integral_time_ms is not None and not (integral and method is MethodName.EXACT):
+        raise BadInput("--integral-time-ms", "", integral_time_ms, "--integral and --method exact with it")
+    if target is TargetName.SAMPLED and (network is None or method is not MethodName.EXACT):
+        raise BadInput("--target", "", target.value, "--network and --method exact with it")
+
+
+def _refuse_static(
+    gamma: float | None, error_percent: float | None, integral_time_ms: float | None, integral: bool
+) -> None:
+    """What a predictor is not designed by. Raises BadInput."""
+    static = {
+        "--gamma": gamma,
+        "--error-percent": error_percent,
+        "--integral-time-ms": integral_time_ms,
+        "--integral": integral or None,
+    }
+    refuse_given(static, "nothing of it with --structure predictor")
 
 
 def _check_known(
@@ -219,11 +321,11 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
         raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
 
 
-def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float | None:
+def _delay_s(delay_s: float | None, network: "SampledNetwork | None") -> float | None:
     """[Ling2012] (2.13) for a network."""
     if network is not None:
         return (network.losses_max + 1) * network.period_s + network.delay_max_s
-    return None if delay_ms is None else 1e-3 * delay_ms
+    return delay_s
 
 
 def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:

@@ -1,0 +1,293 @@
+"""The predictor whose speed peaks least after a load step, within what it must bear.
+
+search      two poles of the feedback: speed and torque
+for each    the fastest walk of the load that is stable within the delay margin and +-30 % of the inertia
+            and keeps the torque's noise: of the quiet filter, and of the bold one that steps are followed by
+least       the largest peak over its own floor, of the motor and of +-30 % of its inertia, after the step
+            of the load at the worst of some instants between two samples
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import scipy.optimize
+
+from design.delay.delay_loop import Array
+from design.delay.speed_loop import peak_floor_rad_s
+from design.errors import InfeasibleDesign
+from design.hinf.margins import Margins
+from design.motor import PmsmParameters
+from design.sampled.held_loop import Operation
+from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
+from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_model, of_state, plant_of
+from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
+
+INERTIAS = (1.0, 0.7, 1.3)
+PHASES = (0.0, 0.2, 0.35, 0.5)
+"""Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
+DELAY_MARGIN_S = 0.5e-3
+DELAY_MARGIN_SHARE = 0.1
+"""Of the delay: the margin asked for is the larger of the two."""
+_MARGIN_STEP = 0.1
+"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
+ones, half a period wide."""
+_MARGIN_REACH = 1.1
+_INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
+"""With which it must be stable: a little beyond +-30 %, so that there it is well damped."""
+_QUIET_SHARE = 0.75
+"""Of the torque's noise, for the quiet filter."""
+_FALSE_STEPS = 0.45
+"""Share of the variance that is the bold filter's where nothing but noise comes, by long trials: one sample
+in seven is taken for a step, and the gains calm down within some."""
+_SLOWEST, _FASTEST = 1e-2, 3e2
+"""Walks that are looked at, in rated torques per root of s; they are the ends of a bisection."""
+_BISECTIONS = 10
+_ALLOWED = 0.1
+"""What another inertia may cost of the ratio beside the motor's own."""
+_TIE = 0.1
+_WORST = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class PredictorRequest:
+    """What is known, and what must be kept."""
+
+    motor: PmsmParameters
+    current_rate_rad_s: float
+    speed_filter_hz: float
+    speed_noise_rad_s: float
+    """Rms on each sample."""
+    torque_noise_nm: float
+    """What the torque of a period differs from its command, rms."""
+    period_s: float
+    delay_s: float
+    """From a sample to the voltage of its command."""
+    load_nm: float
+    """The step of the load."""
+    command_noise_nm: float
+    """Rms of the command that the samples' noise may make."""
+
+    @property
+    def plant(self) -> PredictorPlant:
+        """Of the motor."""
+        return plant_of(self.motor, self.current_rate_rad_s, self.speed_filter_hz)
+
+    @property
+    def kalman(self) -> KalmanModel:
+        """Of its filter."""
+        return _kalman(self)
+
+    @property
+    def delay_margin_s(self) -> float:
+        """That is asked for."""
+        return max(DELAY_MARGIN_S, DELAY_MARGIN_SHARE * self.delay_s)
+
+    def floor_rad_s(self, inertia: float = 1.0, lost: int = 0) -> float:
+        """That no controller beats after the step, with so many samples lost in a row."""
+        motor = replace(self.motor, inertia_kg_m2=self.motor.inertia_kg_m2 * inertia)
+        return self.load_nm * peak_floor_rad_s(motor, (1 + lost) * self.period_s + self.delay_s)
+
+
+@cache
+def _kalman(request: PredictorRequest) -> KalmanModel:
+    return kalman_model(request.plant, request.period_s, request.speed_noise_rad_s, request.torque_noise_nm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictorDesign:
+    """A predictor."""
+
+    request: PredictorRequest
+    F: Array
+    walks: Walks
+
+    @property
+    def prediction(self) -> Prediction:
+        """What its loop reckons with."""
+        request = self.request
+        return Prediction(request.plant, request.period_s, request.delay_s, self.F)
+
+    def ratio(self, inertia: float = 1.0, phases: tuple[float, ...] = PHASES, lost: int = 0) -> float:
+        """Peak after the step over the floor of that inertia, both without noise."""
+        request = self.request
+        periods = math.ceil(3.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
+        peaks = [
+            load_step(
+                self.prediction,
+                AdaptiveFilter(request.kalman, self.walks),
+                request.load_nm,
+                periods,
+                phase=phase,
+                plant=request.plant.changed(inertia),
+                lost=frozenset(range(lost)),
+            ).peak_rad_s
+            for phase in phases
+        ]
+        return max(peaks) / request.floor_rad_s(inertia, lost)
+
+
+def design_predictor(request: PredictorRequest) -> PredictorDesign:
+    """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
+    around_s = request.period_s + request.delay_s
+
+    def design(poles: Array) -> PredictorDesign | None:
+        F = request.plant.feedback(*np.exp(poles))
+        return _with_walks(request, np.asarray(F))
+
+    def cost(poles: Array) -> float:
+        found = design(poles)
+        if found is None:
+            return _WORST
+        own, less, more = (found.ratio(inertia) for inertia in INERTIAS)
+        return max(own + _ALLOWED, less, more) + _TIE * own
+
+    starts = [np.log([share / around_s, 1.2 * request.current_rate_rad_s]) for share in (0.9, 0.3)]
+    start = min(starts, key=cost)
+    best = scipy.optimize.minimize(
+        cost, start, method="Nelder-Mead", options={"maxiter": 40, "xatol": 2e-2, "fatol": 1e-3}
+    )
+    found = design(best.x)
+    if found is None:
+        raise InfeasibleDesign(
+            f"a delay margin of {1e3 * request.delay_margin_s:g} ms and a torque noise of "
+            f"{request.command_noise_nm:g} N m",
+            "no predictor that was tried keeps both",
+            "allow more noise of the torque, or shorten the delay",
+        )
+    return found
+
+
+def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
+    prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
+    later = np.arange(0.0, _MARGIN_REACH * request.delay_margin_s, _MARGIN_STEP * request.period_s)
+    loops = [PredictorLoop(prediction, delay_s=request.delay_s + float(more_s)) for more_s in later]
+    loops += [PredictorLoop(prediction, request.plant.changed(inertia)) for inertia in _INERTIAS_BORNE]
+    kalman, most_nm = request.kalman, request.command_noise_nm
+
+    def robust(walk: float) -> bool:
+        L = kalman.observer(walk)
+        return all(loop.is_stable(L) for loop in loops)
+
+    def noise_nm(walk: float) -> float:
+        return loops[0].torque_noise_nm(kalman.observer(walk), request.speed_noise_rad_s)
+
+    def quiet(walk: float) -> bool:
+        return noise_nm(walk) <= _QUIET_SHARE * most_nm and robust(walk)
+
+    rated = request.motor.rated_torque_nm
+    slow = _largest(quiet, _SLOWEST * rated, _FASTEST * rated)
+    if slow is None:
+        return None
+    calm_nm = noise_nm(slow)
+
+    def bold(walk: float) -> bool:
+        mixed = (1.0 - _FALSE_STEPS) * calm_nm**2 + _FALSE_STEPS * noise_nm(walk) ** 2
+        return mixed <= most_nm**2 and robust(walk)
+
+    fast = _largest(bold, slow, _FASTEST * rated)
+    return PredictorDesign(request, F, Walks(slow, fast or slow))
+
+
+def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float | None:
+    """The largest value between two that ``keeps``, as far as bisection finds it; None: not even the low."""
+    if not keeps(low):
+        return None
+    for _ in range(_BISECTIONS):
+        middle = math.sqrt(low * high)
+        if keeps(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@dataclass(frozen=True, slots=True)
+class PredictorRobustness:
+    """Figures of a predictor. Those of its loop are exact, for constant gains: of the quiet filter."""
+
+    peak_over_floor: float
+    peak_over_floor_inertia_less: float
+    peak_over_floor_inertia_more: float
+    peak_over_floor_lost: float
+    """Of its own floor, with five samples lost in a row before the first that tells of the step."""
+    gain: float
+    """L2 gain from load torque to speed error, rad/s per N m, every sample coming."""
+    gain_inertia_less: float
+    gain_inertia_more: float
+    gain_current_loop_slower: float
+    """With half the bandwidth; inf: unstable."""
+    bandwidths: tuple[float, float]
+    """Of the current loop, in shares of its own, between which the loop is stable with both filters; by steps
+    of a tenth, down to a half and up to twice."""
+    gains_found: tuple[float, ...]
+    """With 1, 2 .. samples lost after each that comes."""
+    margins: Margins
+    delay_margin_s: float
+    """The smaller one of the two filters."""
+    command_noise_nm: float
+
+
+LOST = 5
+_SETTLED = 300
+"""Rounds after which the covariance repeats itself."""
+
+
+def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRobustness:
+    """The figures; ``losses_max``: samples lost in a row that are looked at."""
+    request, prediction = found.request, found.prediction
+    kalman = request.kalman
+    L = kalman.observer(found.walks.quiet)
+    own = PredictorLoop(prediction)
+
+    def gain(inertia: float = 1.0, current: float = 1.0) -> float:
+        loop = PredictorLoop(prediction, request.plant.changed(inertia, current))
+        return loop.gain(loop.chain(L))
+
+    return PredictorRobustness(
+        peak_over_floor=found.ratio(),
+        peak_over_floor_inertia_less=found.ratio(0.7),
+        peak_over_floor_inertia_more=found.ratio(1.3),
+        peak_over_floor_lost=found.ratio(lost=LOST),
+        gain=gain(),
+        gain_inertia_less=gain(inertia=0.7),
+        gain_inertia_more=gain(inertia=1.3),
+        gain_current_loop_slower=gain(current=0.5),
+        bandwidths=(_bandwidth(found, -0.1, 0.5), _bandwidth(found, 0.1, 2.0)),
+        gains_found=tuple(
+            own.gain(_with_losses(own, kalman, found.walks.quiet, lost)) for lost in range(1, losses_max + 1)
+        ),
+        margins=own.margins(L),
+        delay_margin_s=min(
+            delay_margin_s(prediction, kalman.observer(walk))
+            for walk in (found.walks.quiet, found.walks.bold)
+        ),
+        command_noise_nm=own.torque_noise_nm(L, request.speed_noise_rad_s),
+    )
+
+
+def _bandwidth(found: PredictorDesign, step: float, end: float) -> float:
+    """The last share of the current loop's bandwidth on the way to ``end`` with which the loop is stable."""
+    gains = [found.request.kalman.observer(walk) for walk in (found.walks.quiet, found.walks.bold)]
+    reached = 1.0
+    while abs(end - reached) > 0.5 * abs(step):
+        loop = PredictorLoop(found.prediction, found.request.plant.changed(current=reached + step))
+        if not all(loop.is_stable(L) for L in gains):
+            return reached
+        reached += step
+    return reached
+
+
+def _with_losses(loop: PredictorLoop, kalman: KalmanModel, walk: float, lost: int) -> list[Operation]:
+    """The chain in which each sample that comes is followed by so many that do not."""
+    P = kalman.corrected(kalman.stationary(walk))
+    for _ in range(_SETTLED):
+        for _ in range(lost + 1):
+            P = kalman.predicted(P, walk)
+        L, P = of_state(kalman.gain(P)), kalman.corrected(P)
+    chain = loop.chain(L)
+    for _ in range(lost):
+        chain = [*chain, *loop.chain(None)]
+    return chain

@@ -1,0 +1,167 @@
+"""What a predictor goes by: current loop, shaft, the drive's speed filter, and a load that walks.
+
+    T' = a (u - T)     J omega' = T - B omega - T_L     w' = f (omega - w)     T_L' = white noise
+    y = w + noise of the encoder
+
+State x = [T, omega, w, T_L]: N m, rad/s, rad/s, N m. The torque has no variance of its own: it follows from
+the commands, and what it differs from them counts as noise on the speed.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import scipy.linalg
+
+from design.delay.delay_loop import Array
+from design.motor import PmsmParameters
+
+STATES = 4
+TORQUE, SPEED, FILTERED, LOAD = range(STATES)
+_UNSURE = (SPEED, FILTERED, LOAD)
+READ = np.array([0.0, 1.0, 0.0])
+"""The filtered speed among the states with a variance."""
+
+
+@dataclass(frozen=True, slots=True)
+class PredictorPlant:
+    """The parameters."""
+
+    inertia_kg_m2: float
+    viscous_friction_nm_s: float
+    current_rate_rad_s: float
+    """a."""
+    filter_rate_rad_s: float
+    """f."""
+
+    @property
+    def A(self) -> Array:
+        """(4, 4)."""
+        J, a, f = self.inertia_kg_m2, self.current_rate_rad_s, self.filter_rate_rad_s
+        return np.array(
+            [
+                [-a, 0.0, 0.0, 0.0],
+                [1.0 / J, -self.viscous_friction_nm_s / J, 0.0, -1.0 / J],
+                [0.0, f, -f, 0.0],
+                [0.0, 0.0, 0.0, 0.0],
+            ]
+        )
+
+    @property
+    def B(self) -> Array:
+        """(4,), of the command."""
+        return np.array([self.current_rate_rad_s, 0.0, 0.0, 0.0])
+
+    def changed(self, inertia: float = 1.0, current: float = 1.0) -> "PredictorPlant":
+        """With so many times the inertia, and the bandwidth of the current loop."""
+        return replace(
+            self,
+            inertia_kg_m2=self.inertia_kg_m2 * inertia,
+            current_rate_rad_s=self.current_rate_rad_s * current,
+        )
+
+    def step(self, length_s: float) -> tuple[Array, Array]:
+        """Transition (4, 4) and input (4,) under a command that is held for ``length_s``."""
+        return _step(self, length_s)
+
+    def feedback(self, bandwidth_rad_s: float, torque_rate_rad_s: float) -> Array:
+        """F (4,) of u = -F x: the plant without delay gets these two poles, and the load is cancelled."""
+        J, B, a = self.inertia_kg_m2, self.viscous_friction_nm_s, self.current_rate_rad_s
+        torque = (bandwidth_rad_s + torque_rate_rad_s - B / J) / a - 1.0
+        speed = (bandwidth_rad_s * torque_rate_rad_s - a * (1.0 + torque) * B / J) * J / a
+        return np.array([torque, speed, 0.0, -(1.0 + torque)])
+
+
+@cache
+def _step(plant: PredictorPlant, length_s: float) -> tuple[Array, Array]:
+    M = np.zeros((STATES + 1, STATES + 1))
+    M[:STATES, :STATES], M[:STATES, STATES] = plant.A, plant.B
+    total = scipy.linalg.expm(M * length_s)
+    return total[:STATES, :STATES], total[:STATES, STATES]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KalmanModel:
+    """P+ = Phi P Phi' + Q between two samples, over [omega, w, T_L]; Q = Q_0 + walk^2 Q_1."""
+
+    Phi: Array
+    Q_torque: Array
+    Q_walk: Array
+    """Of a walk of 1 N m per root of s."""
+    R: float
+    """Variance of the noise on a sample, (rad/s)^2."""
+
+    def process(self, walk: float) -> Array:
+        """Q (3, 3)."""
+        return np.asarray(self.Q_torque + walk * walk * self.Q_walk)
+
+    def stationary(self, walk: float) -> Array:
+        """P (3, 3) before each correction, where every sample comes."""
+        return np.asarray(
+            scipy.linalg.solve_discrete_are(
+                self.Phi.T, READ[:, None], self.process(walk), np.array([[self.R]])
+            )
+        )
+
+    @cache  # noqa: B019 - a model lives as long as its design
+    def settled(self, walk: float) -> Array:
+        """P (3, 3) behind each correction, where every sample comes."""
+        return self.corrected(self.stationary(walk))
+
+    def gain(self, P: Array) -> Array:
+        """L (3,) of a correction from P."""
+        return np.asarray(P @ READ / (READ @ P @ READ + self.R))
+
+    def corrected(self, P: Array) -> Array:
+        """P behind a correction."""
+        return np.asarray(P - np.outer(self.gain(P), READ @ P))
+
+    def predicted(self, P: Array, walk: float) -> Array:
+        """P a period later."""
+        return np.asarray(self.Phi @ P @ self.Phi.T + self.process(walk))
+
+    def observer(self, walk: float) -> Array:
+        """L (4,) of x, where every sample comes."""
+        return of_state(self.gain(self.stationary(walk)))
+
+
+def of_state(gain: Array) -> Array:
+    """A gain of [omega, w, T_L] as one of x: the torque stays."""
+    return np.concatenate(([0.0], gain))
+
+
+def kalman_model(
+    plant: PredictorPlant, period_s: float, speed_noise_rad_s: float, torque_noise_nm: float
+) -> KalmanModel:
+    """``torque_noise_nm``: rms of what the torque of a period differs from its command."""
+    unsure = np.ix_(_UNSURE, _UNSURE)
+    A = plant.A[unsure]
+    n = len(A)
+    walk = np.zeros((n, n))
+    walk[-1, -1] = 1.0
+    # Van Loan, IEEE Trans. Autom. Control 23(3), 1978
+    M = np.block([[-A, walk], [np.zeros((n, n)), A.T]])
+    total = scipy.linalg.expm(M * period_s)
+    Phi = total[n:, n:].T
+    held = torque_noise_nm * np.append(Phi[:2, 2], 0.0)
+    added = Phi @ total[:n, n:]
+    return KalmanModel(Phi, np.outer(held, held), 0.5 * (added + added.T), speed_noise_rad_s**2)
+
+
+def encoder_noise_rad_s(counts_per_revolution: int, filter_hz: float, rate_hz: float) -> float:
+    """Rms of what the rounding of a count adds to a filtered speed.
+
+    Each count is off by an even spread of one count; their difference over a tick goes through the filter
+    a (1 - z^-1)/(1 - (1 - a) z^-1), whose impulse response has the square sum 2 a^2/(2 - a).
+    """
+    a = 1.0 / (1.0 + rate_hz / (math.tau * filter_hz))
+    rounding_rad = math.tau / counts_per_revolution / math.sqrt(12.0)
+    return rounding_rad * rate_hz * a * math.sqrt(2.0 / (2.0 - a))
+
+
+def plant_of(motor: PmsmParameters, current_rate_rad_s: float, filter_hz: float) -> PredictorPlant:
+    """Of a motor behind a drive."""
+    return PredictorPlant(
+        motor.inertia_kg_m2, motor.viscous_friction_nm_s, current_rate_rad_s, math.tau * filter_hz
+    )

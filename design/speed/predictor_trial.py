@@ -1,0 +1,134 @@
+"""A load step on the loop of a predictor whose gains follow what comes: lost samples, and steps that it sees.
+
+The filter here is matrices in numpy, that of a drive's host is scalars (hil/control/load_filter.py): tests
+hold them against each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from design.delay.delay_loop import Array
+from design.speed.predictor_loop import Prediction, split
+from design.speed.predictor_plant import (
+    FILTERED,
+    LOAD,
+    READ,
+    SPEED,
+    STATES,
+    KalmanModel,
+    PredictorPlant,
+    of_state,
+)
+
+STEP_SIGMAS = 1.5
+"""An innovation so many times its standard deviation is taken for a step of the load."""
+_WITHIN = 4
+"""Instants of a period at which the shaft is looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Walks:
+    """The two intensities of the load's walk, N m per root of s."""
+
+    quiet: float
+    bold: float
+    """That of the filter whose covariance is taken over when a step is seen."""
+
+
+class AdaptiveFilter:
+    """The gains of each sample."""
+
+    def __init__(self, model: KalmanModel, walks: Walks) -> None:
+        self._model, self._walks = model, walks
+        self._quiet, self._bold = model.settled(walks.quiet), model.settled(walks.bold)
+        self.steps_seen = 0
+
+    def predict(self) -> None:
+        """On by a period."""
+        self._quiet = self._model.predicted(self._quiet, self._walks.quiet)
+        self._bold = self._model.predicted(self._bold, self._walks.bold)
+
+    def correct(self, innovation: float) -> Array:
+        """L (4,) for a sample so far from what was expected, rad/s."""
+        spread = float(READ @ self._quiet @ READ) + self._model.R
+        if innovation * innovation > STEP_SIGMAS**2 * spread:
+            self._quiet = self._bold
+            self.steps_seen += 1
+        L = of_state(self._model.gain(self._quiet))
+        self._quiet = self._model.corrected(self._quiet)
+        self._bold = self._model.corrected(self._bold)
+        return L
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadTrial:
+    """What came of a run."""
+
+    speeds_rad_s: Array
+    """(n,) of the shaft, four a period."""
+    commands_nm: Array
+    """(k,) one for each sample."""
+    steps_seen: int
+
+    @property
+    def peak_rad_s(self) -> float:
+        """Largest deviation."""
+        return float(np.max(np.abs(self.speeds_rad_s)))
+
+
+def load_step(
+    prediction: Prediction,
+    filtering: AdaptiveFilter,
+    load_nm: float,
+    periods: int,
+    *,
+    phase: float = 0.0,
+    plant: PredictorPlant | None = None,
+    delay_s: float | None = None,
+    noise_rad_s: Array | None = None,
+    lost: frozenset[int] = frozenset(),
+) -> LoadTrial:
+    """From rest; the load comes ``phase`` of a period after a sample, and the next one is number 0.
+
+    ``plant``, ``delay_s``: the real ones, if they are not the predictor's; ``noise_rad_s``: (periods,) on the
+    samples; ``lost``: numbers of those that do not come.
+    """
+    own, h = prediction.plant, prediction.period_s
+    real = plant or own
+    whole, rest_s = split(prediction.delay_s, h)
+    behind, acts_s = split(prediction.delay_s if delay_s is None else delay_s, h)
+    before, after, full = own.step(rest_s), own.step(h - rest_s), own.step(h)
+    looks = [_look(real, acts_s, h * (part + 1) / _WITHIN) for part in range(_WITHIN)]
+    x, estimate = np.zeros(STATES), np.zeros(STATES)
+    x[LOAD] = load_nm
+    x = real.step((1.0 - phase) * h)[0] @ x
+    sent = np.zeros(max(whole, behind) + 2)
+    speeds, commands = [float(x[SPEED])], []
+    for number in range(periods):
+        filtering.predict()
+        if number not in lost:
+            noise = 0.0 if noise_rad_s is None else float(noise_rad_s[number])
+            innovation = float(x[FILTERED] - estimate[FILTERED]) + noise
+            estimate = estimate + filtering.correct(innovation) * innovation
+        ahead = before[0] @ estimate + before[1] * sent[whole]
+        for place in range(whole - 1, -1, -1):
+            ahead = full[0] @ ahead + full[1] * sent[place]
+        sent = np.concatenate(([-float(prediction.F @ ahead)], sent[:-1]))
+        commands.append(sent[0])
+        for look in looks:
+            y = look[0] @ x + look[1] * sent[behind + 1] + look[2] * sent[behind]
+            speeds.append(float(y[SPEED]))
+        x = y
+        estimate = before[0] @ estimate + before[1] * sent[whole + 1]
+        estimate = after[0] @ estimate + after[1] * sent[whole]
+    return LoadTrial(np.array(speeds), np.array(commands), filtering.steps_seen)
+
+
+def _look(plant: PredictorPlant, acts_s: float, at_s: float) -> tuple[Array, Array, Array]:
+    """The state ``at_s`` into a period, from that at its begin, the command before and the one after."""
+    if at_s <= acts_s:
+        first, held = plant.step(at_s)
+        return first, held, np.zeros(STATES)
+    (first, held), (second, entered) = plant.step(acts_s), plant.step(at_s - acts_s)
+    return second @ first, second @ held, entered

@@ -1,0 +1,74 @@
+"""``kind = "predictor"``: a Kalman filter, a prediction over the delay and a feedback, stated in a file."""
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from drivers.timebase import NS_PER_US, Duration
+from hil.configuration.config_files import Section
+from hil.configuration.quantities import Gain, Inertia, ViscousFriction
+from hil.configuration.speed_controller_file import MadeFor
+from hil.control.load_filter import FilterNoise
+from hil.control.motion import MotionModel
+from hil.control.predictor import LoadCancelling, PredictorSettings
+from hil.control.setup import Setup
+from hil.loop.axis_roles import Controller
+
+
+class PredictorFigures(Section):
+    """``figures``: what the design found; see docs/predictor.md."""
+
+    load_nm: float = Field(gt=0)
+    """The step of the load that it was designed for."""
+    peak_over_floor: float = Field(gt=0)
+    """After that step, at the worst instant between two samples."""
+    peak_over_floor_inertia_70_percent: float = Field(gt=0)
+    peak_over_floor_inertia_130_percent: float = Field(gt=0)
+    gamma: float = Field(gt=0)
+    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
+    delay_margin_us: float = Field(ge=0)
+    torque_noise_nm: float = Field(ge=0)
+    """Rms of the command by the encoder's noise."""
+
+
+class PredictorController(Section):
+    """The state is predicted to the instant at which a command acts, and the load is cancelled."""
+
+    kind: Literal["predictor"]
+    inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2")
+    viscous_friction_nm_s: ViscousFriction = 0.0
+    current_bandwidth_hz: float = Field(gt=0, description="of the drive's current loop, Hz")
+    speed_filter_hz: float = Field(
+        gt=0, description="corner of the filter behind the drive's speed 606Ch, Hz"
+    )
+    dead_time_us: float = Field(default=0.0, ge=0)
+    """Of the drive, beside these two."""
+    speed_noise_rad_s: float = Field(gt=0, description="rms of the noise on each reading of the speed, rad/s")
+    torque_noise_nm: float = Field(default=0.0, ge=0)
+    """Rms of what a period's torque differs from its command."""
+    load_noise_nm_sqrt_s: float = Field(gt=0, description="of the load's random walk, N m per root of s")
+    load_noise_max_nm_sqrt_s: float = Field(gt=0, description="the same where a reading tells of a step")
+    speed_gain_nm_s_rad: Gain = Field(description="torque per speed error, N m per rad/s")
+    torque_gain: Gain = Field(default=0.0, description="torque per torque that is missing, N m/N m")
+    made_for: MadeFor | None = None
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    figures: PredictorFigures | None = None
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis, which brings its predictor."""
+        model = MotionModel(
+            self.inertia_kg_m2,
+            self.viscous_friction_nm_s,
+            math.tau * self.current_bandwidth_hz,
+            math.tau * self.speed_filter_hz,
+        )
+        noise = FilterNoise(
+            self.speed_noise_rad_s,
+            self.torque_noise_nm,
+            self.load_noise_nm_sqrt_s,
+            self.load_noise_max_nm_sqrt_s,
+        )
+        dead_time = Duration(round(self.dead_time_us * NS_PER_US))
+        settings = PredictorSettings(model, noise, self.speed_gain_nm_s_rad, self.torque_gain, dead_time)
+        return LoadCancelling(settings, setup.period)

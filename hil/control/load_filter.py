@@ -1,0 +1,185 @@
+"""The covariance of a predictor's Kalman filter: speed, filtered speed and load torque, in scalars.
+
+    x = [omega, w, T_L]     y = w + noise     T_L: a random walk
+
+The torque is known from the commands and has no variance of its own.
+
+A second filter runs beside it, whose load walks faster. An innovation beyond what the first one explains is
+taken for a step of the load: the first goes on from the covariance of the second, whose gains follow a step
+at once, and calms down by itself. So the torque is quiet where nothing happens.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from hil.control.motion import MotionModel, ShaftMotion
+
+STEP_SIGMAS: Final = 1.5
+"""An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven
+is, which the design reckons with; at 3 a step that comes late in a period is often seen a period later."""
+_PANELS: Final = 64
+"""Of Simpson's rule over a period; its error is far below what a double tells of a covariance."""
+_SETTLING_STEPS: Final = 5000
+"""Updates after which the covariance has settled; a load that walks slowly takes as many periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterNoise:
+    """What the filter goes by."""
+
+    speed_rad_s: float
+    """Rms of the noise on each reading of the speed."""
+    torque_nm: float
+    """Rms of what the torque of a period differs from its command."""
+    load_nm_sqrt_s: float
+    """Of the load's random walk: rms of its change over a second."""
+    load_max_nm_sqrt_s: float
+    """The same where an innovation tells of a step."""
+
+
+class Covariance:
+    """P of [omega, w, T_L] under one intensity of the load's walk: its upper triangle."""
+
+    __slots__ = (
+        "_noise",
+        "_q_ff",
+        "_q_fl",
+        "_q_ll",
+        "_q_sf",
+        "_q_sl",
+        "_q_ss",
+        "_t_ff",
+        "_t_fl",
+        "_t_fs",
+        "_t_sl",
+        "_t_ss",
+        "ff",
+        "filtered_gain",
+        "fl",
+        "ll",
+        "load_gain",
+        "sf",
+        "sl",
+        "speed_gain",
+        "ss",
+    )
+
+    def __init__(self, model: MotionModel, noise: FilterNoise, walk: float, period_s: float) -> None:
+        """``walk``: of the load, N m per root of s."""
+        self.ss = self.sf = self.sl = self.ff = self.fl = self.ll = 0.0
+        self.speed_gain = self.filtered_gain = self.load_gain = 0.0
+        """rad/s, rad/s and N m per rad/s of innovation."""
+        self._noise = noise.speed_rad_s * noise.speed_rad_s
+        self._transition(model, period_s)
+        self._process(model, noise.torque_nm, walk, period_s)
+        for _ in range(_SETTLING_STEPS):
+            self.predict()
+            self.correct()
+
+    def _transition(self, model: MotionModel, period_s: float) -> None:
+        """What a unit of each state makes of the others within a period."""
+        speed, filtered = ShaftMotion(model), ShaftMotion(model)
+        speed.speed_rad_s = 1.0
+        filtered.filtered_rad_s = 1.0
+        speed.advance(0.0, 0.0, period_s)
+        filtered.advance(0.0, 0.0, period_s)
+        load = _loaded(model, period_s)
+        self._t_ss, self._t_fs = speed.speed_rad_s, speed.filtered_rad_s
+        self._t_ff = filtered.filtered_rad_s
+        self._t_sl, self._t_fl = load.speed_rad_s, load.filtered_rad_s
+
+    def _process(self, model: MotionModel, torque_nm: float, walk: float, period_s: float) -> None:
+        """What the walk adds within a period, by Simpson's rule, and the torque's noise."""
+        ss = sf = sl = ff = fl = ll = 0.0
+        for k in range(_PANELS + 1):
+            weight = 1.0 if k in (0, _PANELS) else 4.0 if k % 2 else 2.0
+            loaded = _loaded(model, period_s * k / _PANELS)
+            speed, filtered = loaded.speed_rad_s, loaded.filtered_rad_s
+            ss += weight * speed * speed
+            sf += weight * speed * filtered
+            sl += weight * speed
+            ff += weight * filtered * filtered
+            fl += weight * filtered
+            ll += weight
+        share = walk * walk * period_s / (3.0 * _PANELS)
+        loaded = _loaded(model, period_s)
+        speed, filtered = torque_nm * loaded.speed_rad_s, torque_nm * loaded.filtered_rad_s
+        self._q_ss = share * ss + speed * speed
+        self._q_sf = share * sf + speed * filtered
+        self._q_ff = share * ff + filtered * filtered
+        self._q_sl, self._q_fl, self._q_ll = share * sl, share * fl, share * ll
+
+    @property
+    def spread(self) -> float:
+        """Variance of the innovation, before it has come."""
+        return self.ff + self._noise
+
+    def copy(self, other: "Covariance") -> None:
+        """Take the covariance of ``other``."""
+        self.ss, self.sf, self.sl = other.ss, other.sf, other.sl
+        self.ff, self.fl, self.ll = other.ff, other.fl, other.ll
+
+    def predict(self) -> None:
+        """On by a period."""
+        t_ss, t_fs, t_ff, t_sl, t_fl = self._t_ss, self._t_fs, self._t_ff, self._t_sl, self._t_fl
+        ss, sf, sl, ff, fl, ll = self.ss, self.sf, self.sl, self.ff, self.fl, self.ll
+        # rows of Phi P: speed and filtered speed against each state; the load stays
+        s_s = t_ss * ss + t_sl * sl
+        s_f = t_ss * sf + t_sl * fl
+        s_l = t_ss * sl + t_sl * ll
+        f_s = t_fs * ss + t_ff * sf + t_fl * sl
+        f_f = t_fs * sf + t_ff * ff + t_fl * fl
+        f_l = t_fs * sl + t_ff * fl + t_fl * ll
+        self.ss = s_s * t_ss + s_l * t_sl + self._q_ss
+        self.sf = s_s * t_fs + s_f * t_ff + s_l * t_fl + self._q_sf
+        self.ff = f_s * t_fs + f_f * t_ff + f_l * t_fl + self._q_ff
+        self.sl = s_l + self._q_sl
+        self.fl = f_l + self._q_fl
+        self.ll = ll + self._q_ll
+
+    def correct(self) -> None:
+        """A reading has come; its gains."""
+        sf, ff, fl = self.sf, self.ff, self.fl
+        per_spread = 1.0 / (ff + self._noise)
+        self.speed_gain = speed_gain = sf * per_spread
+        self.filtered_gain = filtered_gain = ff * per_spread
+        self.load_gain = load_gain = fl * per_spread
+        self.ss -= speed_gain * sf
+        self.sl -= speed_gain * fl
+        self.sf -= speed_gain * ff
+        self.ll -= load_gain * fl
+        self.fl -= load_gain * ff
+        self.ff -= filtered_gain * ff
+
+
+class LoadFilter:
+    """The gains of each correction; they depend on the readings that are lost, and on steps of the load."""
+
+    __slots__ = ("_bold", "_threshold", "quiet")
+
+    def __init__(self, model: MotionModel, noise: FilterNoise, period_s: float) -> None:
+        self.quiet = Covariance(model, noise, noise.load_nm_sqrt_s, period_s)
+        """Whose gains are used."""
+        self._bold = Covariance(model, noise, noise.load_max_nm_sqrt_s, period_s)
+        self._threshold = STEP_SIGMAS * STEP_SIGMAS
+
+    def predict(self, periods: int) -> None:
+        """On by whole periods; all but the last without a reading."""
+        for _ in range(periods):
+            self.quiet.predict()
+            self._bold.predict()
+
+    def correct(self, innovation: float) -> None:
+        """A reading has come, so far from what was expected, rad/s."""
+        quiet, bold = self.quiet, self._bold
+        if innovation * innovation > self._threshold * quiet.spread:
+            quiet.copy(bold)
+        quiet.correct()
+        bold.correct()
+
+
+def _loaded(model: MotionModel, length_s: float) -> ShaftMotion:
+    """What 1 N m of load makes of a shaft at rest within ``length_s``, with no torque against it."""
+    motion = ShaftMotion(model)
+    motion.advance(0.0, 1.0, length_s)
+    return motion

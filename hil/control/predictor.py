@@ -1,0 +1,165 @@
+"""Control at the floor: a Kalman filter for speed and load, the state predicted to when a command acts.
+
+    samples     x0        x1        --        x3            filtered at the instant at which it was sampled
+    commands       u0        u1        u2        u3         as they were sent, each from when it acts
+    predicted                                 x3 ------> x(acts)
+
+From the last sample on the model runs open, over all commands that are on their way: so through a dropout,
+too. The feedback sees a plant without delay, and the load it knows is cancelled:
+
+    u = T + k_T (T - T^) + k_omega (omega* - omega^) + J d omega*/dt      T = T_L^ + B omega*
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.exchange import Command
+from drivers.timebase import NS_PER_S, Duration, Instant
+from hil.control.load_filter import FilterNoise, LoadFilter
+from hil.control.motion import MotionModel, ShaftMotion
+from hil.loop.axis_roles import Compensator, Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
+from hil.loop.samples import AT_REST, Sample, StateEstimate
+
+PER_NS: Final = 1.0 / NS_PER_S
+EARLY: Final = 4
+"""A command that acts more than such a part of a period from now acts with the next cycle's reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class PredictorSettings:
+    """What a predictor is made for."""
+
+    model: MotionModel
+    noise: FilterNoise
+    speed_gain_nm_s_rad: float
+    """k_omega."""
+    torque_gain: float
+    """k_T, N m/N m."""
+    dead_time: Duration
+    """Of the drive, beside its current loop and its speed filter: from a command's instant to its voltage."""
+
+
+class Predictor(Compensator):
+    """The state at the instant at which the present command will act."""
+
+    def __init__(self, settings: PredictorSettings, period: Duration) -> None:
+        self._settings = settings
+        self._period = period
+        self._dead_time = settings.dead_time
+        self._begin()
+
+    def _begin(self) -> None:
+        settings = self._settings
+        self.load_nm = 0.0
+        """The load torque, as far as the readings tell."""
+        self.innovation_rad_s = 0.0
+        """The last reading's speed beside the one that was expected."""
+        self._filter = LoadFilter(settings.model, settings.noise, self._period * PER_NS)
+        self._motion = ShaftMotion(settings.model)
+        self._ahead = ShaftMotion(settings.model)
+        self._last: Sample | None = None
+        self._at = 0
+        """For when the filter's state holds, ns."""
+        self._acts_at: list[int] = [0]
+        self._commands_nm: list[float] = [0.0]
+        """Those that act at the filter's instant or later, the one in force first."""
+
+    def reset(self) -> None:
+        self._begin()
+
+    def sent(self, command: Command) -> None:
+        acts_at = command.effective_at + self._dead_time
+        while len(self._acts_at) > 1 and self._acts_at[-1] >= acts_at:
+            self._acts_at.pop()
+            self._commands_nm.pop()
+        self._acts_at.append(acts_at)
+        self._commands_nm.append(command.torque_nm)
+
+    def receive(self, sample: Sample) -> None:
+        speed = sample.reading.velocity_rad_s
+        last, at, motion = self._last, sample.sampled_at, self._motion
+        if last is None:
+            motion.speed_rad_s = motion.filtered_rad_s = speed
+            self._last, self._at = sample, at
+            return
+        if at <= self._at:
+            return  # what it tells is known already
+        periods = (at - last.sampled_at + self._period // 2) // self._period
+        self._run(motion, self._at, at)
+        self._last, self._at = sample, at
+        self._forget()
+        self._filter.predict(max(1, periods))
+        innovation = speed - motion.filtered_rad_s
+        self._filter.correct(innovation)
+        gains = self._filter.quiet
+        motion.speed_rad_s += gains.speed_gain * innovation
+        motion.filtered_rad_s += gains.filtered_gain * innovation
+        self.load_nm += gains.load_gain * innovation
+        self.innovation_rad_s = innovation
+
+    def estimate(self, context: Context) -> StateEstimate:
+        last = self._last
+        if last is None:
+            return AT_REST
+        ahead, at = self._ahead, context.acts_at + self._dead_time
+        ahead.copy(self._motion)
+        self._run(ahead, self._at, at)
+        speed, elapsed_s = ahead.speed_rad_s, (at - last.sampled_at) * PER_NS
+        travelled_rad = 0.5 * (speed + self._motion.speed_rad_s) * elapsed_s
+        return StateEstimate(
+            last.reading.position_rad + travelled_rad, speed, ahead.torque_nm, Instant(at), last.sequence
+        )
+
+    def _run(self, motion: ShaftMotion, start: int, end: int) -> None:
+        """On through the commands that act between two instants, in pieces of a period at most."""
+        acts_at, load_nm, period = self._acts_at, self.load_nm, self._period
+        count, place = len(acts_at), 0
+        while start < end:
+            while place + 1 < count and acts_at[place + 1] <= start:
+                place += 1
+            stop = min(end, start + period)
+            if place + 1 < count and acts_at[place + 1] < stop:
+                stop = acts_at[place + 1]
+            motion.advance(self._commands_nm[place], load_nm, (stop - start) * PER_NS)
+            start = stop
+
+    def _forget(self) -> None:
+        """What acted before the filter's instant."""
+        acts_at = self._acts_at
+        while len(acts_at) > 1 and acts_at[1] <= self._at:
+            acts_at.pop(0)
+            self._commands_nm.pop(0)
+
+
+class LoadCancelling(Controller):
+    """Feedback of what its predictor tells, against the load that it knows."""
+
+    def __init__(self, settings: PredictorSettings, period: Duration) -> None:
+        self._predictor = Predictor(settings, period)
+        self._speed_gain = settings.speed_gain_nm_s_rad
+        self._torque_gain = settings.torque_gain
+        self._friction = settings.model.viscous_friction_nm_s
+        self._inertia = settings.model.inertia_kg_m2
+
+    def channels(self) -> tuple[str, ...]:
+        return ("load_estimate_nm", "innovation_rad_s")
+
+    def observer(self) -> Compensator:
+        return self._predictor
+
+    def output(self, context: Context) -> SetPoint:
+        estimate, period = context.estimate, context.period
+        later = 1 if context.acts_at - context.now > period // EARLY else 0
+        ahead = context.preview(later + 1)
+        reference = ahead[later]
+        steady_nm = self._predictor.load_nm + self._friction * reference
+        return TorqueSetPoint(
+            steady_nm
+            + self._torque_gain * (steady_nm - estimate.torque_nm)
+            + self._speed_gain * (reference - estimate.velocity_rad_s)
+            + self._inertia * (ahead[later + 1] - reference) / (period * PER_NS)
+        )
+
+    def telemetry(self) -> list[float]:
+        return [self._predictor.load_nm, self._predictor.innovation_rad_s]

@@ -1,0 +1,147 @@
+"""``hil design speed --structure predictor``: its own options, and what it prints and writes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.errors import MISSING, BadInput
+from hil.terminal.output import print_figures, put, say_written
+
+if TYPE_CHECKING:
+    from design.motor import PmsmParameters
+    from design.sampled.held_loop import SampledNetwork
+    from hil.configuration.drive_current_loop import KnownLoop
+    from hil.studies.speed.predictor import PredictorNetwork
+
+_PERIOD_MS = 1.0
+_ENCODER_COUNTS = 65_536
+_SPEED_FILTER_HZ = 500.0
+_DEAD_TIME_US = 100.0
+"""Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
+_INNER_RATE_HZ = 16_000.0
+_NOISE_SHARE = 0.05
+"""Of the rated torque."""
+
+PeriodMsOption = Annotated[
+    float | None,
+    typer.Option(
+        "--period-ms", metavar="H", min=0.05, help="Predictor: of the loop, with --delay-ms; 1 if absent."
+    ),
+]
+EncoderCountsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--encoder-counts", metavar="N", min=16, help="Predictor: a revolution of the encoder; else 65536."
+    ),
+]
+SpeedFilterOption = Annotated[
+    float | None,
+    typer.Option(
+        "--speed-filter-hz",
+        metavar="F",
+        min=1.0,
+        help="Predictor: of the filter behind 606Ch; 500, as the simulated drive has it, if absent.",
+    ),
+]
+DeadTimeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--drive-dead-time-us",
+        metavar="D",
+        min=0.0,
+        help="Predictor: of the drive, beside its current loop; 100, the simulated drive's, if absent.",
+    ),
+]
+TorqueNoiseOption = Annotated[
+    float | None,
+    typer.Option(
+        "--torque-noise-nm",
+        metavar="T",
+        min=1e-9,
+        help="Predictor: what the encoder may make of the torque, rms; 5 % of the rated if absent.",
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class PredictorOptions:
+    """As given; None: not."""
+
+    period_ms: float | None
+    encoder_counts: int | None
+    speed_filter_hz: float | None
+    dead_time_us: float | None
+    torque_noise_nm: float | None
+
+    @property
+    def given(self) -> dict[str, object]:
+        """By option."""
+        return {
+            "--period-ms": self.period_ms,
+            "--encoder-counts": self.encoder_counts,
+            "--speed-filter-hz": self.speed_filter_hz,
+            "--drive-dead-time-us": self.dead_time_us,
+            "--torque-noise-nm": self.torque_noise_nm,
+        }
+
+
+def refuse_given(options: Mapping[str, object], expected: str) -> None:
+    """Raises BadInput for the first option that is given."""
+    for option, value in options.items():
+        if value is not None:
+            raise BadInput(option, "", value, expected)
+
+
+def finish_predictor(
+    motor: "PmsmParameters",
+    inner: "KnownLoop",
+    options: PredictorOptions,
+    delay_s: float | None,
+    network: "SampledNetwork | None",
+    load_nm: float | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Design it, print the figures and write the file. Raises BadInput."""
+    from design.errors import DesignError
+    from hil.studies.speed.predictor import PredictorDrive, design_speed_predictor, write_predictor
+
+    drive = PredictorDrive(
+        inner.bandwidth_hz,
+        options.encoder_counts or _ENCODER_COUNTS,
+        options.speed_filter_hz or _SPEED_FILTER_HZ,
+        _INNER_RATE_HZ,
+        1e-6 * (_DEAD_TIME_US if options.dead_time_us is None else options.dead_time_us),
+    )
+    noise_nm = options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm
+    over = _network(options.period_ms, delay_s, network)
+    try:
+        found = design_speed_predictor(motor, drive, over, load_nm or motor.rated_torque_nm, noise_nm)
+    except DesignError as error:
+        raise BadInput("hil design speed", "", str(error), "a design that exists") from error
+    figures = {"current_bandwidth_from": inner.key, **found.figures}
+    put(figures, as_json, print_figures)
+    if out is not None:
+        write_predictor(out, found)
+        say_written(out)
+
+
+def _network(
+    period_ms: float | None, delay_s: float | None, network: "SampledNetwork | None"
+) -> "PredictorNetwork":
+    """``delay_s``: the age that a sample reaches, period included, as elsewhere in this command."""
+    from hil.studies.speed.predictor import PredictorNetwork
+
+    if network is not None:
+        for option, value in {"--delay-ms": delay_s, "--period-ms": period_ms}.items():
+            if value is not None:
+                raise BadInput(option, "", value, f"either --network or {option}")
+        return PredictorNetwork(network.period_s, network.delay_max_s, network.losses_max, measured=True)
+    period_s = 1e-3 * (period_ms or _PERIOD_MS)
+    if delay_s is None or delay_s < period_s:
+        least = f"at least a period of {1e3 * period_s:g} ms, or --network"
+        raise BadInput("--delay-ms", "", MISSING if delay_s is None else 1e3 * delay_s, least)
+    return PredictorNetwork(period_s, delay_s - period_s, 0, measured=False)

@@ -1,0 +1,81 @@
+"""Speed peaks after a load step over the floor that no controller beats, on whole runs of a simulated drive.
+
+    predictor, PID (hil design pid), static gain with integral (hil design speed --integral)
+    h + tau = 2, 4, 20 ms at 1 kHz; a step of 30 % of the rated torque at 8 or 4 instants of a period
+
+Each figure is over its own floor: with its inertia, its losses, and tau up to the torque at the shaft (the
+drive's dead time included; its speed filter and its current's rise count to the ratio). ``median`` and
+``worst``: over the instants, each with the encoder's noise as it comes.
+"""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import BenchError
+from hil.configuration.motor_file import LING2012, load_motor
+from tests.floor_runs import PERIOD_S, Case, measure, pid, predictor, static, table_of
+from tests.random_motors import designed
+
+AZAIZ2007 = Path("examples/motors/azaiz2007.toml")
+
+
+def cases() -> Iterator[tuple[Case, int]]:
+    """Those of the table, each with how many instants of the step."""
+    ling = LING2012.model_dump(mode="json")
+    azaiz = load_motor(AZAIZ2007).model_dump(mode="json")
+    randoms = [designed(np.random.default_rng(seed)).motor for seed in (1, 2, 3)]
+    for delay_s in (1e-3, 3e-3, 19e-3):
+        yield Case("ling2012", ling, delay_s), 8
+    for delay_s in (1e-3, 3e-3, 19e-3):
+        yield Case("ling2012, 4096 counts", ling, delay_s, 4096), 8
+    for name, motor in (("azaiz2007", azaiz), *((f"random {k + 1}", m) for k, m in enumerate(randoms))):
+        for delay_s in (1e-3, 3e-3, 19e-3):
+            yield Case(name, motor, delay_s), 4
+
+
+def main() -> None:
+    """A line for each motor, delay and controller."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--only", default="", help="motors whose names begin so")
+    arguments.add_argument("--phases", type=int, default=0, help="of a period, in place of 8 and 4")
+    arguments.add_argument("--predictor-only", action="store_true")
+    chosen = arguments.parse_args()
+    columns = ("median", "worst", "J 70 %", "J 130 %", "5 lost", "noise/rated %", "steady rad/s")
+    print(
+        f"{'motor':22} {'h+tau':>6} {'controller':10} " + " ".join(f"{name:>13}" for name in columns),
+        flush=True,
+    )
+    for case, phases in cases():
+        if not case.name.startswith(chosen.only):
+            continue
+        found = predictor(case)
+        told = found.robustness
+        ways = {"predictor": table_of(found)}
+        if not chosen.predictor_only:
+            ways |= {"pid": pid(case), "static": static(case)}
+        for name, controller in ways.items():
+            try:
+                each = measure(case, controller, chosen.phases or phases)
+            except BenchError as error:  # a loop that is unstable ends its run
+                print(f"{case.name:22} {1e3 * (PERIOD_S + case.delay_s):6.0f} {name:10} {error}", flush=True)
+                continue
+            noise = 100.0 * each.noise_nm / float(case.motor["rating"]["torque_nm"])
+            figures = (each.median, each.worst, each.inertia_70, each.inertia_130, each.lost, noise)
+            print(
+                f"{case.name:22} {1e3 * (PERIOD_S + case.delay_s):6.0f} {name:10} "
+                + " ".join(f"{value:13.3f}" for value in (*figures, each.steady_rad_s)),
+                flush=True,
+            )
+        print(
+            f"{'':30}by design: peak {told.peak_over_floor:.3f}, J {told.peak_over_floor_inertia_less:.3f} "
+            f"{told.peak_over_floor_inertia_more:.3f}, delay margin {1e3 * told.delay_margin_s:.2f} ms, "
+            f"noise {told.command_noise_nm:.4f} N m, gain {told.gain:.4g} rad/s per N m",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""A run of a bench with its shaft watched at every tick of the drive, and a load on it at any instant."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import NS_PER_S, Instant
+from hil.configuration.config import BenchConfig
+from hil.execution import bench, world
+from hil.execution.bench import run_bench
+from hil.execution.world import World, WorldPlan
+from hil.machine.progress import no_progress
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import Rows
+from tests.truth.tapped_run import RowsRecorder
+from virtual_bus.drive.motor_kernel import D_LOAD, S_SPEED
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.timeline import Timeline
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftRun:
+    """What the shaft did."""
+
+    rows: Rows
+    times_s: Array
+    """(n,) since power-on, of every inner tick."""
+    speeds_rad_s: Array
+    """(n,) of the shaft itself, behind no encoder."""
+    load_at_s: float
+
+    def peak_rad_s(self, within_s: float) -> float:
+        """Largest deviation after the load step from the mean of the 50 ms before it."""
+        before = (self.times_s > self.load_at_s - 0.05) & (self.times_s < self.load_at_s)
+        after = (self.times_s >= self.load_at_s) & (self.times_s < self.load_at_s + within_s)
+        return float(np.max(np.abs(self.speeds_rad_s[after] - np.mean(self.speeds_rad_s[before]))))
+
+    def commands_nm(self, from_s: float, until_s: float) -> Array:
+        """The torques sent between two instants since power-on."""
+        at_s = self.rows["due_at"] / NS_PER_S
+        return np.asarray(self.rows["command_torque_nm"][(at_s >= from_s) & (at_s < until_s)])
+
+
+def run_watched(config: BenchConfig, load_at_s: float, load_nm: float) -> ShaftRun:
+    """Run ``config``, of one axis, in simulated time; ``load_at_s``: since power-on, on no grid."""
+    recorders: list[RowsRecorder] = []
+    seen: list[tuple[Instant, float]] = []
+
+    def start_recording(plan: RecordingPlan) -> RowsRecorder:
+        recorders.append(RowsRecorder(replace(plan)))
+        return recorders[-1]
+
+    @contextmanager
+    def open_world(plan: WorldPlan, devices: Sequence[Any]) -> Iterator[World]:
+        (servo,) = (device for device in devices if isinstance(device, SimulatedServo))
+        with world.open_world(plan, devices) as made:
+            bus: Any = made.link.bus
+            timeline: Timeline = getattr(bus, "inner", bus).segment.timeline
+            _watch(timeline, servo, seen)
+            timeline.post(Instant(round(load_at_s * NS_PER_S)), lambda _: _load(servo, load_nm))
+            yield made
+
+    with (
+        patch.object(bench, "open_world", open_world),
+        patch.object(bench, "start_recording", start_recording),
+    ):
+        run_bench(config, bus_spec=None, time=None, seed=None, record=None, view=False, progress=no_progress)
+    times, speeds = zip(*seen, strict=True)
+    return ShaftRun(recorders[0].rows(), np.array(times) / NS_PER_S, np.array(speeds), load_at_s)
+
+
+def _watch(timeline: Timeline, servo: SimulatedServo, seen: list[tuple[Instant, float]]) -> None:
+    """The inner grid begins at power-on: a little behind each tick, so that it has run."""
+    step = NS_PER_S // servo.drive.firmware.parameters.inner_rate_hz
+
+    def look(now: Instant) -> None:
+        if servo.drive.firmware.ticks:
+            servo.drive.advance(now)
+        seen.append((now, float(servo.drive.firmware.state[S_SPEED])))
+        timeline.post(Instant(now + step), look)
+
+    timeline.post(Instant(step + 1), look)
+
+
+def _load(servo: SimulatedServo, load_nm: float) -> None:
+    servo.drive.firmware.demand[D_LOAD] += load_nm
