@@ -95,7 +95,7 @@ class Case:
                     "simulation": {"encoder_counts_per_revolution": self.counts},
                     "limits": {
                         "speed_max_rpm": 3.0 * speed_rpm,
-                        "torque_max_nm": 2.0 * float(motor["rating"]["torque_nm"]),
+                        "torque_max_nm": 1.5 * float(motor["rating"]["torque_nm"]),
                     },
                     "controller": controller,
                 }
