@@ -36,7 +36,7 @@ _RECORDS: Final = (
     0x60C2,
     0x60E3,
 )
-_PROFILE: Final = (*(int(entry) for entry in Object), *range(0x6402, 0x6405), 0x6086, 0x60FE)
+_PROFILE: Final = (*(int(entry) for entry in Object), 0x60FE, 0x6403, 0x6404)
 _FIRST_OBJECT: Final = 0x1000
 _WRITE_ONLY: Final = "wo"
 _DOMAIN: Final = 0x0F

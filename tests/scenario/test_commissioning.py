@@ -94,8 +94,9 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
         1.0 / (math.tau * 800),
         1 / 16_000,
     )
-    # it waits for its next tick, and shows its torque as of the last one: half a tick each in the mean
-    assert measured_s == pytest.approx(built_s + tick_s, rel=0.1)
+    # it waits for its next tick, and shows its torque as of the last one: half a tick each in the mean,
+    # between none and two by when in a tick the SYNCs fall
+    assert measured_s == pytest.approx(built_s + tick_s, abs=tick_s)
     assert load_network(out / "network.toml").period_us == 4000
     sheet: Any = load_dictionary(out / "drive.dcf", 5).dictionary
     assert sheet[Object.POLARITY].value == 0

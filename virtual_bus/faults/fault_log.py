@@ -215,8 +215,9 @@ class _Line:
         return [self._number(number) for number in numbers] + [0] * (3 - len(numbers))
 
     def _number(self, number: LogNumber) -> int:
-        if number.usual is not None and number.name not in self._found:
-            return number.usual
+        unsaid = number.unsaid if number.usual is None else number.usual
+        if unsaid is not None and number.name not in self._found:
+            return unsaid
         return (
             self._one_of(number.name, number.words)
             if number.words

@@ -24,6 +24,8 @@ class LogNumber:
     """What is written for 0, 1, 2 ... instead."""
     usual: int | None = None
     """The value that is left out."""
+    unsaid: int | None = None
+    """What a log means that does not have it, though it is always written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class LogKind:
         return self.tells == "frame" or self.at == "host"
 
 
-LATER: Final = LogNumber("delay_ns")
+LATER: Final = LogNumber("delay_ns", unsaid=0)
 """For how long a fault of the same frame delays it."""
 
 
