@@ -44,7 +44,7 @@ GROUPS = {
         *_below("drivers/wire", "frame_port link message_port"),
     ],
     "loop": [
-        *_below("hil/control", "compensation controllers load_filter motion predictor"),
+        *_below("hil/control", "compensation controllers hinf load_filter motion predictor"),
         *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
         *_below("hil/loop", "delay loop order_attribution pace safety samples scenario"),
         *_below("hil/loop", "stamp_attribution syncs ticker"),

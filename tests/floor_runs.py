@@ -15,6 +15,7 @@ from design.speed.speed_pid import first_order_current_loop, pid_by_rule
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
+from hil.studies.speed.hinf import design_speed_hinf, hinf_controller_of
 from hil.studies.speed.predictor import (
     PredictorDrive,
     PredictorNetwork,
@@ -120,6 +121,19 @@ def predictor(case: Case) -> PredictorResult:
 def table_of(found: PredictorResult) -> dict[str, Any]:
     """[controller] without ``made_for``: it also runs on another inertia."""
     return controller_of(found).model_dump(mode="json", exclude={"made_for", "figures"})
+
+
+def hinf(case: Case) -> dict[str, Any]:
+    """H-infinity output feedback for the same drive; its file, too, would refuse other motors."""
+    motor = case.parameters
+    found = design_speed_hinf(
+        motor,
+        PredictorDrive(CURRENT_HZ, case.counts, 500.0, 16_000.0, 100e-6),
+        PredictorNetwork(PERIOD_S, case.delay_s, 0, measured=False),
+        case.load_nm,
+        0.05 * motor.rated_torque_nm,
+    )
+    return hinf_controller_of(found).model_dump(mode="json", exclude={"made_for", "figures"})
 
 
 def pid(case: Case) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from design.current.current_loop import lowest_rate, tustin
+from design.current.current_loop import lowest_rate
+from design.hinf.bilinear import tustin
 from design.motor import PmsmParameters
 from design.statespace import Array, StateSpace, append
 

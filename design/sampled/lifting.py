@@ -42,10 +42,20 @@ class DiscreteSystem:
 class SampledLoop(Protocol):
     """A loop whose plant runs under an input that is held between jumps: xi begins with x and that input."""
 
-    model: SpeedModel
-    size: int
-    kept: int
-    """So many entries of xi, the first, matter from one sample to the next."""
+    @property
+    def model(self) -> SpeedModel:
+        """Of the plant."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Entries of xi."""
+        ...
+
+    @property
+    def kept(self) -> int:
+        """So many of them, the first, matter from one sample to the next."""
+        ...
 
 
 def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:

@@ -30,9 +30,7 @@ class ContinuousController(Section):
 
     def at_rate(self, rate_hz: int) -> StateSpace:
         """The sampled controller. Error: ValueError for roots without their conjugate or too low a rate."""
-        from design.current.current_loop import (
-            tustin,  # with scipy: a third of a second, for the bench that has one
-        )
+        from design.hinf.bilinear import tustin  # with scipy: a third of a second, for who has one
 
         return tustin(self.continuous(), rate_hz, self.prewarp_rad_s)
 
@@ -59,7 +57,7 @@ class SampledController(Section):
 
     def continuous(self) -> StateSpace:
         """What Tustin's rule takes to this controller."""
-        from design.current.current_loop import to_bilinear
+        from design.hinf.bilinear import to_bilinear
 
         return to_bilinear(self.at_rate(self.sample_rate_hz))
 

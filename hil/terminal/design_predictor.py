@@ -1,4 +1,4 @@
-"""``hil design speed --structure predictor``: its own options, and what it prints and writes."""
+"""``hil design speed --structure predictor`` and ``hinf``: their options, and what they print and write."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,13 +28,19 @@ _NOISE_SHARE = 0.05
 PeriodMsOption = Annotated[
     float | None,
     typer.Option(
-        "--period-ms", metavar="H", min=0.05, help="Predictor: of the loop, with --delay-ms; 1 if absent."
+        "--period-ms",
+        metavar="H",
+        min=0.05,
+        help="Predictor, hinf: of the loop, with --delay-ms; 1 if absent.",
     ),
 ]
 EncoderCountsOption = Annotated[
     int | None,
     typer.Option(
-        "--encoder-counts", metavar="N", min=16, help="Predictor: a revolution of the encoder; else 65536."
+        "--encoder-counts",
+        metavar="N",
+        min=16,
+        help="Predictor, hinf: a revolution of the encoder; else 65536.",
     ),
 ]
 SpeedFilterOption = Annotated[
@@ -43,7 +49,7 @@ SpeedFilterOption = Annotated[
         "--speed-filter-hz",
         metavar="F",
         min=1.0,
-        help="Predictor: of the filter behind 606Ch; 500, as the simulated drive has it, if absent.",
+        help="Predictor, hinf: of the filter behind 606Ch; 500, as the simulated drive has it, if absent.",
     ),
 ]
 DeadTimeOption = Annotated[
@@ -52,7 +58,7 @@ DeadTimeOption = Annotated[
         "--drive-dead-time-us",
         metavar="D",
         min=0.0,
-        help="Predictor: of the drive, beside its current loop; 100, the simulated drive's, if absent.",
+        help="Predictor, hinf: of the drive, beside its current loop; 100, the simulated drive's, if absent.",
     ),
 ]
 TorqueNoiseOption = Annotated[
@@ -61,7 +67,7 @@ TorqueNoiseOption = Annotated[
         "--torque-noise-nm",
         metavar="T",
         min=1e-9,
-        help="Predictor: what the encoder may make of the torque, rms; 5 % of the rated if absent.",
+        help="Predictor, hinf: what the encoder may make of the torque, rms; 5 % of the rated if absent.",
     ),
 ]
 
@@ -96,6 +102,7 @@ def refuse_given(options: Mapping[str, object], expected: str) -> None:
 
 
 def finish_predictor(
+    structure: str,
     motor: "PmsmParameters",
     inner: "KnownLoop",
     options: PredictorOptions,
@@ -105,9 +112,15 @@ def finish_predictor(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Design it, print the figures and write the file. Raises BadInput."""
+    """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
-    from hil.studies.speed.predictor import PredictorDrive, design_speed_predictor, write_predictor
+    from hil.studies.speed.hinf import HinfResult, design_speed_hinf, write_hinf
+    from hil.studies.speed.predictor import (
+        PredictorDrive,
+        PredictorResult,
+        design_speed_predictor,
+        write_predictor,
+    )
 
     drive = PredictorDrive(
         inner.bandwidth_hz,
@@ -118,14 +131,22 @@ def finish_predictor(
     )
     noise_nm = options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm
     over = _network(options.period_ms, delay_s, network)
+    load = load_nm or motor.rated_torque_nm
+    found: HinfResult | PredictorResult
     try:
-        found = design_speed_predictor(motor, drive, over, load_nm or motor.rated_torque_nm, noise_nm)
+        if structure == "hinf":
+            found = design_speed_hinf(motor, drive, over, load, noise_nm)
+        else:
+            found = design_speed_predictor(motor, drive, over, load, noise_nm)
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
     figures = {"current_bandwidth_from": inner.key, **found.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        write_predictor(out, found)
+        if isinstance(found, HinfResult):
+            write_hinf(out, found)
+        else:
+            write_predictor(out, found)
         say_written(out)
 
 

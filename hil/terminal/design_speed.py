@@ -71,6 +71,7 @@ class SpeedStructure(StrEnum):
 
     STATIC = "static"
     PREDICTOR = "predictor"
+    HINF = "hinf"
 
 
 class TargetName(StrEnum):
@@ -128,7 +129,8 @@ TargetOption = Annotated[
 StructureOption = Annotated[
     SpeedStructure,
     typer.Option(
-        "--structure", help="A static gain, or a predictor: Kalman filter, prediction, load cancelled."
+        "--structure",
+        help="A static gain, a predictor (Kalman filter, load cancelled), or H-infinity output feedback.",
     ),
 ]
 OutOption = Annotated[Path | None, controller_out_option("CONTROLLER.toml")]
@@ -167,25 +169,26 @@ def speed(
 
     With a gain or an error: the largest delay. With a delay or a network: the least gain. With
     both: the least gain, and whether it is enough. A network's delay is that of [Ling2012] (2.13),
-    and the loop that really runs over it is certified as well. A predictor is designed for a delay
-    or a network: for the least peak after the load step.
+    and the loop that really runs over it is certified as well. A predictor and an H-infinity
+    controller are designed for a delay or a network: for the least peak after the load step.
     """
     with reported_errors():
         asked = PredictorOptions(
             period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm
         )
-        predicts = structure is SpeedStructure.PREDICTOR
+        predicts = structure is not SpeedStructure.STATIC
         if predicts:
             _refuse_static(gamma, error_percent, integral_time_ms, integral)
         else:
-            refuse_given(asked.given, "--structure predictor with it")
+            refuse_given(asked.given, "--structure predictor or hinf with it")
             _check_known(gamma, error_percent, delay_ms, network)
             _check_method(method, feedback, integral, integral_time_ms, target, network)
         parameters = motor_file(motor).parameters
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
         over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
         if predicts:
-            finish_predictor(parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json)
+            wanted_s = _seconds(delay_ms)
+            finish_predictor(structure.value, parameters, inner, asked, wanted_s, over, load_nm, out, as_json)
             return
 
         wanted = _Wanted(gamma, error_percent, load_nm, speed_rpm)
@@ -271,14 +274,14 @@ def _check_method(
 def _refuse_static(
     gamma: float | None, error_percent: float | None, integral_time_ms: float | None, integral: bool
 ) -> None:
-    """What a predictor is not designed by. Raises BadInput."""
+    """What these structures are not designed by. Raises BadInput."""
     static = {
         "--gamma": gamma,
         "--error-percent": error_percent,
         "--integral-time-ms": integral_time_ms,
         "--integral": integral or None,
     }
-    refuse_given(static, "nothing of it with --structure predictor")
+    refuse_given(static, "nothing of it with --structure predictor or hinf")
 
 
 def _check_known(

@@ -14,10 +14,9 @@ from design.current.current_loop import (
     gamma_min_over_rates,
     lowest_rate_hz,
     sampled_figures,
-    to_bilinear,
-    tustin,
 )
 from design.current.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
+from design.hinf.bilinear import to_bilinear, tustin
 from design.hinf.robustness import axis_robustness
 from design.hinf.synthesis import verified_norm
 from design.motor import PmsmParameters

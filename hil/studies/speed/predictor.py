@@ -16,6 +16,7 @@ from design.speed.predictor_design import (
 )
 from design.speed.predictor_plant import encoder_noise_rad_s
 from drivers.errors import BadInput
+from hil.configuration.config_files import Section
 from hil.configuration.predictor_section import PredictorController, PredictorFigures
 from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 from hil.configuration.toml_text import toml_text
@@ -115,7 +116,19 @@ def design_speed_predictor(
     command_noise_nm: float,
 ) -> PredictorResult:
     """The design. Raises InfeasibleDesign."""
-    request = PredictorRequest(
+    found = design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm))
+    return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
+
+
+def request_of(
+    motor: PmsmParameters,
+    drive: PredictorDrive,
+    network: PredictorNetwork,
+    load_nm: float,
+    command_noise_nm: float,
+) -> PredictorRequest:
+    """What a design goes by."""
+    return PredictorRequest(
         motor=motor,
         current_rate_rad_s=math.tau * drive.current_bandwidth_hz,
         speed_filter_hz=drive.speed_filter_hz,
@@ -128,8 +141,6 @@ def design_speed_predictor(
         load_nm=load_nm,
         command_noise_nm=command_noise_nm,
     )
-    found = design_predictor(request)
-    return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
 
 
 def controller_of(result: PredictorResult) -> PredictorController:
@@ -142,35 +153,40 @@ def controller_of(result: PredictorResult) -> PredictorController:
         viscous_friction_nm_s=motor.viscous_friction_nm_s,
         current_bandwidth_hz=result.drive.current_bandwidth_hz,
         speed_filter_hz=result.drive.speed_filter_hz,
-        dead_time_us=_short(result.drive.dead_time_s * _US_PER_S),
-        speed_noise_rad_s=_short(request.speed_noise_rad_s),
-        torque_noise_nm=_short(request.torque_noise_nm),
-        load_noise_nm_sqrt_s=_short(design.walks.quiet),
-        load_noise_max_nm_sqrt_s=_short(design.walks.bold),
-        speed_gain_nm_s_rad=_short(float(design.F[1])),
-        torque_gain=_short(float(design.F[0])),
-        made_for=_made_for(result),
+        dead_time_us=short(result.drive.dead_time_s * _US_PER_S),
+        speed_noise_rad_s=short(request.speed_noise_rad_s),
+        torque_noise_nm=short(request.torque_noise_nm),
+        load_noise_nm_sqrt_s=short(design.walks.quiet),
+        load_noise_max_nm_sqrt_s=short(design.walks.bold),
+        speed_gain_nm_s_rad=short(float(design.F[1])),
+        torque_gain=short(float(design.F[0])),
+        made_for=made_for_of(result.drive, result.network, motor, result.robustness.bandwidths),
         figures=PredictorFigures(
             load_nm=request.load_nm,
-            peak_over_floor=_short(found.peak_over_floor),
-            peak_over_floor_inertia_70_percent=_short(found.peak_over_floor_inertia_less),
-            peak_over_floor_inertia_130_percent=_short(found.peak_over_floor_inertia_more),
-            gamma=_short(found.gain),
-            delay_margin_us=_short(found.delay_margin_s * _US_PER_S),
-            torque_noise_nm=_short(found.command_noise_nm),
+            peak_over_floor=short(found.peak_over_floor),
+            peak_over_floor_inertia_70_percent=short(found.peak_over_floor_inertia_less),
+            peak_over_floor_inertia_130_percent=short(found.peak_over_floor_inertia_more),
+            gamma=short(found.gain),
+            delay_margin_us=short(found.delay_margin_s * _US_PER_S),
+            torque_noise_nm=short(found.command_noise_nm),
         ),
     )
 
 
-def _made_for(result: PredictorResult) -> MadeFor:
-    network, hz = result.network, result.drive.current_bandwidth_hz
-    least, most = result.robustness.bandwidths
+def made_for_of(
+    drive: PredictorDrive,
+    network: PredictorNetwork,
+    motor: PmsmParameters,
+    bandwidths: tuple[float, float],
+) -> MadeFor:
+    """``bandwidths``: shares of the current loop's own, between which the loop is stable."""
+    (least, most), hz = bandwidths, drive.current_bandwidth_hz
     made = MadeFor(
         delay_us=whole_us(network.period_s + network.delay_max_s),
         period_us=whole_us(network.period_s),
-        plant=plant_of(result.design.request.motor),
+        plant=plant_of(motor),
         current_loop=CurrentLoop(
-            bandwidth_hz=hz, bandwidth_min_hz=_short(hz * least), bandwidth_max_hz=_short(hz * most)
+            bandwidth_hz=hz, bandwidth_min_hz=short(hz * least), bandwidth_max_hz=short(hz * most)
         ),
     )
     if not network.measured:
@@ -184,12 +200,18 @@ def _made_for(result: PredictorResult) -> MadeFor:
 
 def write_predictor(path: Path, result: PredictorResult) -> None:
     """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-    text = toml_text({"controller": controller_of(result).model_dump(mode="json", exclude_none=True)})
+    write_section(path, controller_of(result))
+
+
+def write_section(path: Path, controller: Section) -> None:
+    """Write a table [controller]. Raises BadInput if it cannot be written."""
+    text = toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
 
 
-def _short(value: float) -> float:
+def short(value: float) -> float:
+    """With six digits, for a file."""
     return float(f"{value:.{_DIGITS}g}")

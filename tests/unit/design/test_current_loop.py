@@ -11,13 +11,10 @@ import scipy.signal
 from design.current.current_design import design_axis, reduced_design, rule_weights
 from design.current.current_loop import (
     discrete_design,
-    from_bilinear,
     gamma_min_over_rates,
     held,
     lowest_rate_hz,
     sampled_figures,
-    to_bilinear,
-    tustin,
 )
 from design.current.dq_loop import (
     Decoupling,
@@ -28,6 +25,7 @@ from design.current.dq_loop import (
     spectral_radius,
 )
 from design.errors import InfeasibleDesign
+from design.hinf.bilinear import from_bilinear, to_bilinear, tustin
 from design.hinf.fixed_structure import Structure, tune
 from design.hinf.margins import margins
 from design.hinf.mixed_sensitivity import axis_plant

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.current.current_loop import held, tustin
+from design.current.current_loop import held
+from design.hinf.bilinear import tustin
 from design.papers.azaiz2007 import MOTOR, paper_design
 from design.statespace import StateSpace, connect, series
 from drivers.timebase import Instant

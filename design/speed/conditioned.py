@@ -1,0 +1,107 @@
+"""A sampled controller that hears of the command that was sent: coprime factors, and fewer states of them.
+
+    K = (A, B, C, D):      x+ = A x + B e + L (u_sent - C x - D e)      u = C x + D e
+
+Sent as asked it is K. Where a limit cuts the command off the states follow what was sent, with A - L C: L is
+that of the normalised left coprime factors, so this is stable whether K is or not (Vidyasagar, Control System
+Synthesis, 1985; Hanus, Kinnaert, Henrotte, Automatica 23(6), 1987). It is these factors that are truncated:
+K may have unstable poles.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from design.delay.delay_loop import Array
+from design.statespace import StateSpace
+
+_MODES_APART = 1e8
+"""Condition of the eigenvectors, beyond which the states stay as they are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditioned:
+    """x+ = A x + B e + L u_sent,  u = C x + D e."""
+
+    A: Array
+    """(n, n)."""
+    B: Array
+    """(n,)."""
+    L: Array
+    """(n,)."""
+    C: Array
+    """(n,)."""
+    D: float
+    period_s: float
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def K(self) -> StateSpace:
+        """From e to u, where all that is asked for is sent."""
+        A = self.A + np.outer(self.L, self.C)
+        B = (self.B + self.L * self.D)[:, None]
+        return StateSpace(A, B, self.C[None, :], np.array([[self.D]]), self.period_s)
+
+    def _steady(self) -> "Conditioned":
+        """A command that is sent at rest is asked for without an error: K integrates exactly."""
+        gain = self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.L)
+        return Conditioned(self.A, self.B, self.L / gain, self.C, self.D, self.period_s)
+
+
+def conditioned(K: StateSpace, error_size: float) -> Conditioned:
+    """``error_size``: an error that counts like a command of 1, rad/s per N m."""
+    assert K.period_s is not None
+    B, C, D = K.B[:, 0] * error_size, K.C[0], float(K.D[0, 0]) * error_size
+    R = np.array([[1.0 + D * D]])
+    X = scipy.linalg.solve_discrete_are(K.A.T, C[:, None], np.outer(B, B), R, s=(B * D)[:, None])
+    L = (K.A @ X @ C + B * D) / (1.0 + D * D + C @ X @ C)
+    return Conditioned(
+        K.A - np.outer(L, C), (B - L * D) / error_size, L, C, D / error_size, K.period_s
+    )._steady()
+
+
+def truncated(full: Conditioned, error_size: float) -> list[Conditioned]:
+    """With 2, 3 .. states, balanced, in modal states; ``error_size`` as of :func:`conditioned`."""
+    B = np.stack([full.B * error_size, full.L], axis=1)
+    R = _factor(full.A, B)
+    S = _factor(full.A.T, full.C[:, None])
+    U, sigma, Vt = np.linalg.svd(S.T @ R)
+    found = []
+    for order in range(2, full.order + 1):
+        if sigma[order - 1] <= 1e-12 * sigma[0]:
+            break
+        root = np.sqrt(sigma[:order])
+        V, W = R @ Vt[:order].T / root, S @ U[:, :order] / root
+        part = Conditioned(W.T @ full.A @ V, W.T @ full.B, W.T @ full.L, full.C @ V, full.D, full.period_s)
+        found.append(modal(part)._steady())
+    return found
+
+
+def _factor(A: Array, B: Array) -> Array:
+    """(n, n) R with R R' = A R R' A' + B B'."""
+    values, vectors = np.linalg.eigh(scipy.linalg.solve_discrete_lyapunov(A, B @ B.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def modal(full: Conditioned) -> Conditioned:
+    """In states whose A has a number for each real mode and a 2 by 2 for each pair: few products a cycle."""
+    values, vectors = np.linalg.eig(full.A)
+    columns = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag > 0.0:
+            columns += [vector.real, vector.imag]
+        elif value.imag == 0.0:
+            columns.append(vector.real)
+    V = np.array(columns).T
+    if np.linalg.cond(V) > _MODES_APART:
+        return full
+    A = np.linalg.solve(V, full.A @ V)
+    A[np.abs(A) < 1e-9 * np.max(np.abs(A))] = 0.0
+    return Conditioned(
+        A, np.linalg.solve(V, full.B), np.linalg.solve(V, full.L), full.C @ V, full.D, full.period_s
+    )

@@ -1,0 +1,227 @@
+"""The H-infinity controller whose speed peaks least after a load step, within what it must bear.
+
+search      three weights: on the speed error, of the noise, and where the integral ends
+for each    the central controller of :mod:`design.speed.hinf_problem`
+least       the largest peak over its own floor, of the motor and of +-30 % of its inertia, with a price on
+            what is not kept: delay margin and inertias, by the poles of those very loops, and torque noise
+
+The order is then lowered as far as nothing is lost by it.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.optimize
+
+from design.delay.delay_loop import Array
+from design.errors import DesignError, InfeasibleDesign
+from design.hinf.margins import Margins
+from design.speed.conditioned import Conditioned, conditioned, truncated
+from design.speed.hinf_loop import HinfLoop
+from design.speed.hinf_problem import (
+    HinfController,
+    HinfProblem,
+    HinfWeights,
+    design_controller,
+    weighted_norms,
+)
+from design.speed.predictor_design import INERTIAS, PHASES, PredictorRequest
+
+_MARGIN_STEP = 0.1
+"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
+ones, half a period wide."""
+_MARGIN_REACH = 1.1
+_INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
+_SETTLED = 0.999
+"""Magnitude of the slowest pole that the loops above may have."""
+_NOISE_SHARE = 0.97
+"""Of the torque noise that is allowed, in the search."""
+_ALLOWED, _TIE = 0.1, 0.1
+"""What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
+_PRICE = 30.0
+_WORST = 1e3
+_STARTS = ((1.0, 1.0), (1.0, 0.1), (0.3, 0.3))
+"""Of sigma and nu, in sizes of the problem."""
+_INTEGRAL = 0.3
+"""omega_i times h + tau, at the start."""
+_EVALUATIONS = 60
+_ORDER_PRICE = 2e-3
+"""What the reduction may add to the cost."""
+LOST = 5
+_SEARCH = 20
+"""Steps of a period in which the delay margin is sought."""
+
+
+@dataclass(frozen=True, eq=False)
+class HinfDesign:
+    """A controller, reduced, and where it is from."""
+
+    request: PredictorRequest
+    problem: HinfProblem
+    weights: HinfWeights
+    found: HinfController
+    controller: Conditioned
+
+    def loop(self, inertia: float = 1.0, current: float = 1.0, more_s: float = 0.0) -> HinfLoop:
+        """Around another plant, or with a longer delay."""
+        plant = self.request.plant.changed(inertia, current)
+        return HinfLoop(self.controller, plant, self.request.delay_s + more_s)
+
+    def ratio(self, inertia: float = 1.0, phases: tuple[float, ...] = PHASES, lost: int = 0) -> float:
+        """Peak after the step over the floor of that inertia, both without noise."""
+        request = self.request
+        periods = math.ceil(4.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
+        speeds = self.loop(inertia).load_steps(request.load_nm, periods, phases, lost)
+        return float(np.max(np.abs(speeds))) / request.floor_rad_s(inertia, lost)
+
+    @cached_property
+    def noise_nm(self) -> float:
+        """Rms of the command by the samples' noise."""
+        return self.loop().torque_noise_nm(self.request.speed_noise_rad_s)
+
+    @cached_property
+    def breach(self) -> float:
+        """How much of what must be kept is not; 0: all is."""
+        request = self.request
+        later = np.arange(0.0, _MARGIN_REACH * request.delay_margin_s, _MARGIN_STEP * request.period_s)
+        loops = [self.loop(more_s=float(more_s)) for more_s in later]
+        loops += [self.loop(inertia) for inertia in _INERTIAS_BORNE]
+        radius = max(loop.spectral_radius() for loop in loops)
+        if radius >= 1.0:
+            return radius
+        noise = self.noise_nm / (_NOISE_SHARE * request.command_noise_nm)
+        return max(0.0, radius - _SETTLED) + max(0.0, noise - 1.0)
+
+    @cached_property
+    def cost(self) -> float:
+        """What the search makes least."""
+        own, less, more = (self.ratio(inertia) for inertia in INERTIAS)
+        cost = max(own + _ALLOWED, less, more) + _TIE * own + _PRICE * self.breach
+        return min(cost, _WORST) if math.isfinite(cost) else _WORST
+
+
+def problem_of(request: PredictorRequest) -> HinfProblem:
+    """What is to be controlled."""
+    return HinfProblem(request.plant, request.period_s, request.delay_s, request.delay_margin_s)
+
+
+def design_hinf(request: PredictorRequest) -> HinfDesign:
+    """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
+    problem, around_s = problem_of(request), request.period_s + request.delay_s
+    unit = request.floor_rad_s() / request.load_nm
+
+    def weights(point: Array) -> HinfWeights:
+        error, noise, integral = np.exp(point)
+        return HinfWeights(error / unit, noise * unit, integral / around_s)
+
+    def full(point: Array) -> HinfDesign | None:
+        try:
+            found = design_controller(problem, weights(point))
+            whole = conditioned(found.K, unit)
+        except (DesignError, np.linalg.LinAlgError):
+            return None
+        return HinfDesign(request, problem, weights(point), found, whole)
+
+    def cost(point: Array) -> float:
+        made = full(point)
+        return _WORST if made is None else made.cost
+
+    starts = [np.log([error, noise, _INTEGRAL]) for error, noise in _STARTS]
+    simplex = min(starts, key=cost)
+    best = scipy.optimize.minimize(
+        cost,
+        simplex,
+        method="Nelder-Mead",
+        options={
+            "maxfev": _EVALUATIONS,
+            "xatol": 2e-2,
+            "fatol": 1e-3,
+            "initial_simplex": simplex + np.vstack([np.zeros(3), 0.5 * np.eye(3)]),
+        },
+    )
+    made = full(best.x)
+    if made is None or made.breach > 0.0:
+        raise InfeasibleDesign(
+            f"a delay margin of {1e3 * request.delay_margin_s:g} ms and a torque noise of "
+            f"{request.command_noise_nm:g} N m",
+            "no H-infinity controller that was tried keeps both",
+            "allow more noise of the torque, or shorten the delay",
+        )
+    return _reduced(made, unit)
+
+
+def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
+    """With the fewest states that cost nothing."""
+    for fewer in truncated(made.controller, unit):
+        found = replace(made, controller=fewer)
+        if found.loop().spectral_radius() < 1.0 and found.cost <= made.cost + _ORDER_PRICE:
+            return found
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class HinfRobustness:
+    """Figures of the loop with the reduced controller: exact; peaks are of trials without noise."""
+
+    peak_over_floor: float
+    peak_over_floor_inertia_less: float
+    peak_over_floor_inertia_more: float
+    peak_over_floor_lost: float
+    """Of its own floor, with five samples lost in a row before the first that tells of the step."""
+    gain: float
+    """L2 gain from load torque to speed error, rad/s per N m, every sample coming."""
+    gain_inertia_less: float
+    gain_inertia_more: float
+    gain_current_loop_slower: float
+    """With half the bandwidth; inf: unstable."""
+    bandwidths: tuple[float, float]
+    """Of the current loop, in shares of its own, between which the loop is stable, by steps of a tenth, down
+    to a half and up to twice."""
+    uncertainty_norm: float
+    """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
+    margins: Margins
+    delay_margin_s: float
+    command_noise_nm: float
+
+
+def hinf_robustness(made: HinfDesign) -> HinfRobustness:
+    """The figures."""
+    h = made.request.period_s
+    omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
+    return HinfRobustness(
+        peak_over_floor=made.ratio(),
+        peak_over_floor_inertia_less=made.ratio(0.7),
+        peak_over_floor_inertia_more=made.ratio(1.3),
+        peak_over_floor_lost=made.ratio(lost=LOST),
+        gain=made.loop().gain(),
+        gain_inertia_less=made.loop(inertia=0.7).gain(),
+        gain_inertia_more=made.loop(inertia=1.3).gain(),
+        gain_current_loop_slower=made.loop(current=0.5).gain(),
+        bandwidths=(_bandwidth(made, -0.1, 0.5), _bandwidth(made, 0.1, 2.0)),
+        uncertainty_norm=float(np.max(weighted_norms(made.problem, made.controller.K, omega))),
+        margins=made.loop().margins(),
+        delay_margin_s=_delay_margin_s(made),
+        command_noise_nm=made.noise_nm,
+    )
+
+
+def _bandwidth(made: HinfDesign, step: float, end: float) -> float:
+    """The last share of the current loop's bandwidth on the way to ``end`` with which the loop is stable."""
+    reached = 1.0
+    while abs(end - reached) > 0.5 * abs(step):
+        if made.loop(current=reached + step).spectral_radius() >= 1.0:
+            return reached
+        reached += step
+    return reached
+
+
+def _delay_margin_s(made: HinfDesign) -> float:
+    """What the delay may be longer, to a twentieth of a period below."""
+    step_s = made.request.period_s / _SEARCH
+    most = round((made.request.delay_s + 5.0 * made.request.period_s) / step_s)
+    for more in range(1, most):
+        if made.loop(more_s=more * step_s).spectral_radius() >= 1.0:
+            return (more - 1) * step_s
+    return most * step_s

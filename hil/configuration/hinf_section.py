@@ -1,0 +1,79 @@
+"""``kind = "hinf"``: an H-infinity controller on the speed error, its matrices stated in a file."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_US
+from hil.configuration.config_files import Section
+from hil.configuration.quantities import Gain, Inertia, ViscousFriction
+from hil.configuration.speed_controller_file import MadeFor, Rows
+from hil.control.hinf import HinfFeedback, HinfSettings
+from hil.control.setup import Setup
+from hil.loop.axis_roles import Controller
+
+_ORDER_MAX = 64
+Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=_ORDER_MAX)]
+
+
+class HinfFigures(Section):
+    """``figures``: what the design found; see docs/control.md."""
+
+    load_nm: float = Field(gt=0)
+    """The step of the load that it was designed for."""
+    peak_over_floor: float = Field(gt=0)
+    """After that step, at the worst instant between two samples."""
+    peak_over_floor_inertia_70_percent: float = Field(gt=0)
+    peak_over_floor_inertia_130_percent: float = Field(gt=0)
+    norm: float = Field(gt=0)
+    """H-infinity norm of the weighted problem."""
+    gamma: float = Field(gt=0)
+    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
+    delay_margin_us: float = Field(ge=0)
+    torque_noise_nm: float = Field(ge=0)
+    """Rms of the command by the encoder's noise."""
+
+
+class HinfController(Section):
+    """x+ = A x + B e + L (u_sent - feed-forward), u = C x + D e + feed-forward; e is the speed error."""
+
+    kind: Literal["hinf"]
+    period_us: int = Field(gt=0, description="of the loop for which the matrices hold, us")
+    A: Rows
+    B: Vector = Field(description="of the speed error in rad/s")
+    L: Vector = Field(description="of the torque that was sent, N m")
+    C: Vector = Field(description="N m")
+    D: Gain = Field(description="N m per rad/s")
+    inertia_kg_m2: Inertia = Field(description="of all that turns, kg m^2; for the feed-forward")
+    viscous_friction_nm_s: ViscousFriction = 0.0
+    answer_us: float = Field(ge=0, le=1e6, description="from a reading to the speed's answer, us")
+    made_for: MadeFor | None = None
+    """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    figures: HinfFigures | None = None
+
+    @model_validator(mode="after")
+    def _shapes(self) -> "HinfController":
+        n = len(self.C)
+        if not (len(self.A) == len(self.B) == len(self.L) == n and all(len(row) == n for row in self.A)):
+            raise ValueError(f"A of {n} rows and columns, B and L of {n} entries, as C has, are expected")
+        return self
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis. Raises BadInput for another period than its own."""
+        if self.period_us * NS_PER_US != setup.period:
+            key = f"drive.{setup.axis}.controller.period_us"
+            expected = f"loop.period_us = {setup.period / NS_PER_US:g}"
+            raise BadInput(setup.source, key, self.period_us, expected)
+        return HinfFeedback(
+            HinfSettings(
+                self.A,
+                self.B,
+                self.L,
+                self.C,
+                self.D,
+                self.inertia_kg_m2,
+                self.viscous_friction_nm_s,
+                self.answer_us / self.period_us,
+            )
+        )
