@@ -2,8 +2,15 @@
 
 Own code beside canopen's, whose fast scan sleeps by the wall clock and takes one lost answer for a 1 bit.
 Requests go out on 7E5h, answers come on 7E4h, eight bytes each.
+
+A fast scan asks whether anybody's address begins like this, bit by bit, a 0 first. Where the answer is yes
+there may be another device with a 1. By CiA 305 devices that were found keep silent in configuration state,
+until nobody answers any more; but some slaves say yes to every question in that state (CANopenNode). So each
+device found tells its identity alone and goes back to the waiting state; then the search goes on where it had
+a yes for a 0.
 """
 
+from collections.abc import Iterator
 from struct import Struct
 from typing import NamedTuple
 
@@ -18,6 +25,9 @@ PATIENCE_NS = Duration(500 * NS_PER_MS)
 """Wait for the answer to a service that one device confirms."""
 ATTEMPTS = 4
 TRIALS = 3
+ASK_AGAIN = 2
+"""So often a question that nobody answers is asked, where an answer that is lost would cost a device."""
+DEVICES_MAX = 127
 LATE_BY = 4
 """An answer is given so many times the time that the slowest one of a trial took."""
 
@@ -25,7 +35,8 @@ _SWITCH_GLOBAL, _CONFIGURE_NODE_ID, _STORE = 0x04, 0x11, 0x17
 _SELECT_VENDOR, _SELECTED = 0x40, 0x44
 _IDENTIFY_UNCONFIGURED, _IDENTIFIED_UNCONFIGURED = 0x4C, 0x50
 _FAST_SCAN, _IDENTIFIED = 0x51, 0x4F
-_WAITING, _CONFIGURATION = 0, 1
+_INQUIRE_VENDOR = 0x5A
+_WAITING = 0
 _SCAN_RESET = 0x80
 _SCAN = Struct("<BLBBB")
 _NUMBER = Struct("<BL3x")
@@ -44,6 +55,19 @@ class LssAddress(NamedTuple):
         return f"vendor {vendor:08X}h, product {product:08X}h, revision {revision:08X}h, serial {serial:08X}h"
 
 
+class _Branch(NamedTuple):
+    """Addresses that begin alike, among which nobody has searched."""
+
+    known: tuple[int, ...]
+    """The first parts."""
+    number: int
+    """The next part, its lower ``free`` bits 0."""
+    free: int
+
+
+_EVERYWHERE = _Branch((), 0, 32)
+
+
 class LssMaster:
     """The master's side, on a network that is pumped while it waits."""
 
@@ -51,6 +75,8 @@ class LssMaster:
         self._network = network
         self._answer = answer
         self._answers: list[bytes] = []
+        self._followed: tuple[int, ...] | None = None
+        """The parts that devices have confirmed, which are asked for the next one now."""
         network.listen(ANSWER_ID, lambda data, _at: self._answers.append(data))
 
     def close(self) -> None:
@@ -60,41 +86,42 @@ class LssMaster:
 
     def to_waiting(self) -> None:
         """Every device leaves the configuration state; one that has got its node-ID boots (CiA 305 6.4.1)."""
+        self._followed = None
         self._send(bytes((_SWITCH_GLOBAL, _WAITING)))
 
     def any_unconfigured(self) -> bool:
         """Whether a device without node-ID is there (identify non-configured remote slaves)."""
         return self._ask(bytes((_IDENTIFY_UNCONFIGURED,)), self._answer, _IDENTIFIED_UNCONFIGURED) is not None
 
-    def fast_scan(self) -> LssAddress | None:
-        """One device without node-ID, which is in the configuration state then; None if there is none.
+    def search(self, limit: int = DEVICES_MAX) -> Iterator[LssAddress]:
+        """Every device without node-ID, the lowest address first; each may be assigned one before the next is
+        asked for. Up to then it is in the configuration state; all are waiting again afterwards.
 
-        Raises NoAnswer if answers are there but lead to no device, because too many are lost or late.
+        Raises NoAnswer if answers are there but lead to no device, because too many are lost or late, and
+        PeerFault if a device misleads the search.
         """
+        self.to_waiting()
         wait = self._patience()
-        if wait is None:
-            return None
-        parts: list[int] = []
-        for part in range(4):
-            number = self._scan_part(part, wait)
-            if number is None:
-                raise NoAnswer(
-                    f"devices without node-ID answer on {self._network.link.name}, but none was found",
-                    f"{ATTEMPTS} searches, the last with {(wait << ATTEMPTS - 1) / 1e6:.0f} ms for an answer",
-                    "check the wiring; frames are lost or very late",
-                )
-            parts.append(number)
-        return LssAddress(*parts)
-
-    def find_all(self, limit: int = 127) -> list[LssAddress]:
-        """Every device without node-ID; all are waiting again afterwards."""
-        found: list[LssAddress] = []
+        branches = [] if wait is None else [_EVERYWHERE]
+        found = 0
         try:
-            while len(found) < limit and (address := self.fast_scan()) is not None:
-                found.append(address)
+            while wait is not None and branches and found < limit:
+                branch = branches.pop()
+                address = self._descend(branch, wait)
+                if address is None:
+                    continue
+                self._verify(address)
+                yield address
+                found += 1
+                if self._patience() is None:
+                    return
+                branches += _beside(branch, address)
         finally:
             self.to_waiting()
-        return found
+
+    def find_all(self, limit: int = DEVICES_MAX) -> list[LssAddress]:
+        """All that :meth:`search` finds; it raises what that raises."""
+        return list(self.search(limit))
 
     def assign(self, address: LssAddress, node_id: int, store: bool = False) -> None:
         """Give the device its node-ID, have it store that if ``store``, and let it boot.
@@ -126,21 +153,63 @@ class LssMaster:
                 self._network.pump(Instant(clock.now() + self._answer))
         return Duration(max(self._answer, LATE_BY * slowest)) if answered else None
 
-    def _scan_part(self, part: int, wait: Duration) -> int | None:
-        """32 bits, each by a question that only devices with a 0 there answer; None if it led nowhere.
+    def _descend(self, branch: _Branch, wait: Duration) -> LssAddress | None:
+        """The lowest address on ``branch``, its device in configuration state; None if nobody is there."""
+        known, number, free = branch
+        if branch is not _EVERYWHERE and not self._anybody_on(branch, wait):
+            return None
+        while len(known) < len(LssAddress._fields):
+            known = (*known, self._scan_part(_Branch(known, number, free), wait))
+            number, free = 0, 32
+        return LssAddress(*known)
+
+    def _anybody_on(self, branch: _Branch, wait: Duration) -> bool:
+        """Asked again if nobody answers, for an answer may be lost."""
+        known, number, free = branch
+        part = len(known)
+        return any(
+            self._follow(known, wait) and self._scan_step(number, free, part, part, wait)
+            for _ in range(ASK_AGAIN)
+        )
+
+    def _follow(self, known: tuple[int, ...], wait: Duration) -> bool:
+        """Whether somebody has these parts, and is ready to be asked for the next one."""
+        if self._followed == known:
+            return True
+        self.to_waiting()
+        self._ask(_SCAN.pack(_FAST_SCAN, 0, _SCAN_RESET, 0, 0), wait, _IDENTIFIED)
+        self._network.pump(Instant(self._network.clock.now() + wait // 2))
+        steps = (self._scan_step(number, 0, part, part + 1, wait) for part, number in enumerate(known))
+        self._followed = known if all(steps) else None
+        return self._followed is not None
+
+    def _scan_part(self, branch: _Branch, wait: Duration) -> int:
+        """32 bits, each by a question that only devices with a 0 there answer.
 
         The last question is whether anybody has the whole number; if not, answers were lost, or late and
-        taken for those of the next question, and all is asked again with more patience.
+        taken for those of the next question, and all is asked again, with more patience. Raises NoAnswer.
         """
+        known, beginning, free = branch
+        part = len(known)
+        following = (part + 1) % len(LssAddress._fields)
         for attempt in range(ATTEMPTS):
             patience = Duration(wait << attempt)
-            number = 0
-            for bit in range(31, -1, -1):
-                if not self._scan_step(number, bit, part, part, patience):
+            if not self._follow(known, patience):
+                continue
+            number = beginning
+            for bit in range(free - 1, -1, -1):
+                tries = 1 if attempt == 0 else ASK_AGAIN
+                if not any(self._scan_step(number, bit, part, part, patience) for _ in range(tries)):
                     number |= 1 << bit
-            if self._scan_step(number, 0, part, (part + 1) % 4, Duration(LATE_BY * patience)):
+            self._followed = None
+            if self._scan_step(number, 0, part, following, Duration(LATE_BY * patience)):
+                self._followed = (*known, number) if following else None
                 return number
-        return None
+        raise NoAnswer(
+            f"devices without node-ID answer on {self._network.link.name}, but none was found",
+            f"{ATTEMPTS} searches, the last with {(wait << ATTEMPTS - 1) / 1e6:.0f} ms for an answer",
+            "check the wiring; frames are lost or very late",
+        )
 
     def _scan_step(self, number: int, bit: int, part: int, following: int, wait: Duration) -> bool:
         request = _SCAN.pack(_FAST_SCAN, number, bit, part, following)
@@ -149,6 +218,29 @@ class LssMaster:
         # Several devices answer, each in its own time: the last one must not answer the next question.
         self._network.pump(Instant(self._network.clock.now() + wait // 2))
         return True
+
+    def _verify(self, address: LssAddress) -> None:
+        """The device in configuration state has that address; one that cannot be asked is selected by it."""
+        told: list[int] = []
+        for part in range(len(address)):
+            answers = self._ask_all(bytes((_INQUIRE_VENDOR + part,)))
+            if not answers:
+                self.to_waiting()
+                self._select(address)
+                return
+            if len(answers) > 1 and part == len(address) - 1:
+                raise PeerFault(
+                    f"{len(answers)} devices have one LSS address on {self._network.link.name}: {address}",
+                    "",
+                    "no two devices may have one identity (1018h): give each its node-ID alone on the bus",
+                )
+            told.append(_NUMBER.unpack(answers[0])[1])
+        if LssAddress(*told) != address:
+            raise PeerFault(
+                f"a device on {self._network.link.name} answers questions of a fast scan that are not for it",
+                f"found {address}; it says {LssAddress(*told)}",
+                "give it its node-ID by its own switches or tool, or alone on the bus",
+            )
 
     def _select(self, address: LssAddress) -> None:
         for place, number in enumerate(address[:3]):
@@ -180,5 +272,23 @@ class LssMaster:
             if not self._network.pump_one(deadline) and not self._answers:
                 return None
 
+    def _ask_all(self, request: bytes) -> list[bytes]:
+        """All answers to a question that one device should answer."""
+        first = self._ask(request, PATIENCE_NS, request[0])
+        if first is None:
+            return []
+        self._answers.clear()
+        self._network.pump(Instant(self._network.clock.now() + self._answer))
+        return [first, *(answer for answer in self._answers if len(answer) == 8 and answer[0] == request[0])]
+
     def _send(self, request: bytes) -> None:
         self._network.link.send(REQUEST_ID, request.ljust(8, b"\x00"))
+
+
+def _beside(branch: _Branch, address: LssAddress) -> Iterator[_Branch]:
+    """Where else on ``branch`` devices may be, once its lowest address is known; the highest first."""
+    for part in range(len(branch.known), len(address)):
+        free = branch.free if part == len(branch.known) else 32
+        for bit in range(free - 1, -1, -1):
+            if not address[part] >> bit & 1:
+                yield _Branch(address[:part], (address[part] >> bit | 1) << bit, bit)

@@ -53,6 +53,19 @@ class DeviceFiles(NamedTuple):
             announce(f"{self.eds}: and {len(loaded.repairs) - REPAIRS_SHOWN} more repairs of that kind")
         return partial(_lay_over, vendor=loaded.dictionary, serial_number=commissioning.serial_number)
 
+    @staticmethod
+    def makers(
+        vendor: Callable[[ObjectDictionary], None] | None, serials: Sequence[int | None]
+    ) -> list[Callable[[ObjectDictionary], None] | None]:
+        """What makes each device's dictionary its own: ``vendor`` of all, and a serial number, if not None.
+
+        A device raises BadInput as it is made, if its data sheet has no serial number.
+        """
+        return [
+            vendor if serial is None else partial(_number_one, vendor=vendor, serial_number=serial)
+            for serial in serials
+        ]
+
     def memory(self, nodes: Sequence[int]) -> FileStore | None:
         """The store of the one device in ``nodes``. Raises BadInput for several, or for a foreign file."""
         if self.store is None:
@@ -76,6 +89,18 @@ def _lay_over(dictionary: ObjectDictionary, vendor: VendorDictionary, serial_num
     variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
     if serial_number is not None and variable is not None:
         variable.default = variable.value = serial_number
+
+
+def _number_one(
+    dictionary: ObjectDictionary, vendor: Callable[[ObjectDictionary], None] | None, serial_number: int
+) -> None:
+    """The data sheet, and a serial number that goes before its own."""
+    if vendor is not None:
+        vendor(dictionary)
+    variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
+    if variable is None:
+        raise BadInput("--serial", "", serial_number, "a data sheet that has the serial number, 1018h:04")
+    variable.default = variable.value = serial_number
 
 
 def _differences(made_for: Commissioning, nodes: Sequence[int], bitrate_bit_s: int | None) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 
 from design.motor import PmsmParameters
@@ -93,11 +94,13 @@ def simulate(
     background: Sequence[Stream] = (),
     current_control: Sequence[Path] = (),
     load_machine: SimulatedLoadMachine | None = None,
+    serials: Sequence[int] = (),
     force: bool = False,
 ) -> None:
     """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
 
-    ``announce`` is told once the drives are on the bus. ``force``: also where somebody has their node-IDs.
+    ``announce`` is told once the drives are on the bus. ``serials``: as in :func:`serial_of_each`.
+    ``force``: also where somebody has their node-IDs.
     Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
     somebody has, and BusDown if the bus cannot be opened or goes away.
     """
@@ -110,9 +113,13 @@ def simulate(
             "a bus that other processes can join",
             "use hub:NAME, or run the bench itself with --bus simulated",
         )
-    vendor, store = files.vendor(announce, nodes, bitrate_bit_s), files.memory(nodes)
+    store = files.memory(nodes)
+    makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s), serial_of_each(nodes, serials))
     drive = drive_parameters(current_control)
-    devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
+    devices = [
+        SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor)
+        for node, vendor in zip(nodes, makers, strict=True)
+    ]
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
@@ -128,6 +135,19 @@ def simulate(
                 hosted.append(leaving.enter_context(load_machine.coupled_to(devices[0], seed, announce)))
             announce(_announcement(spec, nodes, motor))
             serve(hosted, world.link.bus, world.clock, stop)
+
+
+def serial_of_each(nodes: Sequence[int], serials: Sequence[int]) -> list[int | None]:
+    """The serial number of each node: those asked for; else no two nodes without id have the same one.
+
+    None: the data sheet's, or that of the simulated drive, its node-ID.
+    """
+    if serials:
+        return list(serials)
+    if nodes.count(UNCONFIGURED) <= 1:
+        return [None] * len(nodes)
+    counted = count(UNCONFIGURED)
+    return [next(counted) if node == UNCONFIGURED else None for node in nodes]
 
 
 def ids_on_the_bus(nodes: Sequence[int], store: FileStore | None) -> list[int]:

@@ -10,7 +10,7 @@ import can
 from drivers.canopen.bus_scan import BusScan, NodeFound, Traffic
 from drivers.canopen.lss import LssAddress, LssMaster
 from drivers.canopen.network import CanopenNetwork
-from drivers.errors import MISSING, BadInput, BusDown, NoAnswer
+from drivers.errors import MISSING, BadInput, BusDown, NoAnswer, PeerFault
 from drivers.timebase import Duration, MonotonicClock
 from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec, OpenBus, open_bus
 from drivers.wire.bitrate import can_listen_only, detect_bitrate, open_listening
@@ -151,11 +151,19 @@ def _look_for_unconfigured(
         expected = f"a node-ID that nobody has; on the bus are {', '.join(map(str, sorted(scan.nodes)))}"
         raise BadInput("--assign", "", min(taken), expected)
     say("looking for devices without node-ID (LSS fast scan)")
-    with _lss(network) as master:
-        report.unconfigured = master.find_all()
-        for node_id, address in zip(plan.assign, report.unconfigured, strict=False):
-            master.assign(address, node_id, plan.store)
-            report.assigned.append((node_id, address))
+    free = list(plan.assign)
+    try:
+        with _lss(network) as master:
+            for address in master.search():
+                if free:
+                    master.assign(address, free[0], plan.store)
+                    report.assigned.append((free.pop(0), address))
+                else:
+                    report.unconfigured.append(address)
+    except (NoAnswer, PeerFault) as error:
+        if free:
+            raise
+        report.notes.append(f"the search for devices without node-ID was given up: {error}")
     if not report.assigned:
         if plan.assign:
             raise NoAnswer(
@@ -164,7 +172,6 @@ def _look_for_unconfigured(
                 "a device that has a node-ID keeps it; change it by its own switches or tool",
             )
         return
-    report.unconfigured = report.unconfigured[len(report.assigned) :]
     say("asking the new nodes")
     scan.probe()
 

@@ -1,9 +1,12 @@
-"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``, ``unconfigured``."""
+"""Node ids as they are typed: ``1``, ``1,2,5``, ``1-3``, ``unconfigured:3``; and serial numbers."""
 
 from collections.abc import Sequence
 
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.errors import MISSING, BadInput
+
+SERIAL_MAX = 0xFFFF_FFFF
+SERIAL_DIGITS_MAX = 12
 
 
 def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
@@ -15,7 +18,7 @@ def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     if not found:
         raise BadInput(option, "", MISSING, f"a node id 1..{NODE_ID_MAX}, e.g. {option} 1 or {option} 1-3")
     for node in found:
-        if found.count(node) > 1:
+        if node != UNCONFIGURED and found.count(node) > 1:
             raise BadInput(option, "", node, "each node id once")
     return found
 
@@ -35,9 +38,38 @@ def _number(digits: str) -> int:
     return int(digits) if len(digits) < 10 else NODE_ID_MAX + 1
 
 
-def _range(text: str, option: str) -> range:
-    if text in ("unconfigured", str(UNCONFIGURED)):
-        return range(UNCONFIGURED, UNCONFIGURED + 1)
+def serial_numbers(texts: Sequence[str], count: int, option: str = "--serial") -> list[int]:
+    """A serial number for each of ``count`` devices; from a single one the others count up. Empty: none.
+
+    Raises BadInput for what is none, or comes twice, and for too few or too many.
+    """
+    typed = [_serial(part.strip(), option) for text in texts for part in text.split(",")]
+    if len(typed) == 1:
+        typed = [_serial(str(typed[0] + place), option) for place in range(count)]
+    if typed and (len(typed) != count or len(set(typed)) != count):
+        raise BadInput(
+            option, "", ",".join(texts), f"a serial number for each of {count} nodes, each once; or one"
+        )
+    return typed
+
+
+def _serial(text: str, option: str) -> int:
+    base = 16 if text.lower().startswith("0x") else 10
+    try:
+        number = int(text, base) if len(text) <= SERIAL_DIGITS_MAX else -1
+    except ValueError:
+        number = -1
+    if not 0 <= number <= SERIAL_MAX:
+        raise BadInput(option, "", text, f"serial numbers 0..{SERIAL_MAX}, decimal or with 0x")
+    return number
+
+
+def _range(text: str, option: str) -> Sequence[int]:
+    name, colon, many = text.partition(":")
+    if name in ("unconfigured", str(UNCONFIGURED)):
+        if colon and not (many.isdecimal() and 1 <= _number(many) <= NODE_ID_MAX):
+            raise BadInput(option, "", text, f"how many nodes without id, 1..{NODE_ID_MAX}: unconfigured:3")
+        return [UNCONFIGURED] * (_number(many) if colon else 1)
     first, dash, last = text.partition("-")
     if not first.isdecimal() or (dash and not last.isdecimal()):
         raise BadInput(option, "", text, f"a node id 1..{NODE_ID_MAX}, a list 1,2 or a range 1-3")

@@ -23,8 +23,18 @@ NodeOption = Annotated[
     typer.Option(
         "--node",
         metavar="N...",
-        help="Node ids: 1, or 1,2, or 1-3, or unconfigured (LSS gives one); may be repeated. "
+        help="Node ids: 1, or 1,2, or 1-3, or unconfigured, "
+        "or unconfigured:3 (LSS gives them one); may be repeated. "
         "If absent: the one of the DCF.",
+    ),
+]
+SerialOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--serial",
+        metavar="N...",
+        help="Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
+        "count up. If absent: the node id, and 255, 256 ... of those without.",
     ),
 ]
 EdsOption = Annotated[
@@ -67,6 +77,7 @@ def simulate(
     bus: BusOption,
     node: NodeOption = None,
     more_nodes: Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)] = None,
+    serial: SerialOption = None,
     motor: DriveMotorOption = None,
     faults: DriveFaultsOption = None,
     eds: EdsOption = None,
@@ -87,7 +98,7 @@ def simulate(
         from hil.configuration.background import load_background
         from hil.configuration.motor_file import LING2012
         from hil.execution.device_files import DeviceFiles
-        from hil.terminal.node_list import node_ids
+        from hil.terminal.node_list import node_ids, serial_numbers
 
         files = DeviceFiles(eds, store)
         typed = [*(node or []), *(more_nodes or [])]
@@ -105,6 +116,7 @@ def simulate(
         simulate_drives(
             bus_spec=bus,
             nodes=nodes,
+            serials=serial_numbers(serial or [], len(nodes)),
             motor=parameters,
             faults=fault_plan(faults),
             bitrate_bit_s=bitrate,

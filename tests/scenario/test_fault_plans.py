@@ -37,6 +37,7 @@ INJECTED = {
     "slow_drive": {"boot", "late"},
     "gateway": {"delay", "loss"},
     "host_stall": {"host_stall"},
+    "lss": {"lss_yes_sayer"},
 }
 
 

@@ -46,6 +46,21 @@ def test_nodes_on_a_hub_and_a_node_id_for_the_one_that_has_none() -> None:
         assert "no device without node-ID" in said
 
 
+def test_several_without_node_id_that_say_yes_to_everything_once_found() -> None:
+    bus = hub_name("yes")
+    nameless = ("--node", "unconfigured:3", "--serial", "0x20", "--faults", "examples/faults/lss.toml")
+    with serving(["simulate", "--bus", bus, *nameless]):
+        status, found, said = scan("--bus", bus, "--listen", "0.2")
+        assert status == 0, said
+        assert [device["serial_number"] for device in found["bus"]["unconfigured"]] == [0x20, 0x21, 0x22]
+        status, found, said = scan("--bus", bus, "--listen", "0.2", "--assign", "5,6")
+        assert status == 0, said
+        given = found["bus"]["assigned"]
+        assert [(device["node_id"], device["serial_number"]) for device in given] == [(5, 0x20), (6, 0x21)]
+        assert [device["serial_number"] for device in found["bus"]["unconfigured"]] == [0x22]
+        assert [node["serial_number"] for node in found["bus"]["nodes"]] == [0x20, 0x21]
+
+
 def test_through_a_serial_adapter_whose_bit_rate_is_found_by_listening(tmp_path: Path) -> None:
     bus = hub_name("scan-serial")
     background = tmp_path / "plc.toml"

@@ -131,6 +131,10 @@ class CanopenDevice:
         """Have LSS set the bit rate, bit/s, of the controller that the device is behind."""
         self._lss.follow_bit_rate(set_bit_rate)
 
+    def answer_scan_in_configuration(self) -> None:
+        """From now on every frame of an LSS fast scan is answered in the configuration state too."""
+        self._lss.scan_answered_in_configuration = True
+
     @property
     def wake_at(self) -> Instant | None:
         """The earliest timer of the device or wish of its application; now, if frames are waiting."""

@@ -66,6 +66,8 @@ class LssSlave:
         self._activate = activate
         self.configuring = False
         """In CONFIGURATION."""
+        self.scan_answered_in_configuration = False
+        """Answer each frame of a fast scan in CONFIGURATION, as CANopenNode does; by CiA 305 it is silent."""
         self._made_with = station.node_id
         self.pending_node_id = station.node_id
         """Takes effect with the next reset of the communication."""
@@ -167,7 +169,11 @@ class LssSlave:
 
     def _fast_scan(self, request: bytes, _now: Instant) -> None:
         """Binary search by the master: the slaves whose part of the identity agrees down to a bit answer."""
-        if self.configuring or not self._has_no_node_id:
+        if self.configuring:
+            if self.scan_answered_in_configuration:
+                self._answer(Lss.IDENTIFIED)
+            return
+        if not self._has_no_node_id:
             return
         number, bit, part, following = _number(request), request[5], request[6], request[7]
         if bit == SCAN_RESET:

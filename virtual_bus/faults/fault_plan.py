@@ -21,6 +21,7 @@ Each of these may also hold direction ("host_to_drive", "drive_to_host"; "both" 
     [[clock_step]]   step_us, or step_min_us and step_max_us         when
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each
+    [[lss_yes_sayer]]
     [[host_stall]]   late_us, or late_min_us and late_max_us         when
 
 ``when``: at_s, or every_s or probability_per_s with from_s and until_s. Each but the host's may hold nodes.

@@ -44,6 +44,9 @@ class StruckNode(Protocol):
 
     def drift_clock(self, drift_ppb: int, now: Instant) -> None: ...
 
+    def answer_scan_in_configuration(self) -> None:
+        """Say yes to every LSS fast scan in the configuration state."""
+
     def go_bus_off(self, now: Instant, recover_after_ns: int | None) -> None: ...
 
     def fail(self, code: int, register: ErrorRegister, now: Instant) -> None:

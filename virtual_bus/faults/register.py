@@ -14,6 +14,7 @@ from virtual_bus.faults.kinds.drive_fault import DriveFault
 from virtual_bus.faults.kinds.duplicate import Duplicate
 from virtual_bus.faults.kinds.host_stall import HostStall
 from virtual_bus.faults.kinds.loss import Loss
+from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
 from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from virtual_bus.faults.kinds.reorder import Reorder
@@ -38,6 +39,7 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     ClockDrift,
     SlowDrive,
     HostStall,
+    LssYesSayer,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

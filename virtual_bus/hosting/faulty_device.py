@@ -49,6 +49,8 @@ class SimulatedNode(Device, Protocol):
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None: ...
 
+    def answer_scan_in_configuration(self) -> None: ...
+
     def bus_off(self, now: Instant) -> None: ...
 
     def bus_recovered(self, now: Instant) -> Sequence[Frame]: ...
@@ -286,6 +288,10 @@ class FaultyDevice:
     def drift_clock(self, drift_ppb: int, now: Instant) -> None:
         """Its clock runs faster by so much more."""
         self.device.clock.drift_more(drift_ppb, now)
+
+    def answer_scan_in_configuration(self) -> None:
+        """It says yes to every fast scan once it is in LSS state CONFIGURATION."""
+        self.device.answer_scan_in_configuration()
 
     def go_bus_off(self, now: Instant, recover_after_ns: int | None) -> None:
         """Its controller goes off, and recovers after that time; None: never."""

@@ -195,7 +195,7 @@ def test_an_assigned_device_boots_with_its_node_id() -> None:
     bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
     assert Frame(0x709, b"\x00") in bench.frames
     assert not master.any_unconfigured()
-    assert master.fast_scan() is None
+    assert master.find_all() == []
     assert bench.network.upload(9, 0x1018, 4) == (77).to_bytes(4, "little")
     assert servo.node_id == 9
 
@@ -217,7 +217,7 @@ def test_a_search_that_leads_nowhere_is_an_error() -> None:
 
     scared = bench.segment.attach("scared", answer)
     with pytest.raises(NoAnswer, match="but none was found"):
-        LssMaster(bench.network).fast_scan()
+        LssMaster(bench.network).find_all()
 
 
 def test_a_device_that_refuses_or_is_gone_is_named() -> None:

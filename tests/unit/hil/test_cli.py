@@ -17,7 +17,7 @@ from hil.configuration.motor_file import LING2012
 from hil.machine.capability import Capability, CapabilityStatus
 from hil.machine.stopping import Interrupted
 from hil.recording.logger_process import RecordingFailed
-from hil.terminal.node_list import node_ids
+from hil.terminal.node_list import node_ids, serial_numbers
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import ExitStatus, Finding, VerdictKind
@@ -326,10 +326,47 @@ def test_doctor_as_json() -> None:
 
 
 @pytest.mark.parametrize(
-    ("texts", "expected"), [(["1"], [1]), (["1,2", "5"], [1, 2, 5]), (["3-5"], [3, 4, 5]), (["127"], [127])]
+    ("texts", "expected"),
+    [
+        (["1"], [1]),
+        (["1,2", "5"], [1, 2, 5]),
+        (["3-5"], [3, 4, 5]),
+        (["127"], [127]),
+        (["unconfigured:3"], [255] * 3),
+        (["1,unconfigured", "unconfigured"], [1, 255, 255]),
+    ],
 )
 def test_node_ids(texts: list[str], expected: list[int]) -> None:
     assert node_ids(texts) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["unconfigured:0", "unconfigured:128", "unconfigured:", "unconfigured:x", "1,1"]
+)
+def test_node_ids_that_are_none(text: str) -> None:
+    with pytest.raises(BadInput):
+        node_ids([text])
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [([], []), (["7"], [7, 8, 9]), (["0x10"], [16, 17, 18]), (["9,2", "0xFFFFFFFF"], [9, 2, 0xFFFF_FFFF])],
+)
+def test_serial_numbers_of_three(texts: list[str], expected: list[int]) -> None:
+    assert serial_numbers(texts, 3) == expected
+
+
+@pytest.mark.parametrize(
+    "texts", [["1,2"], ["1,1,2"], ["-1"], ["x"], ["4294967295"], ["1,2,3,4"], ["9" * 99]]
+)
+def test_serial_numbers_that_are_refused(texts: list[str]) -> None:
+    with pytest.raises(BadInput, match="serial"):
+        serial_numbers(texts, 3)
+
+
+def test_simulate_hands_over_serial_numbers(bench: Bench) -> None:
+    assert hil("simulate", "--bus", "hub:a", "--node", "unconfigured:2", "--serial", "7").exit_code == 0
+    assert (bench.asked["nodes"], bench.asked["serials"]) == ([255, 255], [7, 8])
 
 
 def test_version_and_help() -> None:

@@ -101,3 +101,15 @@ def test_what_a_dcf_was_not_made_for_is_told(
     said: list[str] = []
     DeviceFiles(eds=dcf).vendor(said.append, nodes, bitrate)
     assert [line.removeprefix(f"{dcf}: ") for line in said if "made for" in line] == told
+
+
+def test_a_serial_number_asked_for_goes_before_that_of_the_dcf(dcf: Path) -> None:
+    maker, other = DeviceFiles.makers(DeviceFiles(eds=dcf).vendor(print), [7, None])
+    assert SimulatedServo(9, LING, vendor=maker).dictionary.variable(0x1018, 4).value == 7
+    assert SimulatedServo(9, LING, vendor=other).dictionary.variable(0x1018, 4).value == 0x1234
+
+
+def test_a_serial_number_needs_a_place() -> None:
+    (maker,) = DeviceFiles.makers(lambda dictionary: dictionary.conceal(0x1018), [7])
+    with pytest.raises(BadInput, match="1018h:04"):
+        SimulatedServo(9, LING, vendor=maker)

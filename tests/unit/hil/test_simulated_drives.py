@@ -9,7 +9,7 @@ from drivers.canopen.nmt_states import UNCONFIGURED
 from drivers.errors import BadInput
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.execution.simulated_drives import ids_on_the_bus, simulated_drives
+from hil.execution.simulated_drives import ids_on_the_bus, serial_of_each, simulated_drives
 from tests.unit.hil.test_config import EXAMPLES, edited
 from virtual_bus.device.lss_slave import NODE_ID_KEY
 from virtual_bus.device.parameter_storage import FileStore
@@ -48,3 +48,10 @@ def test_the_id_that_lss_has_stored_is_the_one_to_be_looked_for(tmp_path: Path) 
     assert ids_on_the_bus([UNCONFIGURED], store) == [UNCONFIGURED]
     store.save({NODE_ID_KEY: bytes([7])})
     assert ids_on_the_bus([UNCONFIGURED], store) == [7]
+
+
+def test_no_two_nodes_without_id_have_one_identity() -> None:
+    """CiA 305: the LSS address, vendor to serial number, is a device's alone."""
+    assert serial_of_each([1, UNCONFIGURED], []) == [None, None]
+    assert serial_of_each([UNCONFIGURED, 1, UNCONFIGURED], []) == [255, None, 256]
+    assert serial_of_each([UNCONFIGURED] * 2, [9, 4]) == [9, 4]

@@ -19,6 +19,7 @@ from virtual_bus.faults.kinds.bus_off import BusOff
 from virtual_bus.faults.kinds.clock_drift import ClockDrift
 from virtual_bus.faults.kinds.clock_step import ClockStep
 from virtual_bus.faults.kinds.drive_fault import DriveFailure, DriveFault
+from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.silence import Silence
 from virtual_bus.faults.kinds.slow_drive import SlowDrive
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault
@@ -249,6 +250,22 @@ def test_clocks_step_and_drift_as_planned() -> None:
         bench.pass_ms(milliseconds)
         ahead.append(clock.local_ns(bench.now) - bench.now)
     assert [value - ahead[0] for value in ahead[1:]] == [-350_000, 500_000 - 350_000, 1_000_000 - 350_000]
+
+
+def test_a_yes_sayer_answers_any_fast_scan_in_configuration_only() -> None:
+    bench = FaultyBench(LssYesSayer())
+
+    def lss(*request: int) -> list[Frame]:
+        return list(bench.device.receive(Frame(0x7E5, bytes(request).ljust(8, b"\x00")), bench.now))
+
+    absurd = (0x51, 1, 2, 3, 4, 31, 2, 3)
+    bench.begin()
+    bench.pass_ms(1)
+    assert lss(*absurd) == []
+    lss(0x04, 1)
+    assert lss(*absurd) == [Frame(0x7E4, b"\x4f".ljust(8, b"\x00"))]
+    lss(0x04, 0)
+    assert lss(*absurd) == []
 
 
 def test_a_slow_drive_answers_late_and_in_order() -> None:

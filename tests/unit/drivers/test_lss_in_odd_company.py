@@ -1,0 +1,108 @@
+"""LSS against slaves as they are: those that answer where CiA 305 has them silent, and those that mislead."""
+
+from collections.abc import Callable
+
+import pytest
+
+from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.errors import NoAnswer, PeerFault
+from drivers.timebase import NS_PER_S, Instant
+from tests.unit.drivers.test_bus_scan import UNCONFIGURED, Bench
+from virtual_bus.frame import Frame
+
+SERIALS = [0x00000002, 0x00000003, 0x40000002, 0x80000001]
+Answerer = Callable[[bytes], bytes | None]
+
+
+def yes_sayers(*serials: int) -> Bench:
+    """Devices that answer each frame of a fast scan in the configuration state, as CANopenNode's do."""
+    bench = Bench()
+    for serial in serials:
+        bench.add(UNCONFIGURED, serial).answer_scan_in_configuration()
+    return bench
+
+
+def with_slave(answer: Answerer) -> Bench:
+    bench = Bench()
+
+    def on_frame(frame: Frame, _at: Instant) -> None:
+        told = answer(frame.data) if frame.can_id == 0x7E5 else None
+        if told is not None:
+            port.send(Frame(0x7E4, told.ljust(8, b"\0")))
+
+    port = bench.segment.attach("odd slave", on_frame)
+    return bench
+
+
+def test_one_device_that_answers_fast_scan_in_configuration_is_found_once() -> None:
+    """CiA 305, fastscan: a service of the LSS state waiting; CANopenNode answers it in the other one, too."""
+    bench = yes_sayers(77)
+    began = bench.timeline.now
+    found = LssMaster(bench.network).find_all()
+    assert [address.serial_number for address in found] == [77]
+    assert bench.timeline.now - began < 15 * NS_PER_S
+
+
+def test_several_such_devices_are_all_found_and_left_as_they_were() -> None:
+    bench = yes_sayers(*SERIALS)
+    master = LssMaster(bench.network)
+    found = master.find_all()
+    assert [address.serial_number for address in found] == SERIALS
+    assert master.find_all() == found
+
+
+def test_they_get_their_node_ids_one_after_another() -> None:
+    bench = yes_sayers(*SERIALS)
+    master = LssMaster(bench.network)
+    for node_id, address in enumerate(master.search(), start=9):
+        master.assign(address, node_id)
+    bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
+    assert not master.any_unconfigured()
+    told = [bench.network.upload(node_id, 0x1018, 4) for node_id in range(9, 13)]
+    assert [int.from_bytes(serial, "little") for serial in told] == SERIALS
+
+
+def test_a_device_that_was_left_in_configuration_is_called_back_first() -> None:
+    bench = yes_sayers(77)
+    bench.network.link.send(0x7E5, b"\x04\x01".ljust(8, b"\0"))
+    (address,) = LssMaster(bench.network).find_all()
+    assert address.serial_number == 77
+
+
+@pytest.mark.parametrize("drop_every", [40, 67])
+def test_several_are_found_where_frames_are_lost(drop_every: int) -> None:
+    bench = Bench([], drop_every=drop_every)
+    for serial in SERIALS:
+        bench.add(UNCONFIGURED, serial)
+    assert [address.serial_number for address in LssMaster(bench.network).find_all()] == SERIALS
+
+
+def test_a_slave_that_says_yes_to_whatever_it_is_asked_is_no_device_of_identity_zero() -> None:
+    answers = {0x5A: 0x319, 0x5B: 2, 0x5C: 3, 0x5D: 4}
+
+    def answer(request: bytes) -> bytes | None:
+        if request[0] == 0x51:
+            return b"\x4f"
+        return (
+            bytes([request[0]]) + answers[request[0]].to_bytes(4, "little") if request[0] in answers else None
+        )
+
+    bench = with_slave(answer)
+    found: list[LssAddress] = []
+    with pytest.raises(PeerFault, match=r"vendor 00000000h.*vendor 00000319h"):
+        found.extend(LssMaster(bench.network).search())
+    assert found == []
+
+
+def test_a_slave_that_only_says_yes_is_none_at_all() -> None:
+    bench = with_slave(lambda request: b"\x4f" if request[0] == 0x51 else None)
+    with pytest.raises(NoAnswer, match="does not answer to its LSS address"):
+        LssMaster(bench.network).find_all()
+
+
+def test_two_devices_of_one_identity_are_told() -> None:
+    bench = Bench()
+    for _ in range(2):
+        bench.add(UNCONFIGURED, 77)
+    with pytest.raises(PeerFault, match=r"2 devices .* serial 0000004Dh"):
+        LssMaster(bench.network).find_all()
