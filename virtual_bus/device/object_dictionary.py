@@ -70,14 +70,14 @@ class Variable:
         low: float | None = None,
         high: float | None = None,
         node_relative: bool = False,
-        stored: bool | None = None,
+        stored: bool = True,
         check: Check | None = None,
         on_write: Hook | None = None,
         provider: Provider | None = None,
     ) -> None:
         """``default``: raw value, by default 0 or b"". ``low``, ``high``: limits of what the bus may write,
         inclusive. ``node_relative``: the default is a base to which the node-ID is added.
-        ``stored``: whether 1010h stores it; None: if it is rw and not mappable."""
+        ``stored``: whether 1010h stores it, if it can be read and written; not a command or set-point."""
         self.index = index
         self.subindex = subindex
         self.name = name
@@ -130,6 +130,10 @@ class Variable:
     def read(self) -> Any:
         """The present value, from the provider if there is one."""
         return self.value if self.provider is None else self.provider()
+
+    def in_range(self, value: Any) -> bool:
+        """Whether ``low`` and ``high`` allow ``value``."""
+        return (self.high is None or value <= self.high) and (self.low is None or value >= self.low)
 
     def refusal(self, value: Any) -> AbortCode | None:
         """Why the bus may not write ``value``; None if it may."""
