@@ -1,14 +1,16 @@
-"""python canopen's own CiA 402 client, with its Notifier thread, moves the simulated drive on a hub."""
+"""python canopen's own CiA 402 client, with its Notifier thread, moves the simulated drive: SDO, and PDO."""
 
 import io
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import can
 import canopen
 import pytest
+from canopen.profiles.p402 import OperationMode
 
 from drivers.cia402.objects402 import Object
 from tests.contract.conformance.live_device import live_servo
@@ -21,6 +23,15 @@ PATIENCE_S = 20.0
 COUNTS = 65_536
 NEW_SET_POINT = 0x3F
 ENABLED = 0x0F
+MODES = (
+    "PROFILED POSITION",
+    "PROFILED VELOCITY",
+    "PROFILED TORQUE",
+    "HOMING",
+    "CYCLIC SYNCHRONOUS POSITION",
+    "CYCLIC SYNCHRONOUS VELOCITY",
+    "CYCLIC SYNCHRONOUS TORQUE",
+)
 
 
 def eventually(condition: Callable[[], bool]) -> bool:
@@ -45,9 +56,10 @@ def runtime(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="module")
-def node(runtime: Path) -> Iterator[Any]:  # noqa: ARG001
-    options: dict[str, Any] = {"interface": "hub", "channel": "profile", "bitrate": 1_000_000}
+@contextmanager
+def client(channel: str) -> Iterator[Any]:
+    """A BaseNode402 of a drive on a hub of its own, PRE-OPERATIONAL and not set up yet."""
+    options: dict[str, Any] = {"interface": "hub", "channel": channel, "bitrate": 1_000_000}
     with live_servo(lambda: can.Bus(**options, ignore_config=True), NODE) as device:
         network: Any = canopen.Network()
         network.connect(**options)
@@ -56,14 +68,20 @@ def node(runtime: Path) -> Iterator[Any]:  # noqa: ARG001
             node = make(NODE, data_sheet(device))
             network.add_node(node)
             node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
-            node.nmt.state = "OPERATIONAL"
-            # Its states come from SDO: it looks for 6041h in TPDOs that are sent without a SYNC.
-            node.setup_402_state_machine(False)
             for limit in ("STATE_FINAL", "STATE_SINGLE", "OP_MODE"):
                 setattr(node, f"TIMEOUT_SWITCH_{limit}", PATIENCE_S)
             yield node
         finally:
             network.disconnect()
+
+
+@pytest.fixture(scope="module")
+def node(runtime: Path) -> Iterator[Any]:  # noqa: ARG001
+    with client("by-SDO") as node:
+        node.nmt.state = "OPERATIONAL"
+        # Its states come from SDO: it looks for 6041h in TPDOs that are sent without a SYNC.
+        node.setup_402_state_machine(False)
+        yield node
 
 
 def position(node: Any) -> int:
@@ -106,17 +124,137 @@ def test_states_modes_moves_and_homing(node: Any) -> None:
 
 def test_every_mode_that_it_knows_and_6502h_offers_is_taken(node: Any) -> None:
     taken = []
-    for name in (
-        "PROFILED POSITION",
-        "PROFILED VELOCITY",
-        "PROFILED TORQUE",
-        "HOMING",
-        "CYCLIC SYNCHRONOUS POSITION",
-        "CYCLIC SYNCHRONOUS VELOCITY",
-        "CYCLIC SYNCHRONOUS TORQUE",
-    ):
+    for name in MODES:
         assert node.is_op_mode_supported(name)
         node.op_mode = name
         taken.append(node.op_mode == name)
     assert all(taken)
     assert not node.is_op_mode_supported("INTERPOLATED POSITION")
+
+
+class ByPdo:
+    """The client with everything in PDOs on change, the defaults of CiA 402-2 for statusword and mode."""
+
+    def __init__(self, node: Any, event_timer_ms: int) -> None:
+        self.node = node
+        node.pdo.read()
+        for number, objects in enumerate(
+            (
+                (Object.CONTROLWORD, Object.MODES_OF_OPERATION),
+                (Object.TARGET_POSITION, Object.TARGET_VELOCITY),
+                (Object.TARGET_TORQUE,),
+            ),
+            1,
+        ):
+            self._map(node.rpdo[number], objects)
+        for number, objects in enumerate(
+            (
+                (Object.STATUSWORD, Object.MODES_OF_OPERATION_DISPLAY),
+                (Object.POSITION_ACTUAL_VALUE, Object.VELOCITY_ACTUAL_VALUE),
+                (Object.TORQUE_ACTUAL_VALUE, Object.ERROR_CODE),
+            ),
+            1,
+        ):
+            node.tpdo[number].inhibit_time = 0 if number == 1 else 100
+            node.tpdo[number].event_timer = event_timer_ms if number == 1 else 0
+            self._map(node.tpdo[number], objects)
+        if event_timer_ms:
+            node.tpdo[1].period = event_timer_ms / 1000  # then it waits for the TPDO, and asks no SDO
+        node.setup_402_state_machine(False)
+        assert node.is_op_mode_supported("HOMING")  # reads 6502h once
+        node.nmt.state = "OPERATIONAL"
+        self.asked: list[bytes] = []
+        send = node.network.send_message
+
+        def noted(can_id: int, data: bytes, remote: bool = False) -> None:
+            if can_id == 0x600 + NODE:
+                self.asked.append(bytes(data))
+            send(can_id, data, remote)
+
+        node.network.send_message = noted
+
+    @staticmethod
+    def _map(pdo: Any, objects: tuple[Object, ...]) -> None:
+        pdo.clear()
+        for index in objects:
+            pdo.add_variable(index)
+        pdo.trans_type, pdo.enabled = 255, True
+        pdo.save()
+
+    def told(self, index: int) -> int:
+        """The last value in a TPDO."""
+        return int(self.node.tpdo_values[index])
+
+    def set(self, number: int, **values: int) -> None:
+        """RPDO ``number``, at once."""
+        pdo = self.node.rpdo[number]
+        for title, value in values.items():
+            pdo[Object[title]].raw = value
+        pdo.transmit()
+
+    def enter(self, state: str) -> None:
+        """It waits for one more TPDO even where the one it needs has come; then it is asked again."""
+
+        def reached() -> bool:
+            with suppress(RuntimeError):
+                self.node.state = state
+            return bool(self.node.state == state)
+
+        assert eventually(reached)
+
+    def change(self, mode: str) -> None:
+        """A mode by RPDO1, confirmed in TPDO1; beside that as :meth:`enter`."""
+        self.node.op_mode = mode
+        code = OperationMode.NAME2CODE[mode]
+        assert eventually(lambda: self.told(Object.MODES_OF_OPERATION_DISPLAY) == code)
+
+    def comes_within(self, index: int, value: int, width: int) -> bool:
+        return eventually(lambda: abs(self.told(index) - value) < width)
+
+    def move(self, mode: str) -> None:
+        """Motion by the set-point of ``mode``, as TPDOs tell it."""
+        if mode == "HOMING":
+            self.node.controlword = 0x1F
+            assert eventually(lambda: self.told(Object.STATUSWORD) & 0x3400 == 0x1400)
+        elif mode == "PROFILED POSITION":
+            self.set(2, TARGET_POSITION=COUNTS)
+            self.node.controlword = NEW_SET_POINT
+            assert eventually(lambda: bool(self.told(Object.STATUSWORD) & 0x1000))
+            self.node.controlword = ENABLED
+            assert self.comes_within(Object.POSITION_ACTUAL_VALUE, COUNTS, 200)
+        elif "POSITION" in mode:
+            self.set(2, TARGET_POSITION=self.told(Object.POSITION_ACTUAL_VALUE) + 5000)
+            target = self.node.rpdo[2][Object.TARGET_POSITION].raw
+            assert self.comes_within(Object.POSITION_ACTUAL_VALUE, target, 200)
+        elif "VELOCITY" in mode:
+            self.set(2, TARGET_VELOCITY=60_000)
+            assert self.comes_within(Object.VELOCITY_ACTUAL_VALUE, 60_000, 3000)
+            self.set(2, TARGET_VELOCITY=0)
+        else:
+            self.set(3, TARGET_TORQUE=150)
+            assert self.comes_within(Object.TORQUE_ACTUAL_VALUE, 150, 30)
+            self.set(3, TARGET_TORQUE=0)
+
+
+@pytest.mark.parametrize("event_timer_ms", [0, 20])
+def test_all_modes_by_pdo_alone(runtime: Path, event_timer_ms: int) -> None:  # noqa: ARG001
+    """CiA 402-2: 6040h + 6060h in one RPDO on change, 6041h + 6061h in one TPDO on change."""
+    with client(f"by-PDO-{event_timer_ms}") as node:
+        drive = ByPdo(node, event_timer_ms)
+        for mode in MODES:
+            drive.change(mode)
+            if "POSITION" in mode:
+                drive.set(2, TARGET_POSITION=drive.told(Object.POSITION_ACTUAL_VALUE))
+            drive.enter("OPERATION ENABLED")
+            drive.move(mode)
+            drive.enter("SWITCHED ON")
+
+        drive.change("CYCLIC SYNCHRONOUS POSITION")
+        drive.enter("OPERATION ENABLED")
+        drive.set(2, TARGET_POSITION=drive.told(Object.POSITION_ACTUAL_VALUE) + 50 * COUNTS)
+        assert eventually(lambda: node.state == "FAULT")
+        assert eventually(lambda: drive.told(Object.ERROR_CODE) == 0x8611)
+        # Where it knows no period, canopen paces its waiting by reading 6041h.
+        assert {request[:4] for request in drive.asked} <= (
+            {b"\x40\x41\x60\x00"} if not event_timer_ms else set()
+        )

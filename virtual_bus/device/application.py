@@ -25,7 +25,7 @@ from mypy_extensions import mypyc_attr
 from drivers.canopen.error_codes import ErrorRegister as ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Instant
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.object_dictionary import ObjectDictionary
 
 
 class CommunicationLoss(Enum):
@@ -43,8 +43,9 @@ class CommunicationLoss(Enum):
 class DeviceServices(Protocol):
     """What the engine offers to its application.
 
-    ``raise_error``, ``clear_error`` and ``notify`` belong into the engine's calls to the application;
-    from elsewhere, let the device ``wake`` at the present instant first and again afterwards.
+    ``raise_error`` and ``clear_error`` belong into the engine's calls to the application; from elsewhere,
+    let the device ``wake`` at the present instant first and again afterwards. So it is with a value that
+    is to be the event of a TPDO: the engine sees it at the end of its call.
     """
 
     @property
@@ -80,10 +81,6 @@ class DeviceServices(Protocol):
 
         Nothing happens if ``code`` was not active.
         """
-        ...
-
-    def notify(self, variable: Variable) -> None:
-        """``variable`` changed: the event for the event-driven TPDOs (0, 254, 255) that map it."""
         ...
 
 

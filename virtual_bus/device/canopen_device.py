@@ -23,7 +23,7 @@ from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.heartbeat import HeartbeatConsumers, HeartbeatProducer, NodeGuarding
 from virtual_bus.device.lss_slave import LssSlave
 from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, ParameterStore
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_server import SdoServer
@@ -70,7 +70,7 @@ class CanopenDevice:
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
         self._lss = LssSlave(station, store, self._restart_communication)
-        self._sdo = SdoServer(station, options.sdo_timeout_ms, self._pdos.notify)
+        self._sdo = SdoServer(station, options.sdo_timeout_ms)
         self._heartbeat = HeartbeatProducer(station)
         self._consumers = HeartbeatConsumers(station, self._emergency, self._nmt)
         self._guarding = NodeGuarding(station, self._emergency, self._nmt, self._heartbeat)
@@ -123,10 +123,6 @@ class CanopenDevice:
         """See :class:`virtual_bus.device.application.DeviceServices`."""
         self._emergency.clear_error(code)
 
-    def notify(self, variable: Variable) -> None:
-        """See :class:`virtual_bus.device.application.DeviceServices`."""
-        self._pdos.notify(variable)
-
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
         """Have LSS set the bit rate, bit/s, of the controller that the device is behind."""
         self._lss.follow_bit_rate(set_bit_rate)
@@ -142,6 +138,8 @@ class CanopenDevice:
         if station.out and not station.mute:
             return station.now
         due = station.timers.next
+        if self._pdos.watching and self._pdos.look_at < due:
+            due = self._pdos.look_at
         wish = self._application.wake_at
         if wish is not None and wish < due:
             return wish
@@ -196,6 +194,8 @@ class CanopenDevice:
 
     def _take_frames(self) -> Sequence[Frame]:
         station = self._station
+        if self._pdos.watching:
+            self._pdos.look()
         frames = station.out
         if not frames or station.mute:
             return _NOTHING

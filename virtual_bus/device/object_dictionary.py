@@ -70,14 +70,14 @@ class Variable:
         low: float | None = None,
         high: float | None = None,
         node_relative: bool = False,
-        stored: bool | None = None,
+        stored: bool = True,
         check: Check | None = None,
         on_write: Hook | None = None,
         provider: Provider | None = None,
     ) -> None:
         """``default``: raw value, by default 0 or b"". ``low``, ``high``: limits of what the bus may write,
         inclusive. ``node_relative``: the default is a base to which the node-ID is added.
-        ``stored``: whether 1010h stores it; None: if it is rw and not mappable."""
+        ``stored``: whether 1010h stores it, if it can be read and written; not a command or set-point."""
         self.index = index
         self.subindex = subindex
         self.name = name
@@ -95,9 +95,9 @@ class Variable:
         self.power_on: Any = None
         """Stored parameter that replaces the default at power-on and reset; None: the default."""
         self.value: Any = self.default
-        self.watchers = 0
-        """TPDOs that are sent because it changes. The application need not look for changes of a variable
-        without any."""
+        self.runs = False
+        """The application changes ``value`` as time passes, not only when it acts. So it is with a
+        ``provider``."""
 
     def __repr__(self) -> str:
         return f"Variable({self.index:04X}h:{self.subindex} {self.name!r} = {self.value!r})"
@@ -130,6 +130,10 @@ class Variable:
     def read(self) -> Any:
         """The present value, from the provider if there is one."""
         return self.value if self.provider is None else self.provider()
+
+    def in_range(self, value: Any) -> bool:
+        """Whether ``low`` and ``high`` allow ``value``."""
+        return (self.high is None or value <= self.high) and (self.low is None or value >= self.low)
 
     def refusal(self, value: Any) -> AbortCode | None:
         """Why the bus may not write ``value``; None if it may."""

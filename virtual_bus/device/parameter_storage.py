@@ -5,7 +5,8 @@
     3  application, 6000h..9FFFh
     4  manufacturer, 2000h..5FFFh
 
-Writing the signature "save" stores the present values, which then hold after power-on and resets.
+Writing the signature "save" stores the present values of all that can be read and written, but for commands
+and set-points; they then hold after power-on and resets.
 Writing "load" forgets them; the defaults hold from the next power-on or reset on. Any other signature
 is refused with 08000020h. What is stored goes to a :class:`ParameterStore`, which outlives a power cycle.
 """
@@ -20,7 +21,7 @@ from typing import Protocol
 from drivers.bounded_file import NoSuchFile, parse_json, read_text
 from drivers.errors import BadInput, BenchError
 from virtual_bus.device.encoding import decode, encode
-from virtual_bus.device.object_dictionary import Access, Check, ObjectDictionary, Variable
+from virtual_bus.device.object_dictionary import Check, ObjectDictionary, Variable
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
 
 SAVE = int.from_bytes(b"save", "little")
@@ -131,9 +132,11 @@ class ParameterStorage:
             if variable is None or not _is_parameter(variable):
                 continue
             try:
-                variable.power_on = decode(variable.data_type, raw)
+                value = decode(variable.data_type, raw)
             except SdoAbort:
                 continue
+            if variable.in_range(value):
+                variable.power_on = value
 
     def _save(self, indices: range) -> None:
         kept = self._store.load()
@@ -159,9 +162,8 @@ class ParameterStorage:
 
 
 def _is_parameter(variable: Variable) -> bool:
-    if variable.index in _NEVER_STORED or variable.access is not Access.READ_WRITE:
-        return False
-    return variable.stored if variable.stored is not None else not variable.mappable
+    kept = variable.stored and variable.index not in _NEVER_STORED
+    return kept and variable.readable and variable.writable
 
 
 def _checker(signature: int, indices: range, act: Callable[[range], None]) -> Check:

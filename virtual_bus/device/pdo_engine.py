@@ -1,16 +1,18 @@
-"""All PDOs of a device: what a SYNC, an event and a change of the NMT state do to them."""
+"""All PDOs of a device: what a SYNC, a change of a value and a change of the NMT state do to them."""
 
 from typing import Final
 
 from drivers.canopen.nmt_states import NmtState
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.emergency import EmergencyProducer
-from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.rpdo import ReceivePdo
-from virtual_bus.device.station import Station
+from virtual_bus.device.station import NEVER, Station
 from virtual_bus.device.tpdo import TransmitPdo
 
 PDOS_MAX: Final = 512
+LOOK_NS: Final = NS_PER_MS
+"""A mapped value that changes by time or motion is looked at no later than that after the last look."""
 _OPERATIONAL: Final = NmtState.OPERATIONAL
 
 
@@ -24,7 +26,13 @@ class PdoEngine:
         self.receive = [
             ReceivePdo(station, emergency, n) for n in numbers if _complete(dictionary, 0x1400 + n - 1)
         ]
-        self.transmit = [TransmitPdo(station, n) for n in numbers if _complete(dictionary, 0x1800 + n - 1)]
+        self.watching: list[TransmitPdo] = []
+        """Those that are sent because of a change. What the device does costs nothing while it is empty."""
+        self.look_at: Instant = NEVER
+        """When to look for a change at the latest."""
+        self.transmit = [
+            TransmitPdo(station, self.watching, n) for n in numbers if _complete(dictionary, 0x1800 + n - 1)
+        ]
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
@@ -46,9 +54,11 @@ class PdoEngine:
                 rpdo.leave_operational()
 
     def on_sync(self, counter: int) -> None:
-        """Sample first, actuate afterwards."""
+        """What changed before goes out first; then sample, then actuate."""
         if self._station.state is not _OPERATIONAL:
             return
+        if self.watching:
+            self.look()
         for tpdo in self.transmit:
             if tpdo.follows_sync:
                 tpdo.on_sync(counter)
@@ -61,11 +71,13 @@ class PdoEngine:
         for rpdo in self.receive:
             rpdo.window_open = is_open
 
-    def notify(self, variable: Variable) -> None:
-        """``variable`` changed."""
-        for tpdo in self.transmit:
-            if variable in tpdo.variables:
-                tpdo.notify()
+    def look(self) -> None:
+        """Something may have changed: those that watch see for themselves."""
+        runs = False
+        for tpdo in self.watching:
+            tpdo.look()
+            runs = runs or tpdo.runs
+        self.look_at = Instant(self._station.now + LOOK_NS) if runs else NEVER
 
 
 def _complete(dictionary: ObjectDictionary, communication: int) -> bool:

@@ -39,12 +39,11 @@ EXPEDITED_BYTES = 4
 
 
 class SdoServer:
-    """The default SDO server; ``on_download`` hears of each variable that a client wrote."""
+    """The default SDO server."""
 
-    def __init__(self, station: Station, timeout_ms: int, on_download: Callable[[Variable], None]) -> None:
+    def __init__(self, station: Station, timeout_ms: int) -> None:
         self._station = station
         self._timeout_ns = timeout_ms * NS_PER_MS
-        self._on_download = on_download
         self._transfer: Transfer | None = None
         self._request_id: int | None = None
         self._response_id = 0
@@ -153,7 +152,7 @@ class SdoServer:
 
     def _commit(self, index: int, subindex: int) -> Commit:
         def commit(data: bytes) -> None:
-            self._on_download(self._station.dictionary.download(index, subindex, data))
+            self._station.dictionary.download(index, subindex, data)
 
         return commit
 

@@ -8,9 +8,13 @@
 
 A remote request (allowed by bit 30 = 0 of the COB-ID) of the other types sends the last sample of a
 synchronous PDO, or a fresh one of an event-driven PDO.
+
+The event of types 0, 254 and 255 is that a mapped object holds another value than at the last look. The
+device looks whenever it has done something (:class:`virtual_bus.device.pdo_engine.PdoEngine`). 1013h is no
+event: a clock that runs tells nothing.
 """
 
-from typing import Final
+from typing import Any, Final
 
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant
@@ -27,6 +31,7 @@ SYNCHRONOUS_CYCLIC_MAX: Final = 240
 REMOTE_SYNCHRONOUS: Final = 252
 REMOTE_EVENT: Final = 253
 NS_PER_100_US: Final = 100_000
+HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
 
 
 class TransmitPdo(PdoParameters):
@@ -35,12 +40,16 @@ class TransmitPdo(PdoParameters):
     reserved_types = range(241, 252)
     transmit = True
 
-    def __init__(self, station: Station, number: int) -> None:
-        """``number``: 1.. as in TPDO1."""
+    def __init__(self, station: Station, watching: "list[TransmitPdo]", number: int) -> None:
+        """``watching``: it is in there while changes of what it maps are events. ``number``: 1.. as in
+        TPDO1."""
         super().__init__(station, 0x1800 + number - 1, 0x1A00 + number - 1)
+        self._watching = watching
         self._sample = compile_packer([])
         self._can_id = 0
         self._type = 0
+        self._complete = False
+        """It exists and maps something."""
         self._active = False
         self.follows_sync = False
         """Whether a SYNC does anything to it; read at each SYNC, so a plain attribute."""
@@ -52,9 +61,11 @@ class TransmitPdo(PdoParameters):
         self._event_ns = 0
         self._free_at = Instant(0)
         self._remote: int | None = None
-        self.variables: frozenset[Variable] = frozenset()
-        self._watches = False
-        """Whether it is sent because one of them changes."""
+        self._mapped: list[Variable] = []
+        self._seen: list[Any] = []
+        """Their values at the last look."""
+        self.runs = False
+        """One of them changes by time or motion, not only when the device does something."""
         self._inhibit_timer = station.timers.create(self._on_inhibit_over)
         self._event_timer = station.timers.create(self._on_event_timer)
         for subindex, check in ((3, self.refused_while_it_exists), (6, self._check_start)):
@@ -63,7 +74,7 @@ class TransmitPdo(PdoParameters):
                 self._hook(variable, check)
 
     @property
-    def event_driven(self) -> bool:
+    def _event_driven(self) -> bool:
         """Types 254 and 255."""
         return self._type > REMOTE_EVENT
 
@@ -71,28 +82,23 @@ class TransmitPdo(PdoParameters):
         """Take over COB-ID, type, mapping and timers."""
         fields = self.fields()
         self._sample = compile_packer(fields)
-        self._watch(-1)
-        self.variables = frozenset(field.variable for field in fields if field.variable is not None)
+        mapped = [field.variable for field in fields if field.variable is not None]
+        self._mapped = [variable for variable in mapped if variable.index != HIGH_RESOLUTION_TIME_STAMP]
+        self.runs = any(variable.runs or variable.provider is not None for variable in self._mapped)
         self._can_id = self.can_id
         self._type = self.parameter(2)
-        self._watches = self.exists and (self.event_driven or self._type == SYNCHRONOUS_ACYCLIC)
-        self._watch(1)
         self._inhibit_ns = self.parameter(3) * NS_PER_100_US
         self._event_ns = self.parameter(5) * NS_PER_MS
         self._listen_for_remote(self.exists and not self.parameter(1) & cob_id.NO_RTR)
         announce = not self._active
         self._stop()
-        if self.exists and fields and self.station.state is NmtState.OPERATIONAL:
+        self._complete = self.exists and bool(fields)
+        if self._complete and self.station.state is NmtState.OPERATIONAL:
             self._begin(announce)
-
-    def _watch(self, more: int) -> None:
-        if self._watches:
-            for variable in self.variables:
-                variable.watchers += more
 
     def enter_operational(self) -> None:
         """Cycles start; an event-driven PDO tells its values once."""
-        if self.exists and self.variables:
+        if self._complete:
             self._begin(announce=True)
 
     def leave_operational(self) -> None:
@@ -108,15 +114,20 @@ class TransmitPdo(PdoParameters):
         self._latched = self._sample()
         self._free_at = now
         self._event = self._type == SYNCHRONOUS_ACYCLIC
-        if self.event_driven and announce:
+        if self._event or self._event_driven:
+            self._watching.append(self)
+            self._seen = self._values()
+        if self._event_driven and announce:
             self._transmit_event(now)
-        elif self.event_driven and self._event_ns:
+        elif self._event_driven and self._event_ns:
             self._event_timer.start(Instant(now + self._event_ns))
 
     def _stop(self) -> None:
         self._active = False
         self.follows_sync = False
         self._event = False
+        if self in self._watching:
+            self._watching.remove(self)
         self._inhibit_timer.stop()
         self._event_timer.stop()
 
@@ -141,14 +152,19 @@ class TransmitPdo(PdoParameters):
             self._event = False
             self._transmit()
 
-    def notify(self) -> None:
-        """An event in a mapped variable."""
-        if not self._active:
+    def look(self) -> None:
+        """An event, if a mapped object has changed since the last look."""
+        values = self._values()
+        if values == self._seen:
             return
+        self._seen = values
         if self._type == SYNCHRONOUS_ACYCLIC:
             self._event = True
-        elif self.event_driven:
+        else:
             self._on_event(self.station.now)
+
+    def _values(self) -> list[Any]:
+        return [v.value if v.provider is None else v.provider() for v in self._mapped]
 
     def _on_event(self, now: Instant) -> None:
         if now >= self._free_at:
@@ -175,6 +191,7 @@ class TransmitPdo(PdoParameters):
         self._transmit()
 
     def _transmit(self) -> None:
+        self._seen = self._values()
         data = self._latched = self._sample()
         self.station.out.append(Frame(self._can_id, data))
 

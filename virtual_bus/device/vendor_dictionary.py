@@ -67,6 +67,7 @@ def _merge(own: DictionaryObject, made: DictionaryObject, silent: frozenset[int]
         if variable is None:
             continue
         if own.index in _PROFILE and variable.data_type is not wanted.data_type:
+            wanted.stored = variable.stored
             continue
         _adapt(variable, wanted, subindex not in silent)
         made.members[subindex] = variable

@@ -40,10 +40,12 @@ class ActualValues:
         self._units = units
         self._objects = objects
         self._torque_unit_nm = objects.torque_unit_nm
-        self.statusword = objects.statusword
+        self._statusword = objects.statusword
         self._position = objects.position
         self._velocity = objects.velocity
         self._torque = objects.torque
+        for measured in (self._position, self._velocity, self._torque):
+            measured.runs = True
         self._plain = True
         self._origin = 0
         self._velocity_per_rad_s = 1.0
@@ -56,8 +58,8 @@ class ActualValues:
         self._velocity_per_rad_s = units.velocity_per_rad_s
         self._torque_unit_nm = self._objects.torque_unit_nm
 
-    def refresh(self, status: int) -> bool:
-        """``status``: the statusword but for what the inner loops add. Whether it has changed."""
+    def refresh(self, status: int) -> None:
+        """``status``: the statusword but for what the inner loops add."""
         state = self._state
         if self._plain:
             count = int(state[_COUNT]) - self._origin
@@ -69,11 +71,7 @@ class ActualValues:
         self._torque.value = _int16(state[_TORQUE] / self._torque_unit_nm)
         if state[_LIMITED] != 0.0:
             status |= _INTERNAL_LIMIT_ACTIVE
-        statusword = self.statusword
-        if status == statusword.value:
-            return False
-        statusword.value = status
-        return True
+        self._statusword.value = status
 
 
 def _int16(value: float) -> int:

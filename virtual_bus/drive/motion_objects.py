@@ -54,10 +54,10 @@ class MotionObjects:
         return add_profile_object(self._dictionary, index, data_type, default=default, low=low, check=check)
 
     def _add_set_points(self) -> None:
-        self.target_position = self._add(Object.TARGET_POSITION, _I32)
-        self.position_offset = self._add(Object.POSITION_OFFSET, _I32)
-        self.target_velocity = self._add(Object.TARGET_VELOCITY, _I32)
-        self.velocity_offset = self._add(Object.VELOCITY_OFFSET, _I32)
+        self.target_position = self._set_point(Object.TARGET_POSITION)
+        self.position_offset = self._set_point(Object.POSITION_OFFSET)
+        self.target_velocity = self._set_point(Object.TARGET_VELOCITY)
+        self.velocity_offset = self._set_point(Object.VELOCITY_OFFSET)
         period = self._dictionary.add_record(Object.INTERPOLATION_TIME_PERIOD, "Interpolation time period")
         self.period_value = period.add(1, "Interpolation time period value", _U8, default=1, low=1)
         self.period_index = period.add(2, "Interpolation time index", _I8, default=-3, low=-6, high=0)
@@ -116,6 +116,9 @@ class MotionObjects:
         self.position_demand_internal = self._demand(Object.POSITION_DEMAND_INTERNAL_VALUE)
         self.velocity_demand = self._demand(Object.VELOCITY_DEMAND_VALUE)
         self.following_error = self._demand(Object.FOLLOWING_ERROR_ACTUAL_VALUE)
+
+    def _set_point(self, index: Object) -> Variable:
+        return add_profile_object(self._dictionary, index, _I32, stored=False)
 
     def _demand(self, index: Object) -> Variable:
         return add_profile_object(self._dictionary, index, _I32, Access.READ_ONLY)

@@ -71,8 +71,6 @@ class ServoApplication(Application):
         self._controlword = 0
         self._task: OperationMode | None = None
         """The mode, if it is followed and runs once per motion period."""
-        self._switches_fitted = False
-        self._inputs = 0
 
     def attach(self, services: DeviceServices) -> None:
         self._services = services
@@ -80,7 +78,6 @@ class ServoApplication(Application):
         self.objects = objects = ServoObjects(dictionary, self.motor, self.drive, frozenset(MODES))
         self.motion_objects = motion = MotionObjects(dictionary, self.motor, self.drive)
         self.power = PowerStateMachine(objects.option)
-        self._torque_demand = objects.torque_demand
         self._failures = Failures(services, objects.error_code)
         counts = self.drive.encoder_counts_per_revolution
         self.units = UserUnits(dictionary, counts, lambda: self._motion is MotorAction.OFF)
@@ -171,12 +168,7 @@ class ServoApplication(Application):
 
     def _refresh(self) -> None:
         """The cyclic values as of the last inner tick."""
-        if self._actual.refresh(self._base_status):
-            self._services.notify(self._actual.statusword)
-        if self._torque_demand.watchers:
-            self._show_torque_demand()
-        if self._switches_fitted:
-            self._show_inputs()
+        self._actual.refresh(self._base_status)
 
     def _act(self) -> None:
         """Let the inner loops and the statusword follow the state machine."""
@@ -254,16 +246,6 @@ class ServoApplication(Application):
 
     def _on_torque(self, _value: int) -> None:
         self._mode.take_torque()
-        if self._torque_demand.watchers:
-            self._show_torque_demand()
-
-    def _show_torque_demand(self) -> None:
-        """Tell those who wait for 6074h to change; ``value`` is what they were told last."""
-        demand = self._torque_demand
-        in_force = demand.read()
-        if in_force != demand.value:
-            demand.value = in_force
-            self._services.notify(demand)
 
     def _on_velocity(self, _value: int) -> None:
         self._mode.take_velocity()
@@ -299,15 +281,8 @@ class ServoApplication(Application):
             self._choose_task()
             self._show_mode()
 
-    def _show_inputs(self) -> None:
-        bits = self.machine.input_bits()
-        if bits != self._inputs:
-            self._inputs = bits
-            self._services.notify(self.machine.inputs)
-
     def _on_inputs(self) -> None:
         """Safe torque off acts at once; the switches are read when a mode asks for them."""
-        self._switches_fitted = self.machine.fitted != 0
         self._take_guards()
         power = self.power
         if self.machine.sto != power.torque_off:
@@ -317,7 +292,6 @@ class ServoApplication(Application):
             power.revision += 1
             self._act()
             self._refresh()
-        self._show_inputs()
 
     def _fail_following(self) -> None:
         self.fail(FOLLOWING_ERROR, ErrorRegister.DEVICE_PROFILE)

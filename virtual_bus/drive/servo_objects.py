@@ -75,17 +75,17 @@ class ServoObjects:
 
     def _add_state(self, modes: frozenset[Mode]) -> None:
         self.error_code = self._add(Object.ERROR_CODE, U16, RO)
-        self.controlword = self._add(Object.CONTROLWORD, U16, RW)
+        self.controlword = self._add(Object.CONTROLWORD, U16, RW, stored=False)
         self.statusword = self._add(Object.STATUSWORD, U16, RO)
         first, known = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE), one_of((*modes, Mode.NONE))
-        self.mode = self._add(Object.MODES_OF_OPERATION, I8, RW, default=first, check=known)
+        self.mode = self._add(Object.MODES_OF_OPERATION, I8, RW, default=first, check=known, stored=False)
         self.mode_display = self._add(Object.MODES_OF_OPERATION_DISPLAY, I8, RO, default=first)
         bits = sum(1 << (mode - 1) for mode in modes)
         self._add(Object.SUPPORTED_DRIVE_MODES, U32, RO, default=bits)
 
     def _add_values(self) -> None:
-        self.target_torque = self._add(Object.TARGET_TORQUE, I16, RW)
-        self.torque_offset = self._add(Object.TORQUE_OFFSET, I16, RW)
+        self.target_torque = self._add(Object.TARGET_TORQUE, I16, RW, stored=False)
+        self.torque_offset = self._add(Object.TORQUE_OFFSET, I16, RW, stored=False)
         self.position = self._add(Object.POSITION_ACTUAL_VALUE, I32, RO)
         self.position_internal = self._add(Object.POSITION_ACTUAL_INTERNAL_VALUE, I32, RO)
         self.velocity = self._add(Object.VELOCITY_ACTUAL_VALUE, I32, RO)
@@ -117,7 +117,9 @@ class ServoObjects:
 
     def _add_load_machine(self) -> None:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")
-        self.load_torque = load.add(1, "Load torque, mN m against positive speed", I32, RW, mappable=True)
+        self.load_torque = load.add(
+            1, "Load torque, mN m against positive speed", I32, RW, mappable=True, stored=False
+        )
         self.load_actual = load.add(2, "Load torque actual value, mN m", I32, RO, mappable=True)
 
 

@@ -12,6 +12,7 @@ rule = RULES.of
 NOT_VALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 TPDO3 = 0x380 + NODE
 STATUSWORD = 0x6041_0010
+MODE_WORD, MODE_DISPLAY = 0x6060_0008, 0x6061_0008
 CONTROLWORD, TARGET_TORQUE, TARGET_WORD = 0x6040, 0x6071, 0x6071_0010
 SYNC, EMCY = 0x080, 0x080 + NODE
 SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
@@ -50,6 +51,32 @@ def bit_30_forbids_the_remote_request(rig: Rig) -> None:
     rig.remap(3, NO_RTR | TPDO3, 253, (STATUSWORD,), transmit=True)
     rig.enter(NmtState.OPERATIONAL)
     assert rig.ask(TPDO3, remote=True) == []
+
+
+@rule("CiA 301, 7.2.2.3 and 7.5.2.37, types 254 and 255; CiA 402-2, 6061h")
+def an_event_driven_tpdo_tells_a_mode_that_a_pdo_brought(rig: Rig) -> None:
+    quiet(rig)
+    rig.remap(2, 0x300 + NODE, 255, (CONTROLWORD << 16 | 16, MODE_WORD), transmit=False)
+    for kind in (254, 255):
+        rig.remap(3, NO_RTR | TPDO3, kind, (STATUSWORD, MODE_DISPLAY), transmit=True)
+        rig.enter(NmtState.OPERATIONAL)
+        for mode, told in ((1, [1]), (3, [3]), (3, []), (10, [10])):
+            answers = rig.ask(0x300 + NODE, b"\x00\x00" + bytes([mode]))
+            assert [frame.data[2] for frame in answers if frame.can_id == TPDO3] == told
+        rig.enter(NmtState.PRE_OPERATIONAL)
+
+
+@rule("CiA 301, 7.2.2.2 and 7.5.2.37, type 0; CiA 402-2, 6061h")
+def an_acyclic_synchronous_tpdo_tells_a_mode_with_the_next_sync(rig: Rig) -> None:
+    quiet(rig)
+    rig.remap(2, 0x300 + NODE, 255, (MODE_WORD,), transmit=False)
+    rig.remap(3, NO_RTR | TPDO3, 0, (MODE_DISPLAY,), transmit=True)
+    rig.enter(NmtState.OPERATIONAL)
+    rig.ask(SYNC)
+    for mode in (1, 3, 10):
+        assert rig.ask(SYNC) == []
+        assert rig.ask(0x300 + NODE, bytes([mode])) == []
+        assert rig.ask(SYNC) == [Frame(TPDO3, bytes([mode]))]
 
 
 @rule("CiA 301, 7.5.2.37, sub-index 5")

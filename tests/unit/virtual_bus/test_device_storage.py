@@ -35,17 +35,15 @@ def test_stored_parameters_hold_after_a_reset() -> None:
     assert (bench.read(0x1017), bench.read(RATIO)) == (100, 0x3F800000)
 
 
-def test_what_is_mappable_is_no_parameter_unless_it_says_so() -> None:
-    bench = Bench()
-    bench.write(LEVEL, 0, 9, 4)
-    bench.write(0x1010, 1, SAVE, 4)
-    bench.nmt(RESET_NODE)
-    assert bench.read(LEVEL) == 7
-    bench.application.level.stored = True
-    bench.write(LEVEL, 0, 9, 4)
-    bench.write(0x1010, 1, SAVE, 4)
-    bench.nmt(RESET_NODE)
-    assert bench.read(LEVEL) == 9
+def test_what_is_mappable_is_a_parameter_unless_it_says_otherwise() -> None:
+    """CiA 301, 7.5.2.13: all parameters."""
+    for stored, kept in ((True, 9), (False, 7)):
+        bench = Bench()
+        bench.application.level.stored = stored
+        bench.write(LEVEL, 0, 9, 4)
+        bench.write(0x1010, 1, SAVE, 4)
+        bench.nmt(RESET_NODE)
+        assert bench.read(LEVEL) == kept
 
 
 def test_groups_are_apart() -> None:

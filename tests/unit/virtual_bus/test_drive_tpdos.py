@@ -1,10 +1,12 @@
 """What the drive tells by itself or with a SYNC: the torque demand 6074h, and the statusword on change."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from struct import unpack
 
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, State, Status, state_of
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
@@ -157,14 +159,91 @@ def test_a_demand_that_the_drive_changes_by_itself_is_told_too() -> None:
 
 def test_nothing_is_told_once_the_tpdo_is_off_or_mapped_anew() -> None:
     bench = TellingBench()
+
+    def tells() -> int:
+        bench.told.clear()
+        bench.torque(100)
+        bench.torque(0)
+        return sum(1 for _, can_id, _ in bench.told if can_id == TPDO3)
+
     bench.map_tpdo(3, DEMAND, STAMP)
-    assert bench.servo.drive.objects.torque_demand.watchers == 1
+    assert tells() == 2
     bench.map_tpdo(3, STATUS)
-    assert bench.servo.drive.objects.torque_demand.watchers == 0
+    assert tells() == 0
     bench.map_tpdo(3, DEMAND, kind=254)
-    assert bench.servo.drive.objects.torque_demand.watchers == 1
+    assert tells() == 2
     bench.set(0x1802, "I", 0xC000_0381, 1)
-    assert bench.servo.drive.objects.torque_demand.watchers == 0
+    assert tells() == 0
+
+
+def move_and_fail(bench: TellingBench) -> None:
+    """Everything below changes: another mode, motion, a fault."""
+    bench.torque(400)
+    bench.wait_ms(20)
+    bench.set(Object.MODES_OF_OPERATION, "b", int(Mode.PROFILE_VELOCITY))
+    bench.servo.wake(bench.now)
+    bench.servo.drive.fail(0x4310, ErrorRegister.TEMPERATURE)
+    bench.wait_ms(20)
+
+
+OBJECTS = {
+    0x6061_0008: "b",
+    0x603F_0010: "H",
+    0x6064_0020: "i",
+    0x606C_0020: "i",
+    0x6077_0010: "h",
+    0x6078_0010: "h",
+}
+
+
+@pytest.mark.parametrize("word", OBJECTS, ids=lambda word: f"{word >> 16:04X}h")
+@pytest.mark.parametrize("kind", [254, 255])
+def test_every_object_is_told_when_it_changes_and_only_then(kind: int, word: int) -> None:
+    """CiA 301, 7.2.2.3 and 7.5.2.37: types 254 and 255."""
+    bench = TellingBench()
+    bench.map_tpdo(3, word, kind=kind)
+    bench.wait_ms(5)
+    move_and_fail(bench)
+    values = [unpack("<" + OBJECTS[word], data)[0] for _, can_id, data in bench.told if can_id == TPDO3]
+    assert len(values) > 1
+    assert all(one != next_one for one, next_one in pairwise(values))
+    assert values[-1] == bench.read(word >> 16, OBJECTS[word])
+
+
+@pytest.mark.parametrize("word", OBJECTS, ids=lambda word: f"{word >> 16:04X}h")
+def test_an_acyclic_synchronous_tpdo_goes_with_the_first_sync_after_a_change(word: int) -> None:
+    """CiA 301, 7.2.2.2 and 7.5.2.37: type 0."""
+    bench = TellingBench()
+    bench.map_tpdo(3, word, kind=0)
+    bench.sync()
+    bench.wait_ms(5)
+    bench.sync()
+    bench.told.clear()
+    move_and_fail(bench)
+    assert [each for each in bench.told if each[1] == TPDO3] == []
+    bench.sync()
+    assert [each[:2] for each in bench.told if each[1] == TPDO3] == [(bench.now, TPDO3)]
+
+
+def test_a_measured_value_is_looked_at_each_millisecond_and_held_by_the_inhibit_time() -> None:
+    """CiA 301, 7.5.2.37, sub-index 3."""
+    bench = TellingBench()
+    bench.torque(400)
+    for inhibit_ms, most in ((0.0, 41), (10.0, 5)):
+        bench.map_tpdo(3, 0x6064_0020, inhibit_ms=inhibit_ms)
+        bench.told.clear()
+        bench.wait_ms(40)
+        at = [instant for instant, can_id, _ in bench.told if can_id == TPDO3]
+        assert most - 2 <= len(at) <= most
+        assert all(late - soon >= max(inhibit_ms, 1.0) * NS_PER_MS for soon, late in pairwise(at))
+
+
+def test_a_tpdo_of_states_asks_for_no_wake_of_its_own() -> None:
+    bench = TellingBench()
+    bench.map_tpdo(3, STATUS, 0x6061_0008, 0x603F_0010)
+    due = bench.servo.wake_at
+    assert due is not None
+    assert due - bench.now > 10 * NS_PER_MS
 
 
 @pytest.mark.parametrize("kind", [254, 255])
