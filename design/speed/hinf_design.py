@@ -36,8 +36,8 @@ _MARGIN_REACH = 1.1
 _INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
 _SETTLED = 0.999
 """Magnitude of the slowest pole that the loops above may have."""
-_NOISE_SHARE = 0.97
-"""Of the torque noise that is allowed, in the search."""
+_NOISE_SHARE = 0.95
+"""Of the torque noise that is allowed: that of an encoder on a drive is not quite white."""
 _ALLOWED, _TIE = 0.1, 0.1
 """What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
 _PRICE = 30.0
