@@ -113,6 +113,7 @@ def simulate(
     vendor, store = files.vendor(announce, nodes, bitrate_bit_s), files.memory(nodes)
     drive = drive_parameters(current_control)
     devices = [SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor) for node in nodes]
+    files.write_data_sheet(devices[0].dictionary, announce)
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
