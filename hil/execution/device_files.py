@@ -10,6 +10,7 @@ from canopen import ObjectDictionary as VendorDictionary
 from drivers.errors import BadInput
 from drivers.sheets.dictionary import load_dictionary
 from drivers.sheets.eds.information import Commissioning
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
@@ -25,6 +26,8 @@ class DeviceFiles(NamedTuple):
     """EDS or DCF (CiA 306-1) that says which objects are on the bus."""
     store: Path | None = None
     """Where 1010h and LSS store, over the end of the process."""
+    export: Path | None = None
+    """Where the device's own EDS is written."""
 
     def commissioned_node(self) -> int | None:
         """The node-ID that a DCF was made for; None if there is none. Raises BadInput."""
@@ -65,6 +68,17 @@ class DeviceFiles(NamedTuple):
             vendor if serial is None else partial(_number_one, vendor=vendor, serial_number=serial)
             for serial in serials
         ]
+
+    def write_data_sheet(self, dictionary: ObjectDictionary, announce: Callable[[str], None]) -> None:
+        """The EDS of the device that has ``dictionary``, if it is asked for. Raises BadInput."""
+        if self.export is None:
+            return
+        try:
+            self.export.write_text(export_eds(dictionary), encoding="latin-1", errors="replace")
+        except OSError as error:
+            expected = "a file that can be written"
+            raise BadInput("--export-eds", "", str(self.export), expected, str(error)) from None
+        announce(f"its data sheet is {self.export}")
 
     def memory(self, nodes: Sequence[int]) -> FileStore | None:
         """The store of the one device in ``nodes``. Raises BadInput for several, or for a foreign file."""

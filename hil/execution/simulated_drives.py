@@ -120,6 +120,7 @@ def simulate(
         SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)
     ]
+    files.write_data_sheet(devices[0].dictionary, announce)
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)

@@ -45,6 +45,10 @@ StoreOption = Annotated[
     Path | None,
     typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
 ]
+ExportOption = Annotated[
+    Path | None,
+    typer.Option("--export-eds", metavar="FILE", help="Write the EDS of the simulated drive there."),
+]
 BackgroundOption = Annotated[
     Path | None,
     typer.Option("--background", metavar="FILE", help="Other nodes' traffic: a file of tables 'background'."),
@@ -82,6 +86,7 @@ def simulate(
     faults: DriveFaultsOption = None,
     eds: EdsOption = None,
     store: StoreOption = None,
+    export_eds: ExportOption = None,
     background: BackgroundOption = None,
     load_machine: LoadMachineOption = None,
     load_machine_fault: LoadMachineFaultOption = None,
@@ -100,7 +105,7 @@ def simulate(
         from hil.execution.device_files import DeviceFiles
         from hil.terminal.node_list import node_ids, serial_numbers
 
-        files = DeviceFiles(eds, store)
+        files = DeviceFiles(eds, store, export_eds)
         typed = [*(node or []), *(more_nodes or [])]
         if not typed and (commissioned := files.commissioned_node()) is not None:
             typed = [str(commissioned)]

@@ -31,9 +31,8 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, 
 from drivers.wire.adapters import open_bus, parse_bus_spec
 from drivers.wire.link import BusLink
 from tests.benchmarks.frozen_hub import FrozenHubBus
-from tests.eds_export import export_eds
 from tests.motors import LING
-from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
 
 ROOT = Path(__file__).parents[2]
@@ -213,7 +212,7 @@ def set_up(network: canopen.Network, bus: can.BusABC, nodes: list[int]) -> list[
 
 def data_sheet(node: int) -> io.StringIO:
     """The EDS of a simulated servo."""
-    text = io.StringIO(export_eds(SimulatedServo(node, LING).dictionary, DeviceIdentity()))
+    text = io.StringIO(export_eds(SimulatedServo(node, LING).dictionary))
     text.name = "servo.eds"
     return text
 

@@ -14,8 +14,7 @@ from canopen.profiles.p402 import OperationMode
 
 from drivers.cia402.objects402 import Object
 from tests.contract.conformance.live_device import live_servo
-from tests.eds_export import export_eds
-from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
 
 NODE = 1
@@ -41,7 +40,7 @@ def eventually(condition: Callable[[], bool]) -> bool:
 
 
 def data_sheet(device: SimulatedServo) -> io.StringIO:
-    text = io.StringIO(export_eds(device.dictionary, DeviceIdentity()))
+    text = io.StringIO(export_eds(device.dictionary))
     text.name = "servo.eds"
     return text
 

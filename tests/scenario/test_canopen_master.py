@@ -19,7 +19,6 @@ import pytest
 from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from drivers.wire.message import frame_of
-from tests.eds_export import export_eds
 from tests.unit.virtual_bus.device_bench import (
     COUNT,
     DEFAULTS,
@@ -32,6 +31,7 @@ from tests.unit.virtual_bus.device_bench import (
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.devices import serve
 
@@ -45,7 +45,7 @@ def make_device(node_id: int = NODE) -> CanopenDevice:
 
 
 def data_sheet(device: CanopenDevice) -> io.StringIO:
-    text = io.StringIO(export_eds(device.dictionary, DEFAULTS.identity))
+    text = io.StringIO(export_eds(device.dictionary))
     text.name = "device.eds"
     return text
 

@@ -7,10 +7,9 @@ import pytest
 from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.errors import BadInput, PeerFault
 from hil.testing.bench_runs import BenchRunner
-from tests.eds_export import export_eds
 from tests.motors import LING
 from tests.scenario.processes import EXAMPLES
-from virtual_bus.device.device_options import DeviceIdentity
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
 
 BENCH = EXAMPLES / "ling2012.toml"
@@ -18,7 +17,7 @@ BENCH = EXAMPLES / "ling2012.toml"
 
 def sheet(folder: Path, old: str = "", new: str = "") -> Path:
     """The simulated drive's own data sheet, with one passage changed."""
-    text = export_eds(SimulatedServo(1, LING).dictionary, DeviceIdentity())
+    text = export_eds(SimulatedServo(1, LING).dictionary)
     assert old in text
     path = folder / "drive.eds"
     path.write_text(text.replace(old, new) if old else text)

@@ -2,9 +2,12 @@
 
 from drivers.canopen.data_types import DataType
 from virtual_bus.device.device_options import DeviceOptions, PdoDefault
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
+UNCOMPRESSED = 0
+"""1022h: the EDS as it is (CiA 301, 7.5.2.24)."""
 RO, RW, CONST = Access.READ_ONLY, Access.READ_WRITE, Access.CONST
 
 
@@ -69,6 +72,9 @@ def _add_error_control(dictionary: ObjectDictionary, options: DeviceOptions) -> 
 
 
 def _add_storage(dictionary: ObjectDictionary) -> None:
+    store = dictionary.add(0x1021, "Store EDS", DataType.DOMAIN, RO)
+    store.provider = lambda: export_eds(dictionary).encode("latin-1", errors="replace")
+    dictionary.add(0x1022, "Store format", U16, RO, default=UNCOMPRESSED)
     for index, verb in ((0x1010, "Store"), (0x1011, "Restore")):
         array = dictionary.add_array(index, f"{verb} parameters")
         for subindex, group in enumerate(("all", "communication", "application", "manufacturer"), 1):

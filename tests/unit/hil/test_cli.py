@@ -277,17 +277,16 @@ def test_simulate_hands_over_nodes_motor_and_faults(bench: Bench) -> None:
         1_000_000,
         0,
     )
-    assert bench.asked["files"] == (None, None)
+    assert bench.asked["files"] == (None, None, None)
     assert "node 1 is on hub:a" in result.stderr
 
 
 def test_simulate_hands_over_the_devices_files(bench: Bench) -> None:
-    result = hil(
-        "simulate", "--bus", "hub:a", "--node", "unconfigured", "--eds", "some.eds", "--store", "memory.json"
-    )
+    files = ("--eds", "some.eds", "--store", "memory.json", "--export-eds", "own.eds")
+    result = hil("simulate", "--bus", "hub:a", "--node", "unconfigured", *files)
     assert result.exit_code == 0, result.stderr
     assert bench.asked["nodes"] == [255]
-    assert bench.asked["files"] == (Path("some.eds"), Path("memory.json"))
+    assert bench.asked["files"] == (Path("some.eds"), Path("memory.json"), Path("own.eds"))
 
 
 def test_simulate_has_a_default_motor_and_no_faults(bench: Bench) -> None:

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.data_types import BITS, SIGNED_BITS, DataType
-from tests.eds_export import export_eds
-from tests.unit.virtual_bus.device_bench import DEFAULTS, NODE, TARGET, Bench
+from tests.unit.virtual_bus.device_bench import NODE, TARGET, Bench
+from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary
 from virtual_bus.device.sdo_abort import AbortCode, SdoAbort
@@ -90,7 +90,7 @@ def test_sub_index_0_counts() -> None:
 
 def test_data_sheet_says_what_the_dictionary_says() -> None:
     bench = Bench()
-    text = io.StringIO(export_eds(bench.device.dictionary, DEFAULTS.identity))
+    text = io.StringIO(export_eds(bench.device.dictionary))
     text.name = "device.eds"
     read = canopen.import_od(text, NODE)
     assert {entry.index for entry in bench.device.dictionary} == {index for index in read if index >= 0x1000}

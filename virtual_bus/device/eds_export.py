@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 
 from drivers.canopen.data_types import DataType
-from virtual_bus.device.device_options import DeviceIdentity
 from virtual_bus.device.object_dictionary import (
     DictionaryObject,
     ObjectCode,
@@ -12,14 +11,17 @@ from virtual_bus.device.object_dictionary import (
 )
 
 MANDATORY = (0x1000, 0x1001, 0x1018)
+SERIAL_NUMBER = (0x1018, 4)
+"""Each device's own; the sheet is of them all."""
 _TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 
 
-def export_eds(dictionary: ObjectDictionary, identity: DeviceIdentity) -> str:
-    """The EDS of a device with this dictionary; defaults that depend on the node-ID say so."""
+def export_eds(dictionary: ObjectDictionary) -> str:
+    """The EDS of a device with this dictionary; defaults that depend on the node-ID say so. What is measured
+    or computed has none."""
     lines: list[str] = []
-    lines += _section("FileInfo", _file_info(identity))
-    lines += _section("DeviceInfo", _device_info(dictionary, identity))
+    lines += _section("FileInfo", _file_info(dictionary))
+    lines += _section("DeviceInfo", _device_info(dictionary))
     lines += _section("DummyUsage", [f"Dummy{index:04X}=1" for index in range(1, 8)])
     lines += _object_list("MandatoryObjects", (i for i in _indices(dictionary) if i in MANDATORY))
     lines += _object_list("OptionalObjects", (i for i in _indices(dictionary) if _optional(i)))
@@ -46,13 +48,13 @@ def _object_list(title: str, indices: Iterable[int]) -> list[str]:
     return _section(title, [f"SupportedObjects={len(entries)}", *entries])
 
 
-def _file_info(identity: DeviceIdentity) -> Sequence[str]:
+def _file_info(dictionary: ObjectDictionary) -> Sequence[str]:
     return (
         "FileName=device.eds",
         "FileVersion=1",
         "FileRevision=0",
         "EDSVersion=4.0",
-        f"Description={identity.device_name}",
+        f"Description={_device_name(dictionary)}",
         # Fixed, so that the same device gives the same text.
         "CreationTime=12:00AM",
         "CreationDate=01-01-2000",
@@ -60,17 +62,27 @@ def _file_info(identity: DeviceIdentity) -> Sequence[str]:
     )
 
 
-def _device_info(dictionary: ObjectDictionary, identity: DeviceIdentity) -> Sequence[str]:
+def _device_name(dictionary: ObjectDictionary) -> str:
+    variable = dictionary.get(0x1008)
+    return "device" if variable is None else bytes(variable.default).decode("latin-1")
+
+
+def _identity(dictionary: ObjectDictionary, subindex: int) -> int:
+    variable = dictionary.get(0x1018, subindex)
+    return 0 if variable is None else int(variable.default)
+
+
+def _device_info(dictionary: ObjectDictionary) -> Sequence[str]:
     receive = sum(1 for index in _indices(dictionary) if 0x1400 <= index < 0x1600)
     transmit = sum(1 for index in _indices(dictionary) if 0x1800 <= index < 0x1A00)
     rates = (f"BaudRate_{rate}=1" for rate in (10, 20, 50, 125, 250, 500, 800, 1000))
     return (
         "VendorName=servobench",
-        f"VendorNumber=0x{identity.vendor_id:X}",
-        f"ProductName={identity.device_name}",
-        f"ProductNumber=0x{identity.product_code:X}",
-        f"RevisionNumber=0x{identity.revision_number:X}",
-        f"OrderCode={identity.device_name}",
+        f"VendorNumber=0x{_identity(dictionary, 1):X}",
+        f"ProductName={_device_name(dictionary)}",
+        f"ProductNumber=0x{_identity(dictionary, 2):X}",
+        f"RevisionNumber=0x{_identity(dictionary, 3):X}",
+        f"OrderCode={_device_name(dictionary)}",
         *rates,
         "SimpleBootUpMaster=0",
         "SimpleBootUpSlave=1",
@@ -79,7 +91,7 @@ def _device_info(dictionary: ObjectDictionary, identity: DeviceIdentity) -> Sequ
         "GroupMessaging=0",
         f"NrOfRXPDO={receive}",
         f"NrOfTXPDO={transmit}",
-        "LSS_Supported=0",
+        "LSS_Supported=1",
     )
 
 
@@ -105,9 +117,11 @@ def _variable(title: str, variable: Variable, code: ObjectCode) -> list[str]:
         f"ObjectType=0x{code:X}",
         f"DataType=0x{variable.data_type:04X}",
         f"AccessType={variable.access.value}",
-        f"DefaultValue={_default(variable)}",
         f"PDOMapping={int(variable.mappable)}",
     ]
+    own = (variable.index, variable.subindex) == SERIAL_NUMBER
+    if variable.provider is None and not variable.runs and not own:
+        entries.append(f"DefaultValue={_default(variable)}")
     if variable.low is not None:
         entries.append(f"LowLimit={variable.low}")
     if variable.high is not None:
@@ -120,5 +134,5 @@ def _default(variable: Variable) -> str:
     if variable.node_relative:
         return f"$NODEID+0x{default:X}"
     if isinstance(default, bytes):
-        return default.decode("ascii") if variable.data_type in _TEXT_TYPES else default.hex()
+        return default.decode("latin-1") if variable.data_type in _TEXT_TYPES else default.hex()
     return str(default)
