@@ -10,7 +10,7 @@ from pydantic import Field
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.drive_file import LoopOfDrive
-from hil.configuration.hinf_section import HinfController
+from hil.configuration.hinf_section import HinfSection
 from hil.configuration.predictor_section import PredictorController
 from hil.configuration.quantities import Gain, PositiveGain, SignedTorque, TimeConstant
 from hil.configuration.speed_controller_file import Certificate, MadeFor
@@ -134,7 +134,7 @@ CompensatorSection = Annotated[
     ArrivalCompensator | StampCompensator | OwnCompensator, Field(discriminator="kind")
 ]
 ControllerSection = Annotated[
-    PidController | StateFeedbackController | PredictorController | HinfController | OwnController,
+    PidController | StateFeedbackController | PredictorController | HinfSection | OwnController,
     Field(discriminator="kind"),
 ]
 

@@ -35,7 +35,7 @@ class HinfFigures(Section):
     """Rms of the command by the encoder's noise."""
 
 
-class HinfController(Section):
+class HinfSection(Section):
     """x+ = A x + B e + L (u_sent - feed-forward), u = C x + D e + feed-forward; e is the speed error."""
 
     kind: Literal["hinf"]
@@ -53,7 +53,7 @@ class HinfController(Section):
     figures: HinfFigures | None = None
 
     @model_validator(mode="after")
-    def _shapes(self) -> "HinfController":
+    def _shapes(self) -> "HinfSection":
         n = len(self.C)
         if not (len(self.A) == len(self.B) == len(self.L) == n and all(len(row) == n for row in self.A)):
             raise ValueError(f"A of {n} rows and columns, B and L of {n} entries, as C has, are expected")

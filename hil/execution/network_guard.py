@@ -17,7 +17,7 @@ from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_errors import raise_all
 from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
 from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
-from hil.configuration.hinf_section import HinfController
+from hil.configuration.hinf_section import HinfSection
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.predictor_section import PredictorController
 from hil.configuration.speed_controller_file import DesignPlant, MadeFor
@@ -48,7 +48,7 @@ class Allowed:
 def made_for(drive: DriveConfig) -> MadeFor | None:
     """What the controller of an axis was made for, if its file says so."""
     controller = drive.controller
-    if isinstance(controller, StateFeedbackController | PredictorController | HinfController):
+    if isinstance(controller, StateFeedbackController | PredictorController | HinfSection):
         return controller.made_for
     return None
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from design.motor import PmsmParameters
 from design.speed.hinf_design import LOST, HinfDesign, HinfRobustness, design_hinf, hinf_robustness
-from hil.configuration.hinf_section import HinfController, HinfFigures
+from hil.configuration.hinf_section import HinfFigures, HinfSection
 from hil.studies.speed.analysis import finite
 from hil.studies.speed.predictor import (
     PredictorDrive,
@@ -93,12 +93,12 @@ def design_speed_hinf(
     return HinfResult(drive, network, design, hinf_robustness(design))
 
 
-def hinf_controller_of(result: HinfResult) -> HinfController:
+def hinf_controller_of(result: HinfResult) -> HinfSection:
     """The table [controller] of a design. The matrices keep all their digits: they integrate exactly."""
     design, found, c = result.design, result.robustness, result.design.controller
     request, motor = design.request, design.request.motor
     lags_s = 1.0 / request.current_rate_rad_s + 1.0 / request.plant.filter_rate_rad_s
-    return HinfController(
+    return HinfSection(
         kind="hinf",
         period_us=round(request.period_s * _US_PER_S),
         A=tuple(tuple(map(float, row)) for row in c.A),

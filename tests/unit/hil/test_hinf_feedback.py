@@ -10,7 +10,7 @@ from drivers.errors import BadInput
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.bench_file import load_controller
-from hil.configuration.hinf_section import HinfController
+from hil.configuration.hinf_section import HinfSection
 from hil.configuration.motor_file import LING2012
 from hil.control.hinf import HinfFeedback, HinfSettings
 from hil.control.setup import Setup
@@ -80,7 +80,7 @@ def setup(period: Duration) -> Setup:
 
 def test_a_period_that_is_not_its_own_is_refused() -> None:
     table = load_controller(FILE)
-    assert isinstance(table, HinfController)
+    assert isinstance(table, HinfSection)
     assert isinstance(table.build(setup(PERIOD)), HinfFeedback)
     with pytest.raises(BadInput, match=r"drive\.axis1\.controller\.period_us"):
         table.build(setup(Duration(2 * NS_PER_MS)))
@@ -88,9 +88,9 @@ def test_a_period_that_is_not_its_own_is_refused() -> None:
 
 def test_matrices_that_do_not_fit_are_refused() -> None:
     table = load_controller(FILE)
-    assert isinstance(table, HinfController)
+    assert isinstance(table, HinfSection)
     tables = table.model_dump(mode="json", exclude_none=True)
     with pytest.raises(ValueError, match="4 rows and columns"):
-        HinfController.model_validate(tables | {"A": tables["A"][:3]})
+        HinfSection.model_validate(tables | {"A": tables["A"][:3]})
     with pytest.raises(ValueError, match="4 rows and columns"):
-        HinfController.model_validate(tables | {"L": tables["L"][:3]})
+        HinfSection.model_validate(tables | {"L": tables["L"][:3]})
