@@ -41,5 +41,6 @@ def nobody_there(network: CanopenNetwork, node_id: int, title: str) -> NoAnswer:
     return NoAnswer(
         f"{title} does not answer",
         heard,
-        "check that it is powered, its node id, the bit rate and the wiring",
+        "check that it is powered, its node id, the bit rate and the wiring; "
+        f"hil scan --bus {network.link.name} shows who is there",
     )

@@ -136,7 +136,7 @@ def read_identity(objects: RemoteObjects) -> Identity:
         raise PeerFault(
             f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
             f"device type {device_type:08X}h, profile {device_type & 0xFFFF} instead of {DRIVE_PROFILE}",
-            "check the node id",
+            f"check the node id; hil scan --bus {objects.network.link.name} shows who is there",
         )
     vendor, product, revision, serial = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2, 3, 4))
     return Identity(objects.read_text(DEVICE_NAME), vendor, product, revision, serial, device_type)

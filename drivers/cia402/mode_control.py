@@ -32,7 +32,7 @@ class ModeControl:
         speed if the drive is enabled, else at 0. Raises PeerFault if the drive has no such mode,
         SettingRefused if it keeps another one until the deadline, DriveInFault if a fault comes up.
         """
-        self._check_supported(mode)
+        self.require(mode)
         self.mode = Mode.NONE
         self._control.clear_bits(MODE_BITS)
         self.prime(mode)
@@ -60,10 +60,15 @@ class ModeControl:
     def _turns(self) -> bool:
         return self._control.read_state() is State.OPERATION_ENABLED
 
-    def _check_supported(self, mode: Mode) -> None:
+    def require(self, mode: Mode) -> None:
+        """Raises PeerFault if 6502h says that the drive does not have ``mode``."""
         modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
         if modes and not modes & supported_mode_bit(mode):
-            raise PeerFault(f"{self._control.title} has no {mode.title} mode", f"6502h is {modes:08X}h")
+            raise PeerFault(
+                f"{self._control.title} has no {mode.title} mode",
+                f"6502h is {modes:08X}h",
+                "`hil run` needs cyclic synchronous torque; `hil eds` tells what a drive can serve for",
+            )
 
     def _await_display(self, mode: Mode, deadline: Instant) -> None:
         """0x6061 follows 0x6060 when the drive has changed; a drive without 0x6061 is believed."""

@@ -107,7 +107,11 @@ class ServoDrive(Drive):
         watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
         network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
-        scaling = read_scaling(self.objects, settings.scale)
+        try:
+            scaling = read_scaling(self.objects, settings.scale)
+        except PeerFault:  # a unit that only the mode needs is not to be asked for if the mode is not there
+            self.modes.require(settings.mode)
+            raise
         notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)

@@ -288,7 +288,10 @@ def _obstacles(
 ) -> tuple[str, ...]:
     found = []
     if profile is not None and profile not in (0, DRIVE_PROFILE):
-        found.append(f"1000h says device profile {profile}, and a servo drive has {DRIVE_PROFILE}")
+        found.append(
+            f"1000h says device profile {profile} ({profile:04X}h), and a servo drive has"
+            f" {DRIVE_PROFILE} ({DRIVE_PROFILE:04X}h)"
+        )
     missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if index not in dictionary]
     if missing:
         names = " and ".join(object_name(index, 0) for index in missing)

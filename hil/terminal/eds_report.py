@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
+from drivers.cia402.profile import Mode
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
 from drivers.sheets.fitness import FileIdentity, Fitness
@@ -209,7 +210,10 @@ def _print_verdict(console: Console, fitness: Fitness) -> None:
     if fitness.serves:
         best = fitness.best
         mode = f", best in {best.mode.title}" if best is not None else ""
-        console.print(Text(f"It can serve a bench{mode}.", style="bold green"))
+        runs = best is None or best.mode is Mode.CYCLIC_SYNCHRONOUS_TORQUE
+        closes = "" if runs else f"; `hil run` needs {Mode.CYCLIC_SYNCHRONOUS_TORQUE.title}"
+        style = "bold green" if runs else "bold yellow"
+        console.print(Text(f"It can serve a bench{mode}{closes}.", style=style), soft_wrap=True)
         return
     console.print(Text("It cannot serve a bench:", style="bold red"))
     for obstacle in fitness.obstacles:

@@ -136,6 +136,7 @@ class HeartbeatConsumers:
     """All sub-indices of 1016h."""
 
     def __init__(self, station: Station, emergency: EmergencyProducer, nmt: NmtSlave) -> None:
+        self._station = station
         self._consumers: list[HeartbeatConsumer] = []
         self._variables: list[Variable] = []
         if 0x1016 not in station.dictionary:
@@ -152,13 +153,15 @@ class HeartbeatConsumers:
             consumer.reset_communication()
 
     def _checker(self, own: Variable) -> "_Checker":
-        return _Checker(own, self._variables)
+        return _Checker(own, self._variables, self._station)
 
 
 class _Checker:
-    """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved."""
+    """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved, and no node hears
+    its own heartbeat."""
 
-    def __init__(self, own: Variable, variables: list[Variable]) -> None:
+    def __init__(self, own: Variable, variables: list[Variable], station: Station) -> None:
+        self._station = station
         self._own = own
         self._variables = variables
 
@@ -166,7 +169,7 @@ class _Checker:
         node_id, milliseconds = value >> 16, value & 0xFFFF
         if not milliseconds or not node_id:
             return None
-        if node_id > NODE_ID_MAX:
+        if node_id > NODE_ID_MAX or node_id == self._station.node_id:
             return AbortCode.INVALID_VALUE
         for other in self._variables:
             if other is not self._own and other.value & 0xFFFF and other.value >> 16 & 0xFF == node_id:

@@ -33,17 +33,17 @@ class Field:
 def resolve(dictionary: ObjectDictionary, word: int, *, transmit: bool) -> Field:
     """The field that a mapping word names.
 
-    Error: SdoAbort 06020000h where there is no such object, 06040041h where it cannot be mapped in this
-    direction or with this length.
+    Error: SdoAbort 06020000h where there is no such object, 06090011h where it has no such sub-index,
+    06040041h where it cannot be mapped in this direction or with this length.
     """
     index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-    if not transmit and index in DUMMY_BITS:
-        if subindex or bits != DUMMY_BITS[index]:
+    if index in DUMMY_BITS:
+        if transmit or subindex or bits != DUMMY_BITS[index]:
             raise SdoAbort(AbortCode.NOT_MAPPABLE)
         return Field(None, bits)
     variable = dictionary.get(index, subindex)
     if variable is None:
-        raise SdoAbort(AbortCode.NO_OBJECT)
+        raise SdoAbort(AbortCode.NO_SUBINDEX if index in dictionary else AbortCode.NO_OBJECT)
     mappable = variable.mappable_in_tpdo if transmit else variable.mappable_in_rpdo
     if not mappable or variable.bits != bits:
         raise SdoAbort(AbortCode.NOT_MAPPABLE)

@@ -77,9 +77,9 @@ class SyncConsumer:
         data = frame.data
         if len(data) != self._length or self._wrong_length:
             self._judge_length(len(data))
-            if self._wrong_length:
+            if self._length and self._wrong_length:
                 return
-        counter = data[0] if data else 0
+        counter = data[0] if self._length else 0
         if self._window_ns:
             self._pdos.open_window(True)
             self._window.start(Instant(now + self._window_ns))
@@ -90,7 +90,8 @@ class SyncConsumer:
         self._pdos.open_window(False)
 
     def _judge_length(self, length: int) -> None:
-        """A SYNC with the wrong length is not taken; EMCY 8240h once, until a right one comes."""
+        """EMCY 8240h once, until a right one comes. A counter that is not expected (1019h = 0) is passed
+        over; a SYNC without the one that is expected is not taken."""
         wrong = length != self._length
         if wrong and not self._wrong_length:
             self._emergency.raise_error(SYNC_LENGTH, ErrorRegister.COMMUNICATION)

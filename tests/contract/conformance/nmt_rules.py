@@ -112,6 +112,12 @@ def two_consumers_of_one_node_are_refused(rig: Rig) -> None:
     rig.write(0x1016, 3, 10 << 16, 4)
 
 
+@rule("CiA 301, 7.5.2.19")
+def a_node_does_not_watch_itself(rig: Rig) -> None:
+    assert rig.refusal(0x1016, 1, NODE << 16 | 500, 4) == 0x0609_0030
+    rig.write(0x1016, 1, NODE << 16, 4)
+
+
 @rule("CiA 301, 7.2.8.2.2.2 and 7.5.2.32")
 def a_lost_heartbeat_is_told_and_acts_by_1029h(rig: Rig) -> None:
     for value, left in ((0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)):

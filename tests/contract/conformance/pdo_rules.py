@@ -180,6 +180,26 @@ def the_sync_counter_is_checked_and_its_length_told_by_emcy(rig: Rig) -> None:
     assert 0x180 + NODE in [frame.can_id for frame in rig.ask(SYNC, b"\x01")]
 
 
+@rule("CiA 301, 7.5.2.22")
+def a_sync_with_a_counter_that_is_not_expected_is_told_and_taken(rig: Rig) -> None:
+    rig.enter(NmtState.OPERATIONAL)
+    came = rig.ask(SYNC, b"\x05")
+    assert [frame.data[:2] for frame in came if frame.can_id == EMCY] == [b"\x40\x82"]
+    assert 0x180 + NODE in [frame.can_id for frame in came]
+    again = [frame.can_id for frame in rig.ask(SYNC, b"\x06")]
+    assert (EMCY in again, 0x180 + NODE in again) == (False, True)
+
+
+@rule("CiA 301, 7.4.7.3 and 7.5.2.38")
+def what_cannot_be_mapped_is_refused_for_its_reason(rig: Rig) -> None:
+    rig.write(0x1802, 1, NOT_VALID | TPDO3, 4)
+    rig.write(0x1A02, 0, 0, 1)
+    dummy, unknown_sub, unknown = 0x0006_0010, 0x6041_0110, 0x5FFF_0008
+    assert rig.refusal(0x1A02, 1, dummy, 4) == 0x0604_0041
+    assert rig.refusal(0x1A02, 1, unknown_sub, 4) == 0x0609_0011
+    assert rig.refusal(0x1A02, 1, unknown, 4) == 0x0602_0000
+
+
 @rule("CiA 301, 7.5.2.37, sub-index 6")
 def a_tpdo_waits_for_its_sync_start_value(rig: Rig) -> None:
     quiet(rig)

@@ -143,14 +143,6 @@ def test_a_mapping_that_stays_wrong_is_named(bench: Bench) -> None:
         drive.configure(SETTINGS)
 
 
-def test_no_torque_mode_is_refused(bench: Bench) -> None:
-    _, servo, network, drive = bench
-    servo.values[0x6502, 0] = 1
-    drive.connect(soon(network))
-    with pytest.raises(PeerFault, match="torque mode"):
-        drive.configure(SETTINGS)
-
-
 def test_without_device_clock_the_stamp_is_left_out(bench: Bench) -> None:
     _, servo, _, drive = bench
     del servo.types[0x1013, 0]

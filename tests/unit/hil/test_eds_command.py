@@ -52,11 +52,19 @@ def test_a_drive_that_serves(good: str) -> None:
     assert "It can serve a bench, best in cyclic synchronous torque." in text
 
 
+def test_a_drive_without_the_mode_of_hil_run_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "velocity.eds"
+    path.write_text(sheet_text(four_pdos(), modes="0x104"))
+    status, text = run(str(path))
+    assert status == 0
+    assert "best in cyclic synchronous velocity; `hil run` needs cyclic synchronous torque." in text
+
+
 def test_a_device_that_does_not_says_why(bad: str) -> None:
     status, text = run(bad)
     assert status == 1
     assert "It cannot serve a bench:" in text
-    assert "device profile 401" in text
+    assert "device profile 401 (0191h)" in text
     assert "6040h:00 missing" in text
 
 

@@ -83,7 +83,7 @@ def test_mapping_is_refused_while_the_pdo_exists(communication: int, mapping: in
     ("word", "code"),
     [
         (mapping_word(0x5FFF, 0, 8), AbortCode.NO_OBJECT),
-        (mapping_word(SWITCHES, 9, 1), AbortCode.NO_OBJECT),
+        (mapping_word(SWITCHES, 9, 1), AbortCode.NO_SUBINDEX),
         (mapping_word(LEVEL, 0, 16), AbortCode.NOT_MAPPABLE),
         (mapping_word(NOTE, 0, 64), AbortCode.NOT_MAPPABLE),
         (mapping_word(SECRET, 0, 8), AbortCode.NOT_MAPPABLE),
@@ -99,7 +99,7 @@ def test_what_an_rpdo_cannot_map(word: int, code: AbortCode) -> None:
 def test_what_a_tpdo_cannot_map() -> None:
     bench = Bench()
     assert bench.refused(0x1A01, 1, mapping_word(SECRET, 0, 8), 4) == AbortCode.NOT_MAPPABLE
-    assert bench.refused(0x1A01, 1, mapping_word(5, 0, 8), 4) == AbortCode.NO_OBJECT
+    assert bench.refused(0x1A01, 1, mapping_word(5, 0, 8), 4) == AbortCode.NOT_MAPPABLE
     bench.write(0x1A01, 1, mapping_word(COUNT, 0, 16), 4)
 
 

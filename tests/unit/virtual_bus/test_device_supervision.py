@@ -242,11 +242,11 @@ def test_error_present_at_power_on_is_told_after_boot_up() -> None:
     assert bench.read(0x1001) == 0x01
 
 
-def test_sync_of_the_wrong_length_is_not_taken() -> None:
+def test_sync_with_a_counter_that_is_not_expected_is_told_once_and_taken() -> None:
     bench = operational()
-    (emergency,) = bench.sync(1)
-    assert emergency.data[:3] == b"\x40\x82\x11"
-    assert bench.sync(2) == []
+    emergency, tpdo = bench.sync(1)
+    assert (emergency.data[:3], tpdo.can_id) == (b"\x40\x82\x11", 0x180 + NODE)
+    assert [frame.can_id for frame in bench.sync(2)] == [0x180 + NODE]
     cleared, tpdo = bench.sync()
     assert (cleared.data[:3], tpdo.can_id) == (bytes(3), 0x180 + NODE)
 
