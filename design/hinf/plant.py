@@ -11,7 +11,7 @@ A4  [A - jwI, B1; C2, D21] of full row rank for all w
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack
 
 from design.errors import SingularPlant
 from design.statespace import Array, ComplexArray, StateSpace, balanced
@@ -87,15 +87,14 @@ def normal_form(plant: GeneralisedPlant) -> NormalPlant:
     Time is scaled to the geometric mean of the modes, and states are balanced; w, z, u and y keep their
     sizes, because the norm is theirs.
     """
-    _check_direct_gains(plant)
     system, rate = _scaled(plant)
     D = system.D
     D12, D21, D22 = D[plant.z, plant.u], D[plant.y, plant.w], D[plant.y, plant.u]
-    U, sigma, Vt = np.linalg.svd(D12)
+    (U, sigma, Vt), (U2, sigma2, Vt2) = np.linalg.svd(D12), np.linalg.svd(D21)
+    _check_direct_gains(_rank(D12, sigma), _rank(D21, sigma2), plant)
     m2, p2 = plant.controls, plant.measurements
     rotate_z = np.vstack([U[:, m2:].T, U[:, :m2].T])
     scale_u = Vt.T / sigma
-    U2, sigma2, Vt2 = np.linalg.svd(D21)
     rotate_w = np.hstack([Vt2[p2:].T, Vt2[:p2].T])
     scale_y = U2.T / sigma2[:, None]
     normal = NormalPlant(
@@ -123,21 +122,22 @@ def _scaled(plant: GeneralisedPlant) -> tuple[StateSpace, float]:
     return balanced(StateSpace(system.A / rate, system.B / rate, system.C, system.D)), rate
 
 
-def _check_direct_gains(plant: GeneralisedPlant) -> None:
-    D = plant.system.D
-    D12, D21 = D[plant.z, plant.u], D[plant.y, plant.w]
-    rank = np.linalg.matrix_rank(D12)
-    if rank < plant.controls:
+def _rank(matrix: Array, sigma: Array) -> int:
+    """From its singular values: those above what rounding makes of zero."""
+    return int(np.sum(sigma > sigma[0] * max(matrix.shape) * np.finfo(float).eps))
+
+
+def _check_direct_gains(rank_D12: int, rank_D21: int, plant: GeneralisedPlant) -> None:
+    if rank_D12 < plant.controls:
         raise SingularPlant(
             "A2",
-            f"D12 has rank {rank}, {plant.controls} is needed: a control reaches no weighted error at once",
+            f"D12 has rank {rank_D12}, {plant.controls} is needed: a control reaches no error at once",
             "give every control a weight that does not vanish at high frequency (w2 with a direct gain)",
         )
-    rank = np.linalg.matrix_rank(D21)
-    if rank < plant.measurements:
+    if rank_D21 < plant.measurements:
         raise SingularPlant(
             "A2",
-            f"D21 has rank {rank}, {plant.measurements} is needed: a measurement has no disturbance at once",
+            f"D21 has rank {rank_D21}, {plant.measurements} is needed: a measurement has none at once",
             "let the reference or a small measurement noise enter every measurement directly",
         )
 
@@ -205,10 +205,23 @@ def _modes(A: Array) -> tuple[ComplexArray, Array]:
     """
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0)
-    values, left, right = scipy.linalg.eig(A, left=True, right=True)
-    spread = np.einsum("ik,ij,jk->k", np.abs(left), np.abs(A), np.abs(right))
-    across = np.abs(np.einsum("ik,ik->k", left.conj(), right))
+    real, imaginary, left, right, failed = lapack.dgeev(A)
+    if failed:
+        raise np.linalg.LinAlgError("the eigenvalues did not converge")
+    if imaginary.any():
+        left, right = (_complex_columns(vectors, imaginary) for vectors in (left, right))
+    spread = (np.abs(left) * (np.abs(A) @ np.abs(right))).sum(axis=0)
+    across = np.abs((left.conj() * right).sum(axis=0))
+    values = real + 1j * imaginary
     return values, _ROUNDED * spread / np.maximum(across, 1e-30)
+
+
+def _complex_columns(vectors: Array, imaginary: Array) -> ComplexArray:
+    """LAPACK keeps the real and the imaginary part of a pair's eigenvector in two columns."""
+    columns, pair = vectors.astype(complex), np.flatnonzero(imaginary > 0.0)
+    columns[:, pair] += 1j * vectors[:, pair + 1]
+    columns[:, pair + 1] = columns[:, pair].conj()
+    return columns
 
 
 def _hidden_on_axis(A: Array, C: Array) -> float | None:

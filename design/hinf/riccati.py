@@ -8,13 +8,14 @@ then refine X, the residual being computed in extended precision where the machi
 decades apart the Schur form alone leaves X with few true digits.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
-from design.statespace import Array, balancing_scales
+from design.statespace import Array, ComplexArray, balancing_scales
 
 LongArray = NDArray[np.longdouble]
 
@@ -23,7 +24,11 @@ _SKEW_MAX = 1e-5
 eigenvalues sit on the imaginary axis and the split was arbitrary."""
 _SKEW_NOISE = 1e-9
 _AXIS = 1e-12
+_RECIPROCAL_CONDITION = 1e-15
+"""Of X1, below which it counts as singular."""
 _STEPS_MAX = 4
+_DERIVATIVE_HOLDS = 1e-3
+"""A step of Newton that leaves less of the residual had a derivative that is as good for the next one."""
 _PRECISION = 16.0 * float(np.finfo(np.longdouble).eps)
 """Relative error of an entry of the equation's terms, in extended precision."""
 
@@ -35,34 +40,40 @@ class RiccatiSolution:
     X: LongArray
     noise: Array
     """(n,) diagonal of a matrix S >= 0 that the rounding errors of Q alone move X by, at most."""
-    closed_loop: Array
+    closed_loop: ComplexArray
     """Eigenvalues of E - W X."""
-    residual: float
-    """Norm of the equation's left side beside the norms of its terms."""
     error: float
     """Norm of the last Newton step beside that of X: how far X may be off, relative."""
 
 
-def stabilising_solution(E: LongArray, W: LongArray, Q: LongArray, terms: Array) -> RiccatiSolution | None:
-    """The stabilising X; None if there is none (eigenvalues of H on the axis, or X1 singular).
+@dataclass(frozen=True, slots=True)
+class NoRiccatiSolution:
+    """H has no stable subspace of n dimensions that X can be had from, or was not to be had itself."""
+
+    centre: complex
+    """Middle of the two eigenvalues of H that met on the imaginary axis."""
+    half_gap: float
+    """Half of what they have moved apart since, along the axis."""
+
+
+def stabilising_solution(
+    E: LongArray, W: LongArray, Q: LongArray, terms: Array
+) -> RiccatiSolution | NoRiccatiSolution:
+    """The stabilising X, if there is one (no eigenvalue of H on the axis, and X1 regular).
 
     ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel.
     """
     if len(E) == 0:
         empty = np.zeros((0, 0))
-        return RiccatiSolution(_long(empty), np.zeros(0), np.zeros(0), 0.0, 0.0)
+        return RiccatiSolution(_long(empty), np.zeros(0), np.zeros(0, dtype=complex), 0.0)
     found = _nothing(_double(E), _double(Q), terms) or _by_schur(_double(E), _double(W), _double(Q))
-    if found is None:
-        return None
-    X, residual, step = _refined(E, W, Q, _long(found[0]))
-    moved = _lyapunov(_double(E - W @ X), _PRECISION * np.diag(terms.sum(axis=1)))
+    if isinstance(found, NoRiccatiSolution):
+        return found
+    X, schur, step = _refined(E, W, Q, _long(found[0]))
+    moved = _lyapunov(schur, _PRECISION * np.diag(terms.sum(axis=1)))
     noise = np.zeros(len(X)) if moved is None else np.abs(np.diag(moved))
-    sizes = (
-        2.0 * np.linalg.norm(_double(E.T @ X)) + np.linalg.norm(_double(X @ W @ X)) + np.linalg.norm(terms)
-    )
-    relative = float(np.linalg.norm(_double(residual)) / max(float(sizes), 1e-300))
-    size = max(float(np.linalg.norm(_double(X))), 4e6 * float(np.linalg.norm(noise)), 1e-300)
-    return RiccatiSolution(X, noise, found[1], relative, step / size)
+    size = max(_norm(X), 4e6 * _norm(noise), 1e-300)
+    return RiccatiSolution(X, noise, found[1], step / size)
 
 
 def _long(matrix: Array) -> LongArray:
@@ -73,68 +84,97 @@ def _double(matrix: LongArray) -> Array:
     return np.asarray(matrix, dtype=float)
 
 
-def _lyapunov(C: Array, Q: Array) -> Array | None:
-    """S with C' S + S C + Q = 0, Q symmetric (Bartels and Stewart 1972); None where that overflows."""
-    T, U = scipy.linalg.schur(C.T, output="real")
-    Y, scale, _ = scipy.linalg.lapack.dtrsyl(T, T, -U.T @ Q @ U, tranb="T")
+def _norm(matrix: Array | LongArray) -> float:
+    return math.sqrt(np.vdot(matrix, matrix))
+
+
+def _lyapunov(schur: tuple[Array, Array], Q: Array) -> Array | None:
+    """S with C' S + S C + Q = 0, Q symmetric (Bartels and Stewart 1972); None where that overflows.
+
+    ``schur``: T and U of C' = U T U'.
+    """
+    T, U = schur
+    Y, scale, _ = lapack.dtrsyl(T, T, -U.T @ Q @ U, tranb="T")
     S = U @ (Y * scale) @ U.T
     return np.asarray(0.5 * (S + S.T), dtype=float) if np.isfinite(S).all() else None
 
 
-def _refined(E: LongArray, W: LongArray, Q: LongArray, X: LongArray) -> tuple[LongArray, LongArray, float]:
-    """X after Newton's steps, each found in double precision, its residual, and the size of the last step.
+def _refined(
+    E: LongArray, W: LongArray, Q: LongArray, X: LongArray
+) -> tuple[LongArray, tuple[Array, Array], float]:
+    """X after Newton's steps, each found in double precision, the last Schur form of (E - W X)', and the
+    size of the last step.
 
-    A step is taken while it halves the residual at least.
+    A step is taken while it halves the residual at least. After one that nearly removes it the derivative
+    still holds: the next step needs no other Schur form.
     """
-    residual, size = E.T @ X + X @ E - X @ W @ X + Q, np.inf
+    C = E - W @ X
+    residual, size, shrunk = E.T @ X + X @ C + Q, np.inf, 1.0
     for _ in range(_STEPS_MAX):
-        step = _lyapunov(_double(E - W @ X), _double(residual))
+        if shrunk > _DERIVATIVE_HOLDS:
+            T, _, _, _, U, *_ = lapack.dgees(_is_left, _double(C.T))
+        step = _lyapunov((T, U), _double(residual))
         if step is None:
             break
-        size = float(np.linalg.norm(step))
+        size = _norm(step)
         next_X = X + step
-        next_residual = E.T @ next_X + next_X @ E - next_X @ W @ next_X + Q
-        if not np.linalg.norm(_double(next_residual)) < 0.5 * np.linalg.norm(_double(residual)):
+        C = E - W @ next_X
+        next_residual = E.T @ next_X + next_X @ C + Q
+        before, after = _norm(residual), _norm(next_residual)
+        if not after < 0.5 * before:
             break
-        X, residual = next_X, next_residual
-    return X, residual, size
+        X, residual, shrunk = next_X, next_residual, after / before
+    return X, (T, U), size
 
 
-def _nothing(E: Array, Q: Array, terms: Array) -> tuple[Array, Array] | None:
+def _is_left(real: float, _imaginary: float) -> bool:
+    return real < 0.0
+
+
+def _nothing(E: Array, Q: Array, terms: Array) -> tuple[Array, ComplexArray] | None:
     """X = 0 and the eigenvalues of E where Q is nothing but rounding and E stable.
 
     The Schur form would have to tell H's eigenvalues from their mirror images, which for a mode fourteen
     decades slower than another it cannot.
     """
-    if np.any(np.abs(Q) > _PRECISION * terms):
+    if (np.abs(Q) > _PRECISION * terms).any():
         return None
-    values = np.asarray(scipy.linalg.eigvals(E))
+    values = np.linalg.eigvals(E).astype(complex)
     return (np.zeros_like(E), values) if np.all(-values.real > _AXIS * np.abs(values)) else None
 
 
-def _by_schur(E: Array, W: Array, Q: Array) -> tuple[Array, Array] | None:
-    """X and the eigenvalues of E - W X in double precision, or None."""
+def _by_schur(E: Array, W: Array, Q: Array) -> tuple[Array, ComplexArray] | NoRiccatiSolution:
+    """X and the eigenvalues of E - W X in double precision."""
     n = len(E)
-    H = np.block([[E, -W], [-Q, -E.T]])
+    H = np.empty((2 * n, 2 * n))
+    H[:n, :n], H[:n, n:], H[n:, :n], H[n:, n:] = E, -W, -Q, -E.T
     scale = _symplectic_scale(H)
     both = np.concatenate([scale, 1.0 / scale])
-    H = H * both / both[:, None]
-    try:
-        T, U, stable = scipy.linalg.schur(H, output="real", sort="lhp")
-    except scipy.linalg.LinAlgError:
-        return None
-    values = np.asarray(scipy.linalg.eigvals(T))[:n] if stable == n else None
-    if values is None or np.any(-values.real <= _AXIS * np.abs(values)):
-        return None
+    _, stable, real, imaginary, U, _, info = lapack.dgees(_is_left, H * both / both[:, None], sort_t=1)
+    values = real + 1j * imaginary
     X1, X2 = U[:n, :n], U[n:, :n]
     product = X1.T @ X2
-    size = np.linalg.norm(product)
-    if np.linalg.norm(product - product.T) > _SKEW_MAX * size + _SKEW_NOISE:
-        return None
-    if np.linalg.cond(X1) > 1e15:
-        return None
-    X = scipy.linalg.solve(X1.T, X2.T).T
-    return 0.5 * (X + X.T) / scale[:, None] / scale, values
+    LU, pivots, singular = lapack.dgetrf(X1)
+    if (
+        info
+        or stable != n
+        or np.any(-real[:n] <= _AXIS * np.abs(values[:n]))
+        or _norm(product - product.T) > _SKEW_MAX * _norm(product) + _SKEW_NOISE
+        or singular
+        or lapack.dgecon(LU, np.abs(X1).sum(axis=0).max())[0] < _RECIPROCAL_CONDITION
+    ):
+        return _meeting(values)
+    X = lapack.dgetrs(LU, pivots, X2.T, trans=1)[0].T
+    return 0.5 * (X + X.T) / scale[:, None] / scale, values[:n]
+
+
+def _meeting(values: ComplexArray) -> NoRiccatiSolution:
+    """Where the eigenvalue of H nearest to the axis, in its own size, met its neighbour."""
+    nearest = np.argmin(np.abs(values.real) / np.maximum(np.abs(values), 1e-300))
+    gaps = np.abs(values - values[nearest])
+    gaps[nearest] = np.inf
+    other = np.argmin(gaps)
+    return NoRiccatiSolution(0.5 * (values[nearest] + values[other]), 0.5 * float(gaps[other]))
 
 
 def _symplectic_scale(H: Array) -> Array:

@@ -9,21 +9,31 @@ last columns as many as measurements.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from design.errors import InfeasibleDesign, SingularPlant
 from design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
-from design.hinf.riccati import LongArray, RiccatiSolution, is_positive_semidefinite, stabilising_solution
+from design.hinf.riccati import (
+    LongArray,
+    NoRiccatiSolution,
+    RiccatiSolution,
+    is_positive_semidefinite,
+    stabilising_solution,
+)
 from design.hinf.system_norm import hinf_norm
-from design.statespace import Array, StateSpace, connect, lower_lft
+from design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
 
 GAMMA_MIN_RELATIVE = 1e-10
-"""How far apart, relative, the last feasible and the last infeasible gamma of the bisection are."""
+"""How far apart, relative, the last feasible and the last infeasible gamma of the search are."""
 _DOUBLINGS_MAX = 60
 _TRIES = 3
 """Steps of regula falsi in which the interval is to shrink to a quarter, as two halvings would."""
+_KEPT_MIN = 0.2
+"""Of the distance at the end that stays: Anderson and Bjorck keep none of it where the function is flat."""
+_DIRECT_GAIN = "condition (a): the direct gain from w to z"
 _BESIDE = 0.4
 """Of the width asked for: so far inside the interval the zero is tried at least."""
 _TWO = np.longdouble(2)
@@ -41,9 +51,9 @@ class Synthesis:
     """M of (23): inputs [y; Phi's output], outputs [u; Phi's input]."""
     X: Array
     Y: Array
-    state_feedback_modes: Array
+    state_feedback_modes: ComplexArray
     """Eigenvalues of E_x - W_x X, 1/s."""
-    observer_modes: Array
+    observer_modes: ComplexArray
     """Eigenvalues of E_y - W_y Y, 1/s."""
     controls: int
 
@@ -56,23 +66,51 @@ class Synthesis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Feasible:
+class _Side:
+    """One of the two Riccati equations, as far as it is the same for every gamma: :func:`_side`."""
+
+    a: LongArray
+    b: LongArray
+    dd: LongArray
+    dc: LongArray
+    cc: LongArray
+    size_cc: Array
+    size_cd: Array
+    disturbances: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """The equations of X and of Y, and condition (a)."""
+
+    control: _Side
+    observer: _Side
+    direct_gain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
     """What a gamma gives: the Riccati solutions, F and L of (20) to (22)."""
 
     X: RiccatiSolution
     Y: RiccatiSolution
     F: Array
     L: Array
-    radius: float
-    """Spectral radius of X Y."""
+    coupling: float
+    """gamma^2 over the spectral radius of X Y, less 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Fails:
-    """Which condition of theorem 1 fails, and :func:`_distance` where it is known."""
+    """Which condition of theorem 1 fails.
+
+    ``distance``: below 0 and nearly straight in gamma near the limit that the condition sets; ``before``
+    continues it at a gamma that is feasible. 0 and infinity where they are not known.
+    """
 
     condition: str
-    distance: float | None = None
+    distance: float = 0.0
+    before: Callable[[_Solved], float] = lambda _: math.inf
 
 
 def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
@@ -81,7 +119,7 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
     Raises SingularPlant (A1 to A4), and InfeasibleDesign with gamma_min if ``gamma`` is not above it.
     """
     normal = normal_form(plant)
-    found = _feasible(normal, gamma)
+    found = _evaluated(_problem(normal), gamma)
     if isinstance(found, _Fails):
         least = gamma_min(plant)
         raise InfeasibleDesign(
@@ -98,85 +136,73 @@ def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> 
 
     Raises SingularPlant (A1 to A4).
     """
-    normal = normal_form(plant)
-    low = direct_gain_bound(normal.D11, plant.controls, plant.measurements)
+    problem = _problem(normal_form(plant))
+    low = problem.direct_gain
     high = max(2.0 * low, 1.0)
+    fails = _Fails(_DIRECT_GAIN)
     for _ in range(_DOUBLINGS_MAX):
-        if not isinstance(_feasible(normal, high), _Fails):
+        found = _evaluated(problem, high)
+        if not isinstance(found, _Fails):
             break
-        low, high = high, 2.0 * high
+        low, high, fails = high, 2.0 * high, found
     else:
         raise InfeasibleDesign("a finite gamma", f"none up to {high:.3g}", "check the scaling of w and z")
-    if low == 0.0:
-        low = high
-        while low > high * 1e-12 and not isinstance(_feasible(normal, low * 0.5), _Fails):
-            low *= 0.5
-        high, low = low, low * 0.5
-    high = _last_feasible(normal, low, high, relative)
-    beside = _feasible(normal, high * (1.0 + 1e-4))
+    least = 1e-12 * high
+    while low == 0.0:
+        lower = _evaluated(problem, 0.5 * high)
+        if isinstance(lower, _Fails):
+            low, fails = 0.5 * high, lower
+        else:
+            high, found = 0.5 * high, lower
+            low = 0.5 * high if high <= least else 0.0
+    high = _last_feasible(problem, (low, fails), (high, found), relative)
+    beside = _evaluated(problem, high * (1.0 + 1e-4))
     if not isinstance(beside, _Fails):
         _require_accurate(beside)
     return high
 
 
-def _last_feasible(normal: NormalPlant, low: float, high: float, relative: float) -> float:
-    """The feasible gamma next to an infeasible one, between ``low``, infeasible, and ``high``, feasible.
+def _last_feasible(
+    problem: _Problem, infeasible: tuple[float, _Fails], feasible: tuple[float, _Solved], relative: float
+) -> float:
+    """The feasible gamma next to an infeasible one, between the two given.
 
-    Where the distance from the limit is known at both ends its zero is tried (regula falsi with the steps of
-    Illinois). Where it is not, or three steps have not quartered the interval, that is halved.
+    The zero of the distance from the condition that fails at the lower end is tried (regula falsi with the
+    steps of Anderson and Bjorck); where that is condition (a), the very limit. Where no distance is known, or
+    three steps have not quartered the interval, that is halved.
     """
-    ends: dict[bool, float | None] = {False: None, True: _distance(normal, high)}
-    width, tries = high - low, 0
+    (low, fails), (high, found) = infeasible, feasible
+    width, tries, weight = high - low, 0, 1.0
     last: bool | None = None
     while high - low > relative * high:
-        middle = math.sqrt(low * high) if low > 0.0 else 0.5 * high
-        below, above = ends[False], ends[True]
-        if tries < _TRIES and below is not None and above is not None and math.isfinite(above):
-            guess = (low * above - high * below) / (above - below)
-            step = _BESIDE * relative * high
-            middle = min(max(guess, low + step), high - step)
+        below, above = fails.distance, fails.before(found)
+        step = _BESIDE * relative * high
+        middle = math.sqrt(low * high)
+        if fails.condition is _DIRECT_GAIN and last:
+            middle = low + step
+        elif tries < _TRIES and below < 0.0 < above < math.inf:
+            left, right = below * (weight if last else 1.0), above * (1.0 if last else weight)
+            middle = min(max((low * right - high * left) / (right - left), low + step), high - step)
         if not low < middle < high:
             break
-        value = _distance(normal, middle)
-        feasible = value is not None and value > 0.0
-        low, high = (low, middle) if feasible else (middle, high)
-        ends[feasible] = value
-        other = ends[not feasible]
-        if feasible is last and other is not None:
-            ends[not feasible] = 0.5 * other
-        last, tries = feasible, tries + 1
+        new = _evaluated(problem, middle)
+        if isinstance(new, _Fails):
+            low, fails, ratio = middle, new, new.distance / (below or math.inf)
+        else:
+            high, found, ratio = middle, new, fails.before(new) / above if above < math.inf else 0.0
+        is_feasible = high == middle
+        weight = weight * max(1.0 - ratio, _KEPT_MIN) if is_feasible is last else 1.0
+        last, tries = is_feasible, tries + 1
         if high - low < 0.25 * width:
             width, tries = high - low, 0
     return high
-
-
-def _distance(normal: NormalPlant, gamma: float) -> float | None:
-    """Above 0 where ``gamma`` is feasible, and nearly straight through 0; None where X or Y is missing.
-
-    inf where X and Y are nothing: then it does not say how far the limit is.
-
-    X and Y cease to be >= 0 through infinity, so that 1 over the eigenvalue that does so is straight.
-    """
-    found = _solutions(normal, gamma)
-    if isinstance(found, _Fails):
-        return found.distance
-    coupling = gamma**2 / found.radius - 1.0 if found.radius > 0.0 else math.inf
-    if coupling <= 0.0:
-        return coupling
-    largest = max(float(np.linalg.norm(_double(each.X), 2)) for each in (found.X, found.Y))
-    return min(coupling, 1.0 / largest) if largest > 0.0 else coupling
-
-
-def _indefinite(solution: RiccatiSolution) -> float:
-    """1 over the most negative eigenvalue of an X that is not >= 0."""
-    return 1.0 / min(float(np.linalg.eigvalsh(_double(solution.X))[0]), -1e-300)
 
 
 def _double(matrix: LongArray) -> Array:
     return np.asarray(matrix, dtype=float)
 
 
-def _require_accurate(found: _Feasible) -> None:
+def _require_accurate(found: _Solved) -> None:
     """Raises SingularPlant where rounding leaves X or Y without true digits."""
     for solution, name, assumption, end in (
         (found.X, "X", "A2 or A3", "control a larger direct weight, D12"),
@@ -207,56 +233,85 @@ def direct_gain_bound(D11: Array, controls: int, measurements: int) -> float:
     return max(sizes)
 
 
-def _feasible(normal: NormalPlant, gamma: float) -> _Feasible | _Fails:
-    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails."""
-    found = _solutions(normal, gamma)
-    if not isinstance(found, _Fails) and found.radius >= gamma**2:
-        return _Fails("condition (b): the spectral radius of X Y")
-    return found
+def _problem(normal: NormalPlant) -> _Problem:
+    m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
+    D1s = np.hstack([normal.D11, np.eye(len(normal.D11))[:, -m2:]])
+    Ds1 = np.vstack([normal.D11, np.eye(normal.D11.shape[1])[-p2:]])
+    B, C = np.hstack([normal.B1, normal.B2]), np.vstack([normal.C1, normal.C2])
+    return _Problem(
+        _side(normal.A, B, normal.C1, D1s, normal.B1.shape[1]),
+        _side(normal.A.T, C.T, normal.B1.T, Ds1.T, len(normal.C1)),
+        direct_gain_bound(normal.D11, m2, p2),
+    )
 
 
-def _solutions(normal: NormalPlant, gamma: float) -> _Feasible | _Fails:
-    """The same before the radius of X Y is looked at.
+def _side(A: Array, B: Array, C1: Array, D: Array, disturbances: int) -> _Side:
+    """The equation of X (18); with A', C', B1' and Ds1' for their arguments: of Y (19)."""
+    a, b, c, d = (np.asarray(part, dtype=np.longdouble) for part in (A, B, C1, D))
+    sizes = np.abs(C1.T) @ np.abs(C1), np.abs(C1.T @ D)
+    return _Side(a, b, d.T @ d, d.T @ c, c.T @ c, *sizes, disturbances)
+
+
+def _evaluated(problem: _Problem, gamma: float) -> _Solved | _Fails:
+    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails.
 
     Feasibility is decided by the signs of X and Y and by the radius of their product; eigenvalues near the
     imaginary axis are no safe sign when modes lie eight decades apart.
     """
-    m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
-    if gamma <= direct_gain_bound(normal.D11, m2, p2):
-        return _Fails("condition (a): the direct gain from w to z")
-    D1s = np.hstack([normal.D11, np.eye(len(normal.D11))[:, -m2:]])
-    Ds1 = np.vstack([normal.D11, np.eye(normal.D11.shape[1])[-p2:]])
-    B, C = np.hstack([normal.B1, normal.B2]), np.vstack([normal.C1, normal.C2])
-    X, F = _control_side(normal.A, B, normal.C1, D1s, gamma, normal.B1.shape[1])
-    if X is None or not is_positive_semidefinite(X):
-        return _Fails("condition (b): no stabilising X >= 0", None if X is None else _indefinite(X))
-    Y, Lt = _control_side(normal.A.T, C.T, normal.B1.T, Ds1.T, gamma, len(normal.C1))
-    if Y is None or not is_positive_semidefinite(Y):
-        return _Fails("condition (b): no stabilising Y >= 0", None if Y is None else _indefinite(Y))
+    if gamma <= problem.direct_gain:
+        return _Fails(_DIRECT_GAIN)
+    X, F = _solution(problem.control, gamma)
+    if not isinstance(X, RiccatiSolution) or not is_positive_semidefinite(X):
+        return _no_solution("X", X, lambda solved: solved.X)
+    Y, Lt = _solution(problem.observer, gamma)
+    if not isinstance(Y, RiccatiSolution) or not is_positive_semidefinite(Y):
+        return _no_solution("Y", Y, lambda solved: solved.Y)
     product = np.asarray(X.X @ Y.X, dtype=float)
     radius = float(np.abs(np.linalg.eigvals(product)).max(initial=0.0))
-    return _Feasible(X, Y, F, Lt.T, radius)
+    solved = _Solved(X, Y, F, Lt.T, gamma**2 / radius - 1.0 if radius > 0.0 else math.inf)
+    if solved.coupling > 0.0:
+        return solved
+    return _Fails("condition (b): the spectral radius of X Y", solved.coupling, lambda each: each.coupling)
 
 
-def _control_side(
-    A: Array, B: Array, C1: Array, D: Array, gamma: float, disturbances: int
-) -> tuple[RiccatiSolution | None, Array]:
-    """X of (18) and F of (20); with A', C', B1' and Ds1' for their arguments: Y of (19) and L' of (21)."""
-    a, b, c, d = (np.asarray(part, dtype=np.longdouble) for part in (A, B, C1, D))
-    R = d.T @ d
-    R[:disturbances, :disturbances] -= np.longdouble(gamma) ** 2 * np.eye(disturbances)
+def _no_solution(
+    name: str, end: RiccatiSolution | NoRiccatiSolution, of: Callable[[_Solved], RiccatiSolution]
+) -> _Fails:
+    """X (or Y) stops being >= 0 through infinity, so that 1 over the eigenvalue that does so is straight. It
+    stops to exist where two eigenvalues of H meet on the axis, having come and leaving as square roots do."""
+    condition = f"condition (b): no stabilising {name} >= 0"
+    if isinstance(end, RiccatiSolution):
+        least = np.linalg.eigvalsh(_double(end.X))[0]
+        return _Fails(
+            condition,
+            1.0 / min(least, -1e-300),
+            lambda each: 1.0 / max(np.linalg.eigvalsh(_double(of(each).X))[-1], 1e-300),
+        )
+
+    def off_axis(solved: _Solved) -> float:
+        modes = of(solved).closed_loop
+        return float(modes[np.argmin(np.abs(modes - end.centre))].real ** 2)
+
+    return _Fails(condition, -(end.half_gap**2), off_axis)
+
+
+def _solution(side: _Side, gamma: float) -> tuple[RiccatiSolution | NoRiccatiSolution, Array]:
+    """X and F of (20); or Y and L' of (21)."""
+    R = side.dd.copy()
+    first = np.arange(side.disturbances)
+    R[first, first] -= np.longdouble(gamma) ** 2
     try:
         inverse = _inverse(R)
     except np.linalg.LinAlgError:
-        return None, np.zeros((0, 0))
-    cross, inputs = inverse @ (d.T @ c), inverse @ b.T
-    W: LongArray = b @ inputs
-    Q: LongArray = c.T @ c - c.T @ d @ cross
-    terms = np.abs(C1.T) @ np.abs(C1) + np.abs(C1.T @ D) @ np.abs(np.asarray(cross, dtype=float))
-    solution = stabilising_solution(a - b @ cross, (W + W.T) / _TWO, (Q + Q.T) / _TWO, terms)
-    if solution is None:
-        return None, np.zeros((0, 0))
-    return solution, np.asarray(-(cross + inputs @ solution.X), dtype=float)
+        return NoRiccatiSolution(0.0, 0.0), np.zeros((0, 0))
+    cross, inputs = inverse @ side.dc, inverse @ side.b.T
+    W: LongArray = side.b @ inputs
+    Q: LongArray = side.cc - side.dc.T @ cross
+    terms = side.size_cc + side.size_cd @ np.abs(_double(cross))
+    solution = stabilising_solution(side.a - side.b @ cross, (W + W.T) / _TWO, (Q + Q.T) / _TWO, terms)
+    if not isinstance(solution, RiccatiSolution):
+        return solution, np.zeros((0, 0))
+    return solution, _double(-(cross + inputs @ solution.X))
 
 
 def _inverse(R: LongArray) -> LongArray:
@@ -267,7 +322,7 @@ def _inverse(R: LongArray) -> LongArray:
     return inverse
 
 
-def _controllers(normal: NormalPlant, gamma: float, found: _Feasible, controls: int) -> Synthesis:
+def _controllers(normal: NormalPlant, gamma: float, found: _Solved, controls: int) -> Synthesis:
     """M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     m1, p1 = normal.B1.shape[1], len(normal.C1)

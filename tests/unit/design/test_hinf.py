@@ -1,14 +1,17 @@
 """H-infinity synthesis: the paper's numbers, properties on random plants, and what each failure says."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from design.current.current_design import printed_weights, rule_weights
 from design.errors import InfeasibleDesign, SingularPlant
+from design.hinf import synthesis
 from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.hinf.plant import GeneralisedPlant
+from design.hinf.riccati import NoRiccatiSolution, RiccatiSolution, stabilising_solution
 from design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from design.hinf.weights import error_weight
 from design.papers.azaiz2007 import MOTOR
@@ -139,6 +142,36 @@ def test_modes_eight_decades_apart(seed: int) -> None:
     assert gamma_min(plant) == pytest.approx(STIFF[seed], rel=1e-6)
     gamma = 1.02 * STIFF[seed]
     assert verified_norm(plant, synthesise(plant, gamma).controller) < gamma * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("seed", [100, 101, 104, 106, 109])
+def test_a_limit_where_eigenvalues_meet_on_the_axis_is_not_halved(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """X or Y exists no more below the limit, and is finite at it; halving would need 33 steps for 1e-10."""
+    tried = set()
+
+    def counted(problem: Any, gamma: float) -> Any:
+        tried.add(gamma)
+        return evaluated(problem, gamma)
+
+    evaluated = synthesis._evaluated
+    monkeypatch.setattr(synthesis, "_evaluated", counted)
+    least = gamma_min(stiff_plant(seed))
+    assert len(tried) <= 26
+    assert max(gamma for gamma in tried if gamma < least) > least * (1.0 - 1e-10)
+
+
+def test_a_riccati_equation_by_hand() -> None:
+    """X = 1/3 of -2 X - 3 X^2 + 1; with W = -2 the eigenvalues of H are +-j, which met at 0."""
+    one = np.ones((1, 1), dtype=np.longdouble)
+    solution = stabilising_solution(-one, 3 * one, one, np.ones((1, 1)))
+    assert isinstance(solution, RiccatiSolution)
+    assert float(solution.X[0, 0]) == pytest.approx(1.0 / 3.0, rel=1e-15)
+    assert solution.closed_loop == pytest.approx([-2.0])
+    missing = stabilising_solution(-one, -2 * one, one, np.ones((1, 1)))
+    assert isinstance(missing, NoRiccatiSolution)
+    assert (abs(missing.centre), missing.half_gap) == pytest.approx((0.0, 1.0), abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", [1000, 1001, 1002, 1003, 1007, 1010, 1011, 1014])
