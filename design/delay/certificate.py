@@ -54,7 +54,10 @@ def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedG
 
     Raises NoSolution if there is none, or if it fails its check.
     """
+    unstable = NoSolution(f"certificate of the gain at order {order}", "the loop is unstable")
     norm = rough_norm(loop)
+    if not math.isfinite(norm):
+        raise unstable
     failure: NoSolution | None = None
     # the solver's luck turns with the units; whatever it says, the proof decides
     for state_scale in _state_scales(model, loop):
@@ -64,8 +67,7 @@ def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedG
             except NoSolution as error:
                 # what is proved is stable: to ask first would cost every proof what only a failure needs
                 if failure is None and not is_stable(loop):
-                    what = f"certificate of the gain at order {order}"
-                    raise NoSolution(what, "the loop is unstable") from None
+                    raise unstable from None
                 failure = failure or error
     assert failure is not None
     raise failure

@@ -160,8 +160,12 @@ def sampled_norm(loop: DelayLoop) -> float:
 
 
 def rough_norm(loop: DelayLoop) -> float:
-    """The largest of |G| at a few frequencies, none far from the peak: for units, its size is enough."""
-    return float(np.max(loop_function(loop).magnitude(_ROUGH_LOOK)))
+    """The largest of |G| at a few frequencies, none far from the peak: for units, its size is enough.
+
+    inf or nan where one of them is a root, as without friction and without feedback of the speed.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(loop_function(loop).magnitude(_ROUGH_LOOK)))
 
 
 def _magnitude_squared(p: Array) -> Array:

@@ -1,6 +1,8 @@
 """Certificates of loops with constant delay: against Theorem 3.3 as printed, the exact norm, and forgery."""
 
 import itertools
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +16,13 @@ from design.delay.certificate import (
     proved,
 )
 from design.delay.delay_lmi import gain_problem, scaled
-from design.delay.delay_norm import hinf_norm, largest_stable_delay_s
+from design.delay.delay_norm import hinf_norm, largest_stable_delay_s, rough_norm
 from design.delay.lmi import solve
 from design.delay.speed_loop import speed_model
 from design.errors import NoSolution
 from design.papers.as_printed import theorem_3_1, theorem_3_3
 from tests.motors import AZAIZ, LING
+from tests.unit.design.delay_oracles import generator_abscissa, magnitudes
 from tests.unit.design.random_loops import order_is_found
 
 MODEL = speed_model(LING)
@@ -81,6 +84,50 @@ def test_without_delay_it_is_the_ordinary_norm(motor: object) -> None:
 def test_an_unstable_loop_has_no_certificate() -> None:
     with pytest.raises(NoSolution, match="unstable"):
         certified_gain(MODEL, MODEL.loop([0.0, -0.0212], 0.2), 0)
+
+
+def test_order_0_of_random_loops_beside_a_spectrum_and_a_sweep() -> None:
+    """Unstable: never certified. Stable: never below the sweep, and the units of its size."""
+    draw = np.random.default_rng(13)
+    stable = certified = 0
+    for _ in range(60):
+        bandwidth_hz = float(np.exp(draw.uniform(math.log(30.0), math.log(1500.0))))
+        model = speed_model(LING, current_bandwidth_hz=bandwidth_hz)
+        delay_s = float(np.exp(draw.uniform(math.log(1e-3), math.log(0.1))))
+        crossing_rad_s = float(draw.uniform(-0.3, 3.0)) / (delay_s - 1.0 / float(model.A[0, 0]))
+        K = [draw.uniform(-0.6, 0.3), -crossing_rad_s / float(model.A[1, 0])]
+        loop = model.loop(K, delay_s)
+        abscissa = generator_abscissa(loop)
+        if abscissa >= 0.0:
+            with pytest.raises(NoSolution, match="unstable"):
+                certified_gain(model, loop, 0)
+            continue
+        stable += 1
+        sweep = float(np.max(magnitudes(loop, np.append(0.0, np.geomspace(1e-2, 60.0, 20_000) / delay_s))))
+        if abscissa * delay_s < -0.1:
+            # nearer to the axis a peak is narrow, and the units are found by asking again
+            assert 0.5 * sweep <= rough_norm(loop) <= 2.0 * sweep
+        try:
+            gain = certified_gain(model, loop, 0).gain
+        except NoSolution:
+            continue
+        certified += 1
+        assert gain >= sweep * (1.0 - 1e-9)
+    assert 20 <= stable <= 45
+    assert certified >= 0.8 * stable
+
+
+@pytest.mark.parametrize(
+    ("friction_nm_s", "K1"), [(0.0, -0.3), (0.0, 3.0), (LING.viscous_friction_nm_s, 1.0)]
+)
+@pytest.mark.parametrize("delay_s", [0.0, 0.001])
+def test_a_loop_with_a_root_at_zero_has_no_certificate(
+    friction_nm_s: float, K1: float, delay_s: float
+) -> None:
+    """Its gain at no frequency is infinite or, where the root cancels, no number."""
+    model = speed_model(replace(LING, viscous_friction_nm_s=friction_nm_s), current_bandwidth_hz=800.0)
+    with pytest.raises(NoSolution, match="unstable"):
+        certified_gain(model, model.loop([K1, 0.0], delay_s), 0)
 
 
 @pytest.mark.parametrize("entry", [0, 3, 8, -1])
