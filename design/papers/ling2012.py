@@ -5,8 +5,8 @@ loss run on the simulated bench. Cases 1 to 3 are taken up as the text describes
 being curves without data. Whatever the paper leaves open is named where it is chosen.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from design.delay.delay_response import DelayResponse, respond, step_peak
 from design.delay.speed_loop import (
     RAD_S_PER_RPM,
     Feedback,
+    SpeedModel,
     Units,
     gain_for_error,
     peak_floor_rad_s,
     speed_model,
 )
+from design.errors import DesignError
 from design.motor import PmsmParameters, Transform
 from design.sampled.admissible_steps import Delivery
 from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
@@ -29,6 +31,8 @@ from design.sampled.loss_patterns import repeated
 from design.speed.cone_complementarity import largest_ccl_delay
 from design.speed.lmi_design import certified_delay_within, largest_certified_delay, starts_between
 from design.speed.speed_design import delay_within, largest_delay
+
+_Found = TypeVar("_Found")
 
 MOTOR = PmsmParameters(
     name="Ling2012",
@@ -87,23 +91,51 @@ _INTEGRAL_SHARE = 0.2
 def table2_row(error_percent: float, published_delay_s: float, units: Units) -> dict[str, Any]:
     """One row of Table 2 by every method; ``gain``: K of the exact optimum with full feedback."""
     gamma = gain_for_error(error_percent, LOAD_NM, SPEED_RAD_S, units)
-    speed_only = largest_delay(MODEL, gamma, Feedback.SPEED)
-    full = largest_delay(MODEL, gamma)
-    certified = largest_certified_delay(MODEL, gamma, starts=starts_between(full.K, speed_only.K))
-    linearised = largest_ccl_delay(MODEL, gamma)
     return {
         "error_percent": error_percent,
-        "gamma": gamma,
         "published_delay_s": published_delay_s,
-        "ccl_delay_s": linearised.delay_s,
-        "lmi_delay_s": certified.delay_s,
-        "exact_speed_feedback_delay_s": speed_only.delay_s,
+        **largest_delays(MODEL, gamma),
+    }
+
+
+def motor_row(motor: PmsmParameters, error_percent: float) -> dict[str, Any]:
+    """The same for another motor in SI, at its rated speed and 30 per cent of its rated torque.
+
+    A delay is None where its method finds no gain that keeps the error even without delay; ``impossible``, in
+    words and instead of all, where full feedback does not.
+    """
+    load_nm = LOAD_NM / MOTOR.rated_torque_nm * motor.rated_torque_nm
+    gamma = gain_for_error(error_percent, load_nm, motor.rated_speed_rad_s, Units.SI)
+    try:
+        return {"error_percent": error_percent, **largest_delays(speed_model(motor), gamma)}
+    except DesignError as error:
+        return {"error_percent": error_percent, "gamma": gamma, "impossible": str(error)}
+
+
+def largest_delays(model: SpeedModel, gamma: float) -> dict[str, Any]:
+    """The largest constant delay, s, at which the gain stays below ``gamma``, by every method."""
+    full = largest_delay(model, gamma)
+    speed_only = _if_any(lambda: largest_delay(model, gamma, Feedback.SPEED))
+    starts = () if speed_only is None else starts_between(full.K, speed_only.K)
+    others = {
+        "ccl": _if_any(lambda: largest_ccl_delay(model, gamma)),
+        "lmi": _if_any(lambda: largest_certified_delay(model, gamma, starts=starts)),
+        "exact_speed_feedback": speed_only,
+    }
+    return {
+        "gamma": gamma,
+        **{f"{name}_delay_s": found and found.delay_s for name, found in others.items()},
         "exact_delay_s": full.delay_s,
         "gain": full.K.tolist(),
-        "exact_speed_feedback_gain": speed_only.K.tolist(),
-        "lmi_gain": certified.K.tolist(),
-        "ccl_gain": linearised.K.tolist(),
+        **{f"{name}_gain": found and found.K.tolist() for name, found in others.items()},
     }
+
+
+def _if_any(find: Callable[[], _Found]) -> _Found | None:
+    try:
+        return find()
+    except DesignError:
+        return None
 
 
 def published_design() -> dict[str, Any]:

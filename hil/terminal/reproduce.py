@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, motor_file
 from hil.terminal.output import print_figures, put, say_written
 
 if TYPE_CHECKING:
@@ -91,6 +91,10 @@ def _listed(values: list[Any]) -> str:
 
 
 def ling2012(
+    motor: Annotated[
+        Path | None,
+        typer.Option("--motor", metavar="MOTOR.toml", help="Table 2 for a motor of one's own, and no more."),
+    ] = None,
     figures: Annotated[
         Path | None,
         typer.Option("--figures", metavar="DIR", help="Folder for the pictures, and for the recorded runs."),
@@ -99,6 +103,9 @@ def ling2012(
 ) -> None:
     """[Ling2012] in full: Table 2 by every method, the printed controller, and Cases 1 to 3 on the bench."""
     with reported_errors():
+        if motor is not None:
+            _for_motor(motor, figures, as_json)
+            return
         from drivers.timebase import utc_stamp
         from hil.studies.papers.reproduction import reproduce
 
@@ -110,6 +117,33 @@ def ling2012(
             for path in draw_ling2012(found, recorded, figures):
                 say_written(path)
         put(found, as_json, _print_ling2012)
+
+
+def _for_motor(motor: Path, figures: Path | None, as_json: bool) -> None:
+    from hil.studies.papers.reproduction import for_motor
+
+    found = for_motor(motor_file(motor, "--motor").parameters)
+    if figures is not None:
+        from hil.studies.papers.pictures import draw_motor
+
+        figures.mkdir(parents=True, exist_ok=True)
+        picture = figures / f"{motor.stem}-table2.png"
+        draw_motor(found, picture)
+        say_written(picture)
+    put(found, as_json, _print_motor)
+
+
+def _print_motor(found: dict[str, Any]) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    load = f"load step of {found['load_nm']:.4g} N m at {found['speed_rpm']:.5g} r/min"
+    _print_table(
+        console, [row for row in found["rows"] if "impossible" not in row], f"for {found['motor']}, {load}"
+    )
+    for row in found["rows"]:
+        if "impossible" in row:
+            console.print(f"* {row['error_percent']:g} %: {row['impossible']}")
 
 
 def _print_ling2012(found: dict[str, Any]) -> None:
@@ -144,10 +178,11 @@ def _print_table(console: "Console", rows: list[dict[str, Any]], title: str) -> 
         "exact_speed_feedback_delay_s": "exact, speed only",
         "exact_delay_s": "exact, full",
     }
+    columns = {key: heading for key, heading in columns.items() if all(key in row for row in rows)}
     for heading in ("error, %", "gamma", *columns.values(), "K, full"):
         table.add_column(heading, justify="right")
     for row in rows:
-        delays = [f"{1e3 * row[key]:.4g}" for key in columns]
+        delays = ["-" if row[key] is None else f"{1e3 * row[key]:.4g}" for key in columns]
         gain = ", ".join(f"{value:.4g}" for value in row["gain"])
         table.add_row(f"{row['error_percent']:g}", f"{row['gamma']:.5g}", *delays, gain)
     console.print(table)

@@ -39,22 +39,26 @@ def draw_table(table: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> 
     with picture(path, 1, 2, size=(11.0, 4.5)) as axes:
         titles = {"published": "gamma in r/min per N m, as printed", "si": "gamma in rad/s per N m"}
         for axis, (units, rows) in zip(axes, table.items(), strict=True):
-            for key, (label, style) in _METHODS.items():
-                axis.plot(
-                    [row["error_percent"] for row in rows],
-                    [1e3 * row[key] for row in rows],
-                    style,
-                    label=label,
-                    ms=4,
-                )
-            axis.set(
-                title=titles[units],
-                xlabel="speed error, % of 1500 r/min",
-                ylabel="largest delay, ms",
-                yscale="log",
-            )
-            axis.grid(alpha=0.3, which="both")
+            _plot_delays(axis, rows, SPEED_RAD_S / RAD_S_PER_RPM)
+            axis.set_title(titles[units])
         axes[0].legend(fontsize=8)
+
+
+def draw_motor(found: Mapping[str, Any], path: Path) -> None:
+    """Table 2 for a motor of one's own."""
+    with picture(path) as axis:
+        _plot_delays(axis, [row for row in found["rows"] if "impossible" not in row], found["speed_rpm"])
+        axis.set_title(f"{found['motor']}: load step of {found['load_nm']:.4g} N m")
+        axis.legend(fontsize=8)
+
+
+def _plot_delays(axis: Any, rows: Sequence[Mapping[str, Any]], speed_rpm: float) -> None:
+    for key, (label, style) in _METHODS.items():
+        if all(key in row for row in rows):
+            delays = [np.nan if row[key] is None else 1e3 * row[key] for row in rows]
+            axis.plot([row["error_percent"] for row in rows], delays, style, label=label, ms=4)
+    axis.set(xlabel=f"speed error, % of {speed_rpm:.5g} r/min", ylabel="largest delay, ms", yscale="log")
+    axis.grid(alpha=0.3, which="both")
 
 
 def draw_start(runs: Sequence[PaperRun], path: Path) -> None:

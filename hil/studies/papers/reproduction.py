@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from design.delay.speed_loop import Units
+from design.motor import PmsmParameters
 from design.papers.ling2012 import (
     DELAY_S,
     LOAD_NM,
@@ -19,6 +20,7 @@ from design.papers.ling2012 import (
     case1,
     case2,
     case3,
+    motor_row,
     published_design,
     table2_row,
 )
@@ -26,6 +28,7 @@ from design.papers.ling2012 import (
     K as PUBLISHED_GAIN,
 )
 from design.sampled.held_loop import SampledNetwork, Strategy
+from drivers.rotation import RAD_S_PER_RPM
 from hil.studies.papers.runs import PaperRun, run_cases
 from hil.studies.speed.analysis import LoopRequest, sampled_figures
 
@@ -45,13 +48,31 @@ def reproduce(runs: Path, tell: Callable[[str], None]) -> tuple[dict[str, Any], 
     return found, recorded
 
 
+def for_motor(motor: PmsmParameters) -> dict[str, Any]:
+    """Table 2 for another motor: the largest delay for each error of the paper, at its own rating."""
+    errors = [error for error, _ in TABLE_2]
+    with _pool() as pool:
+        rows = list(pool.map(motor_row, [motor] * len(errors), errors))
+    share = LOAD_NM / MOTOR.rated_torque_nm
+    return {
+        "motor": motor.name,
+        "load_nm": share * motor.rated_torque_nm,
+        "speed_rpm": motor.rated_speed_rad_s / RAD_S_PER_RPM,
+        "rows": rows,
+    }
+
+
 def table2() -> dict[str, list[dict[str, Any]]]:
     """Every row in both conventions, on two processes."""
     asked = [(error, delay_s, units) for units in (Units.PUBLISHED, Units.SI) for error, delay_s in TABLE_2]
-    with ProcessPoolExecutor(_PROCESSES, mp_context=get_context("spawn")) as pool:
+    with _pool() as pool:
         rows = list(pool.map(table2_row, *zip(*asked, strict=True)))
     half = len(TABLE_2)
     return {"published": rows[:half], "si": rows[half:]}
+
+
+def _pool() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(_PROCESSES, mp_context=get_context("spawn"))
 
 
 def strategies() -> dict[str, dict[str, Any]]:

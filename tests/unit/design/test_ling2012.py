@@ -1,14 +1,20 @@
 """[Ling2012]: the printed controller and cases, and a row of Table 2 in either convention of units."""
 
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
 import pytest
 
 from design.delay.speed_loop import Units
 from design.papers.ling2012 import (
     DISAGREEMENTS,
+    MOTOR,
     TABLE_2,
     case1,
     case2,
     case3,
+    motor_row,
     pi_decay,
     published_design,
     table2_row,
@@ -50,10 +56,14 @@ def test_case3_cannot_be_within_5_percent() -> None:
     assert found["recovery_5_percent_s"] > 3.0 * found["published"]["recovery_s"]
 
 
+@cache
+def _row(units: Units) -> dict[str, Any]:
+    return table2_row(*TABLE_2[5], units)
+
+
 @pytest.mark.parametrize("units", list(Units))
 def test_row_of_table_2(units: Units) -> None:
-    error_percent, printed_s = TABLE_2[5]
-    row = table2_row(error_percent, printed_s, units)
+    row = _row(units)
     assert row["gamma"] == pytest.approx(100.0 if units is Units.PUBLISHED else 10.471976)
     assert 0.98 < row["ccl_delay_s"] / row["lmi_delay_s"] <= 1.0
     assert row["lmi_delay_s"] < row["exact_delay_s"]
@@ -67,3 +77,15 @@ def test_row_of_table_2(units: Units) -> None:
 def test_every_disagreement_is_said() -> None:
     said = " ".join(DISAGREEMENTS)
     assert all(word in said for word in ("r/min", "125.31", "Case 1", "Case 2", "Case 3"))
+
+
+def test_a_row_for_the_papers_own_motor_is_the_papers() -> None:
+    row = _row(Units.SI)
+    assert motor_row(MOTOR, TABLE_2[5][0]) == {key: row[key] for key in row if key != "published_delay_s"}
+
+
+def test_a_row_tells_what_no_gain_keeps() -> None:
+    light = replace(MOTOR, inertia_kg_m2=MOTOR.inertia_kg_m2 / 16.0)
+    row = motor_row(light, 2.0)
+    assert row["exact_speed_feedback_delay_s"] is None
+    assert row["exact_delay_s"] > row["lmi_delay_s"] > 0.0
