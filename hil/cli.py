@@ -32,6 +32,7 @@ from hil.terminal.exit_status import reported_errors
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
+from hil.terminal.motor import motor
 from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.scan import scan
@@ -57,7 +58,7 @@ app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
 app.command()(recover)
-for group in (reproduce, analyse, design):
+for group in (reproduce, analyse, design, motor):
     app.add_typer(group)
 
 

@@ -40,6 +40,8 @@ def declared(source: str) -> Iterator[tuple[str, str]]:
     """Name and help text of each ``typer.Option`` in a module."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "typer.Option":
+            if not isinstance(node.args[0], ast.Constant):  # options out of a table
+                continue
             text = next((ast.unparse(word.value) for word in node.keywords if word.arg == "help"), "")
             yield ast.literal_eval(node.args[0]), text
 

@@ -1,0 +1,1 @@
+"""Motor files out of data sheets: ``hil motor new``."""

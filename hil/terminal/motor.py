@@ -1,0 +1,152 @@
+"""``hil motor new`` and ``hil motor show``: a motor file out of a data sheet, and what follows from one."""
+
+import inspect
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from drivers.errors import BadInput
+from hil.studies.motor.figures import FIGURES, GROUPS, missing, option, ways
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, MotorArgument, motor_file
+from hil.terminal.output import columns, put, say_written
+
+if TYPE_CHECKING:
+    from design.motor import PmsmParameters
+
+motor = typer.Typer(
+    name="motor", help="Motor files: made from a data sheet, and what follows from one.", no_args_is_help=True
+)
+
+
+def new(
+    out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to be written.")],
+    name: Annotated[str, typer.Option("--name", help="The motor's name; the file's if absent.")] = "",
+    delta: Annotated[
+        bool, typer.Option("--delta/--star", help="How the phases are connected, if figures are of a phase.")
+    ] = False,
+    resistance_at_c: Annotated[
+        float,
+        typer.Option("--resistance-at-c", min=-50.0, max=250.0, help="Winding temperature on the sheet."),
+    ] = 20.0,
+    winding_c: Annotated[
+        float | None,
+        typer.Option("--winding-c", min=-50.0, max=250.0, help="To simulate at; the sheet's if absent."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    **figures: float | None,
+) -> None:
+    """Write a motor file from what a data sheet says, each figure in the sheet's own convention.
+
+    Figures that cannot be true at once are refused, and the convention is named in which they agree. On a
+    terminal what is missing is asked for.
+    """
+    with reported_errors():
+        from hil.studies.motor.sheet import SOURCE, Sheet, motor_text
+        from hil.terminal.design_errors import refused
+
+        if out.exists() and not force:
+            raise BadInput("MOTOR.toml", "", str(out), "a file that is not there yet", "or --force")
+        values = {key: value for key, value in figures.items() if value is not None}
+        if at_terminal():
+            _ask(values)
+        with refused(SOURCE):
+            text = motor_text(Sheet(name or out.stem, values, delta, resistance_at_c, winding_c))
+        out.write_text(text)
+        say_written(out)
+
+
+def at_terminal() -> bool:
+    """Somebody can be asked."""
+    return sys.stdin.isatty()
+
+
+def _ask(values: dict[str, float]) -> None:
+    """Complete ``values`` with what somebody at the terminal reads from the sheet."""
+    for group in missing(values):
+        choices = ways(group)
+        typer.echo(GROUPS[group].question)
+        for number, figure in enumerate(choices, 1):
+            typer.echo(f"  {number}  {figure.text}")
+        chosen = 1 if len(choices) == 1 else typer.prompt("  as the sheet has it", type=int)
+        if not 1 <= chosen <= len(choices):
+            raise BadInput("answer", GROUPS[group].question, chosen, f"1 to {len(choices)}")
+        figure = choices[chosen - 1]
+        values[figure.key] = typer.prompt(f"  {figure.text}", type=float)
+
+
+def _with_figures() -> None:
+    """Give ``new`` an option for each figure of a sheet: one table for options, questions and errors."""
+    signature = inspect.signature(new)
+    fixed = [item for item in signature.parameters.values() if item.kind is not item.VAR_KEYWORD]
+    added = []
+    for figure in FIGURES:
+        kind = Annotated[float | None, typer.Option(option(figure.key), help=figure.text)]
+        added.append(
+            inspect.Parameter(figure.key, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+        )
+    new.__signature__ = signature.replace(parameters=[*fixed, *added])  # type: ignore[attr-defined]
+    new.__annotations__ |= {item.name: item.annotation for item in added}
+    del new.__annotations__["figures"]
+
+
+def show(
+    path: MotorArgument,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE", help="Torque over speed; .png, .svg or .pdf.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Figures that follow from a motor file, in a data sheet's terms; torque over speed as a picture."""
+    with reported_errors():
+        from design.motor_figures import motor_figures
+
+        parameters = motor_file(path).parameters
+        put({"name": parameters.name, **motor_figures(parameters)}, as_json, _print)
+        if picture is not None:
+            _draw(parameters, picture)
+            say_written(picture)
+
+
+def _print(figures: dict[str, Any]) -> None:
+    from rich.console import Console
+
+    table = columns("figure", "value", right=("value",))
+    for key, value in figures.items():
+        table.add_row(key, value if isinstance(value, str) else f"{value:.5g}")
+    Console().print(table)
+
+
+def _draw(parameters: "PmsmParameters", path: Path) -> None:
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from design.motor_figures import speed_limit, torque_limit
+    from drivers.rotation import RPM_PER_RAD_S
+
+    speed = np.linspace(0.0, 1.02 * speed_limit(parameters, 0.0), 600)
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    axes.plot(speed * RPM_PER_RAD_S, torque_limit(parameters, speed), label="peak, i_d = 0")
+    axes.axhline(parameters.rated_torque_nm, color="0.5", linestyle="--", label="rated torque")
+    axes.plot(
+        parameters.rated_speed_rad_s * RPM_PER_RAD_S, parameters.rated_torque_nm, "o", label="rated point"
+    )
+    axes.set(
+        xlabel="speed, r/min", ylabel="torque, N m", xlim=(0, None), ylim=(0, None), title=parameters.name
+    )
+    axes.grid(color="#e3e6ea", linewidth=0.6)
+    axes.legend(frameon=False)
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as error:
+        raise BadInput("--picture", "", str(path), "a file .png, .svg or .pdf that can be written") from error
+
+
+_with_figures()
+motor.command()(new)
+motor.command()(show)
