@@ -173,6 +173,11 @@ def _decoded(data: bytes, source: str, what: str, place: str) -> str:
         raise BadInput(source, at, error.reason, f"a {what} in UTF-8") from None
 
 
+def _with_article(what: str) -> str:
+    """``what`` as a sentence has it: a bench file, an EDS file."""
+    return f"{'an' if what[:1].lower() in 'aeiou' else 'a'} {what}"
+
+
 def _no_such_file(path: Path, what: str, named_by: NamedBy) -> NoSuchFile:
     folder = path.parent
     siblings = (
@@ -187,7 +192,7 @@ def _no_such_file(path: Path, what: str, named_by: NamedBy) -> NoSuchFile:
     elif not os.path.isdir(folder):
         remedy += "; there is no such folder"
     return NoSuchFile(
-        named_by.source, named_by.key, named_by.text or MISSING, f"the path of a {what}", remedy
+        named_by.source, named_by.key, named_by.text or MISSING, f"the path of {_with_article(what)}", remedy
     )
 
 

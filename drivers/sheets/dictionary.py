@@ -25,8 +25,8 @@ from drivers.sheets.eds.information import (
 )
 from drivers.sheets.eds.model import to_canopen
 from drivers.sheets.eds.objects import EdsObject, build_objects
-from drivers.sheets.eds.repairs import Repair, RepairLog
-from drivers.sheets.eds.sections import object_of, read_sections
+from drivers.sheets.eds.repairs import NoDataSheet, Repair, RepairLog
+from drivers.sheets.eds.sections import Sections, object_of, read_sections
 from drivers.sheets.eds.text import lines_of
 
 __all__ = ["LoadedDictionary", "Repair", "load_dictionary", "parse_dictionary"]
@@ -64,19 +64,27 @@ def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> Lo
     """As :func:`load_dictionary`, of the bytes of a file."""
     _refuse_other_formats(data, source)
     log = RepairLog()
-    sections = read_sections(lines_of(data, log), log)
-    if not any(object_of(name) for name in sections):
-        raise BadInput(source, "", "no object section", _EXPECTED)
+    try:
+        sections = read_sections(lines_of(data, log), log)
+        if not any(object_of(name) for name in sections):
+            raise BadInput(source, "", "no object section", _EXPECTED)
+        check_lists(sections, log)
+        loaded = _loaded(sections, node_id, log)
+    except NoDataSheet as error:
+        raise BadInput(source, "", str(error), _EXPECTED) from None
+    if not loaded.objects:
+        raise BadInput(source, "", "no object that is defined", _EXPECTED)
+    return loaded
+
+
+def _loaded(sections: Sections, node_id: int | None, log: RepairLog) -> LoadedDictionary:
     commissioning = read_commissioning(sections)
     if node_id is None and commissioning is not None:
         node_id = commissioning.node_id
     device = read_device_information(sections, log)
     dummies = read_dummies(sections)
-    check_lists(sections, log)
     objects = build_objects(sections, node_id, log)
     add_compact_pdos(objects, device)
-    if not objects:
-        raise BadInput(source, "", "no object that is defined", _EXPECTED)
     return LoadedDictionary(
         to_canopen(objects, dummies, device, commissioning, node_id),
         log.in_order_of_lines(),
@@ -88,9 +96,14 @@ def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> Lo
     )
 
 
+def _beginning(data: bytes) -> bytes:
+    """The first characters in lower case, without marks of byte order and zeros of UTF-16."""
+    return data[:200].lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n").replace(b"\0", b"").lower()
+
+
 def _refuse_other_formats(data: bytes, source: str) -> None:
     """Files that people mistake for data sheets, each with what to do instead."""
-    head = data[:200].lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n").replace(b"\0", b"").lower()
+    head = _beginning(data)
     if head.startswith((b"<?xml", b"<iso15745", b"<ethercatinfo")):
         remedy = "an XML description (CiA 311 or EtherCAT) is not read; ask the vendor for the EDS"
         raise BadInput(source, "", "an XML file", _EXPECTED, remedy)

@@ -50,7 +50,7 @@ class EntryReader:
     """Makes entries of sections."""
 
     def __init__(self, sections: Sections, node_id: int | None) -> None:
-        self._sections = sections
+        self._defined = {name.upper(): section for name, section in reversed(sections.items())}
         self._node_id = node_id
 
     def entry(self, section: EdsSection, index: int, sub: int | None) -> Entry:
@@ -104,9 +104,7 @@ class EntryReader:
     def _defined_type(self, code: int) -> int | None:
         """CANFestival's editor defines a limited type in a section [A0], its base in [A0sub1]."""
         for name in (f"{code:X}sub1", section_name(code, 1)):
-            section = next(
-                (self._sections[key] for key in self._sections if key.upper() == name.upper()), None
-            )
+            section = self._defined.get(name.upper())
             found = integer(section.text("DefaultValue")) if section is not None else None
             if found is not None and found.value in types.KNOWN_TYPES:
                 return found.value

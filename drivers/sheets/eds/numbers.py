@@ -3,6 +3,7 @@
 CiA 306-1 knows decimals, 0x and a leading $NODEID. What else occurs is read as its writer must have meant it.
 """
 
+import math
 import re
 from typing import NamedTuple
 
@@ -99,15 +100,17 @@ def _odd_integer(text: str) -> Spelled | None:
 
 def real(text: str) -> tuple[float, str] | None:
     """A REAL and what is odd about it; ``0x...`` is left to the caller, who knows the width."""
-    tidy = text.strip().strip("\"'").rstrip("fF").strip()
-    try:
-        return float(tidy), "" if tidy == text.strip() else "quotes or a suffix"
-    except ValueError:
-        pass
-    try:
-        return float(tidy.replace(",", ".")), "a decimal comma"
-    except ValueError:
+    if len(text) > LENGTH_MAX:
         return None
+    tidy = text.strip().strip("\"'").rstrip("fF").strip()
+    oddity = "" if tidy == text.strip() else "quotes or a suffix"
+    for spelled, odd in ((tidy, oddity), (tidy.replace(",", "."), "a decimal comma")):
+        try:
+            value = float(spelled)
+        except ValueError:
+            continue
+        return (value, odd) if math.isfinite(value) else None
+    return None
 
 
 def is_formula(text: str) -> bool:

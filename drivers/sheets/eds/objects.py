@@ -6,7 +6,7 @@ from drivers.canopen.data_types import DataType
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry, EntryReader
 from drivers.sheets.eds.numbers import integer
-from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.repairs import NoDataSheet, RepairLog
 from drivers.sheets.eds.sections import (
     COMMISSIONING,
     EdsSection,
@@ -21,6 +21,8 @@ from drivers.sheets.eds.values import Place, Value, read_value
 FIRST_OBJECT = 0x1000
 """Below are data types."""
 _SUBS_MAX = 254
+ENTRIES_MAX = 100_000
+"""Far more than a drive of eight axes has; one line with CompactSubObj makes 254."""
 
 
 @dataclass(slots=True)
@@ -52,8 +54,15 @@ def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> di
         else:
             heads.setdefault(found.index, None)
             builder.subs.setdefault(found.index, {})[found.sub] = section
-    made = (builder.build(index, heads[index]) for index in sorted(heads))
-    objects = {entry.index: entry for entry in made if entry is not None}
+    objects: dict[int, EdsObject] = {}
+    entries = 0
+    for index in sorted(heads):
+        made = builder.build(index, heads[index])
+        if made is not None:
+            objects[index] = made
+            entries += len(made.entries)
+        if entries > ENTRIES_MAX:
+            raise NoDataSheet(f"more than {ENTRIES_MAX} entries, the last of {index:04X}h")
     builder.note_stray_tables(objects)
     return objects
 

@@ -2,6 +2,10 @@
 
 from typing import NamedTuple
 
+REPAIRS_MAX = 20_000
+"""Far more than a careless sheet has; a text that is no data sheet has one in each line."""
+_NAME_SHOWN_MAX = 60
+
 
 class Repair(NamedTuple):
     """One fault of a file and what was made of it."""
@@ -18,6 +22,10 @@ class Repair(NamedTuple):
         return f"{place}[{self.section}] {self.fault}: {self.action}"
 
 
+class NoDataSheet(Exception):
+    """What is read has more faults than anybody's data sheet; the text says how many."""
+
+
 class RepairLog:
     """Collects repairs in the order in which they are made."""
 
@@ -25,8 +33,10 @@ class RepairLog:
         self._repairs: list[Repair] = []
 
     def add(self, section: str, fault: str, action: str, line: int = 0) -> None:
-        """Note one repair."""
-        self._repairs.append(Repair(section, fault, action, line))
+        """Note one repair. Raises NoDataSheet if it is one too many."""
+        if len(self._repairs) == REPAIRS_MAX:
+            raise NoDataSheet(f"more than {REPAIRS_MAX} faults, the last in line {line}")
+        self._repairs.append(Repair(section[:_NAME_SHOWN_MAX], fault, action, line))
 
     def in_order_of_lines(self) -> tuple[Repair, ...]:
         """All repairs, those without a line first."""

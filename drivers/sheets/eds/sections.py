@@ -44,7 +44,7 @@ class EdsSection:
             return None
         found = integer(option.value) if option.value else None
         if found is None:
-            told = f"{option.value!r}, no number" if option.value else "empty"
+            told = f"{option.value[:60]!r}, no number" if option.value else "empty"
             self.mend(f"{name} is {told}", "left out", option.line)
             return None
         self.note_oddity(option, found)
@@ -104,6 +104,8 @@ _FREE_TEXT = frozenset({"parametername", "description", "denotation"})
 _NUMBER_AND_COMMENT = re.compile(
     r"^\s*((?:\$NODEID\s*\+\s*)?[+-]?(?:0[xX][0-9A-Fa-f]+|\d+))\s*;", re.IGNORECASE
 )
+_GUESSES_MAX = 1000
+"""Names for which a word of the standard is looked for: a vendor misspells a few, and each look is slow."""
 _LIKENESS = 0.88
 """Below it a misspelt option may be another one: LowLimit and a vendor's LowLimit2 are 0.94 alike."""
 
@@ -152,6 +154,7 @@ class _Reader:
         self.sections: Sections = {}
         self._log = log
         self._current: EdsSection | None = None
+        self._guesses: dict[str, str | None] = {}
 
     def take(self, line: str, number: int) -> None:
         if line[0] == "[":
@@ -204,13 +207,20 @@ class _Reader:
         name = _OBJECT_OPTIONS.get(written.lower())
         if name is not None:
             return name
-        bare = re.sub(r"[\s_-]", "", written).lower()
-        alike = difflib.get_close_matches(bare, _OBJECT_OPTIONS, n=1, cutoff=_LIKENESS)
-        if not alike or (bare[:-1] == alike[0] and bare[-1].isdigit()):
+        name = self._meant(written)
+        if name is None:
             return written
-        name = _OBJECT_OPTIONS[alike[0]]
         section.mend(f"the option is called {written!r}", f"read as {name}", number)
         return name
+
+    def _meant(self, written: str) -> str | None:
+        """The option that a misspelt one means; None if it is one of its own."""
+        if written not in self._guesses and len(self._guesses) < _GUESSES_MAX:
+            bare = re.sub(r"[\s_-]", "", written).lower()
+            alike = difflib.get_close_matches(bare, _OBJECT_OPTIONS, n=1, cutoff=_LIKENESS)
+            own = not alike or (bare[:-1] == alike[0] and bare[-1].isdigit())
+            self._guesses[written] = None if own else _OBJECT_OPTIONS[alike[0]]
+        return self._guesses.get(written)
 
     def _keep(self, section: EdsSection, option: Option) -> None:
         key = option.name.lower()
@@ -220,7 +230,7 @@ class _Reader:
         if known is None or not (known.value or not value):
             section.options[key] = Option(option.name, value, option.line)
         elif value != known.value:
-            fault = f"{option.name} occurs twice, as {known.value!r} and {value!r}"
+            fault = f"{option.name} occurs twice, as {known.value[:60]!r} and {value[:60]!r}"
             section.mend(fault, "the first counts" if value else "the empty one is left out", option.line)
 
 

@@ -9,7 +9,7 @@ most likely text of them.
 import codecs
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from drivers.sheets.eds.repairs import RepairLog
 
@@ -28,6 +28,8 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16", "UTF-16"),
     (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
 )
+_TELLING_BYTES = 100_000
+"""Of lines in a foreign code page: so much text tells it, and each octet is weighed."""
 _LINE_END = re.compile(rb"\r{0,2}\n|\r")
 _UNITS_BESIDE_NUMBERS = "°µ²³±\xd7·½¼¾"
 _MARKS_OF_TRADE = "®©™§•"
@@ -83,7 +85,7 @@ def _decoded(raw: list[bytes], log: RepairLog) -> list[str]:
         return lines
     codec = _likeliest_code_page([raw[number] for number in foreign])
     for number in foreign:
-        lines[number] = raw[number].decode(codec)
+        lines[number] = raw[number].decode(codec, errors="replace")
     first = raw[foreign[0]]
     odd = next(octet for octet in first if octet > 0x7F)
     also = f", in {len(foreign)} lines" if len(foreign) > 1 else ""
@@ -93,7 +95,7 @@ def _decoded(raw: list[bytes], log: RepairLog) -> list[str]:
 
 
 def _likeliest_code_page(lines: Iterable[bytes]) -> str:
-    text = b"\n".join(lines)
+    text = b"\n".join(_first(lines))
     found: dict[str, float] = {}
     for codec in _CODE_PAGES:
         try:
@@ -102,6 +104,16 @@ def _likeliest_code_page(lines: Iterable[bytes]) -> str:
             continue
     # max() keeps the first of equals, which is the order of preference.
     return max(found, key=lambda codec: found[codec])
+
+
+def _first(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """Lines, or parts of them, as many as tell the code page."""
+    left = _TELLING_BYTES
+    for line in lines:
+        if left <= 0:
+            return
+        yield line if len(line) <= left else line[:left].rsplit(b" ", 1)[0]
+        left -= len(line)
 
 
 def _likelihood(text: str, codec: str) -> float:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
 from drivers.sheets.eds import types
-from drivers.sheets.eds.numbers import Formula, Spelled, formula, integer, is_formula, real
+from drivers.sheets.eds.numbers import LENGTH_MAX, Formula, Spelled, formula, integer, is_formula, real
 from drivers.sheets.eds.sections import EdsSection, Option
 
 Scalar = int | float | str | bytes
@@ -85,11 +85,16 @@ def _real(option: Option, place: Place) -> Value:
             return Value(value, text=text)
     found = real(text)
     if found is None:
-        _note(option, place, "left out, for it is no number")
+        _note(option, place, f"left out, for {_no_number(option)}")
         return NOTHING
     if found[1]:
         _note(option, place, f"{found[1]}: read as {found[0]:g}")
     return Value(found[0], text=text)
+
+
+def _no_number(option: Option) -> str:
+    long = len(option.value) > LENGTH_MAX
+    return f"no number has {len(option.value)} characters" if long else "it is no number"
 
 
 def _formula(option: Option, place: Place) -> Value:
@@ -112,7 +117,7 @@ def _integer(option: Option, place: Place) -> Value:
     found = _spelled(option.value, place)
     if found is None:
         none = option.value.strip().lower() in _NO_NUMBER
-        _note(option, place, "left out" if none else "left out, for it is no number")
+        _note(option, place, "left out" if none else f"left out, for {_no_number(option)}")
         return NOTHING
     value, oddity = fitted(found.value, place.data_type, option.value)
     if value is None:

@@ -62,6 +62,12 @@ def test_who_names_a_missing_file_is_blamed(tmp_path: Path) -> None:
     assert (caught.value.source, caught.value.key) == ("bench.toml", "drive.a.motor")
 
 
+@pytest.mark.parametrize("what", ["a bench file", "an EDS or DCF file"])
+def test_a_missing_file_is_told_with_the_right_article(what: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=f"expected the path of {what};"):
+        read_text(tmp_path / "none.toml", what.partition(" ")[2])
+
+
 def test_size_length_and_encoding_are_bounded(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"#" * SIZE_MAX_BYTES)
