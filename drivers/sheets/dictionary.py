@@ -1,4 +1,4 @@
-"""EDS and DCF files (CiA 306-1) as object dictionaries, tolerant of vendors' faults.
+"""EDS and DCF files (CiA 306-1), XDD and XDC (CiA 311), as object dictionaries, tolerant of vendors' faults.
 
 How a file is read stands in :mod:`drivers.sheets.eds`. Each thing that was mended on the way is a
 :class:`Repair`; nothing is mended silently.
@@ -26,12 +26,17 @@ from drivers.sheets.eds.information import (
 from drivers.sheets.eds.model import to_canopen
 from drivers.sheets.eds.objects import EdsObject, build_objects
 from drivers.sheets.eds.repairs import NoDataSheet, Repair, RepairLog
+from drivers.sheets.eds.resolved_node import free_of_node
 from drivers.sheets.eds.sections import Sections, object_of, read_sections
 from drivers.sheets.eds.text import lines_of
+from drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections
 
 __all__ = ["LoadedDictionary", "Repair", "load_dictionary", "parse_dictionary"]
 
-_WHAT = "EDS or DCF file (CiA 306-1)"
+_WHAT = "EDS or DCF file (CiA 306-1), or XDD or XDC file (CiA 311)"
+_KINDS = {(False, False): "EDS", (False, True): "DCF", (True, False): "XDD", (True, True): "XDC"}
+"""By whether it is XML, and whether it is of a commissioned node."""
+_OTHER_XML = "of XML only CANopen's XDD and XDC are read; for EtherCAT, POWERLINK and others ask for an EDS"
 _EXPECTED = f"an {_WHAT}"
 _SIZE_MAX_BYTES = 8_000_000
 """The largest data sheets of servo drives have one or two million."""
@@ -50,10 +55,12 @@ class LoadedDictionary:
     dummies: tuple[int, ...] = ()
     objects: Mapping[int, EdsObject] = field(default_factory=dict)
     """As the file has them: formulas of $NODEID, denotations, flags."""
+    kind: str = "EDS"
+    """EDS, DCF, XDD or XDC."""
 
 
 def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:
-    """Read an EDS or DCF file; ``node_id`` takes the place of $NODEID, a DCF's own if it is None.
+    """Read a data sheet; ``node_id`` takes the place of $NODEID, that of a DCF or XDC if it is None.
 
     Raises BadInput if the file cannot be read, or holds no object.
     """
@@ -64,12 +71,16 @@ def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> Lo
     """As :func:`load_dictionary`, of the bytes of a file."""
     _refuse_other_formats(data, source)
     log = RepairLog()
+    xml = _is_xml(data)
     try:
-        sections = read_sections(lines_of(data, log), log)
+        sections = read_xml_sections(data, log) if xml else read_sections(lines_of(data, log), log)
         if not any(object_of(name) for name in sections):
-            raise BadInput(source, "", "no object section", _EXPECTED)
-        check_lists(sections, log)
-        loaded = _loaded(sections, node_id, log)
+            raise BadInput(source, "", "no CANopenObject" if xml else "no object section", _EXPECTED)
+        if not xml:
+            check_lists(sections, log)
+        loaded = _loaded(sections, node_id, log, xml)
+    except NoXmlSheet as error:
+        raise BadInput(source, f"line {error.line}", str(error), _EXPECTED, _OTHER_XML) from None
     except NoDataSheet as error:
         raise BadInput(source, "", str(error), _EXPECTED) from None
     if not loaded.objects:
@@ -77,13 +88,14 @@ def parse_dictionary(data: bytes, source: str, node_id: int | None = None) -> Lo
     return loaded
 
 
-def _loaded(sections: Sections, node_id: int | None, log: RepairLog) -> LoadedDictionary:
+def _loaded(sections: Sections, node_id: int | None, log: RepairLog, xml: bool) -> LoadedDictionary:
     commissioning = read_commissioning(sections)
     if node_id is None and commissioning is not None:
         node_id = commissioning.node_id
     device = read_device_information(sections, log)
     dummies = read_dummies(sections)
     objects = build_objects(sections, node_id, log)
+    free_of_node(objects, sections, log)
     add_compact_pdos(objects, device)
     return LoadedDictionary(
         to_canopen(objects, dummies, device, commissioning, node_id),
@@ -93,6 +105,7 @@ def _loaded(sections: Sections, node_id: int | None, log: RepairLog) -> LoadedDi
         commissioning,
         dummies,
         objects,
+        _KINDS[xml, commissioning is not None],
     )
 
 
@@ -101,11 +114,11 @@ def _beginning(data: bytes) -> bytes:
     return data[:200].lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n").replace(b"\0", b"").lower()
 
 
+def _is_xml(data: bytes) -> bool:
+    return _beginning(data).startswith(b"<")
+
+
 def _refuse_other_formats(data: bytes, source: str) -> None:
     """Files that people mistake for data sheets, each with what to do instead."""
-    head = _beginning(data)
-    if head.startswith((b"<?xml", b"<iso15745", b"<ethercatinfo")):
-        remedy = "an XML description (CiA 311 or EtherCAT) is not read; ask the vendor for the EDS"
-        raise BadInput(source, "", "an XML file", _EXPECTED, remedy)
-    if head.startswith((b"pk\x03\x04", b"\x1f\x8b", b"rar!", b"7z\xbc\xaf")):
+    if _beginning(data).startswith((b"pk\x03\x04", b"\x1f\x8b", b"rar!", b"7z\xbc\xaf")):
         raise BadInput(source, "", "an archive", _EXPECTED, "unpack it first")

@@ -27,7 +27,7 @@ class ModeName(StrEnum):
 
 
 def eds(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="EDS or DCF of a device.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="EDS, DCF, XDD or XDC of a device.")],
     node: Annotated[
         int | None,
         typer.Option("--node", min=1, max=127, help="Node id for $NODEID; a DCF's own, or 1, if absent."),
@@ -42,7 +42,7 @@ def eds(
     bitrate: Annotated[int, bitrate_option("Bit rate, bit/s.")] = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:
-    """Read an EDS or DCF and say what the device offers a bench, and what was mended to read the file.
+    """Read an EDS, DCF, XDD or XDC: what the device offers a bench, and what was mended to read the file.
 
     Exit status: 0 it can serve a bench, 1 it cannot (the output says why), 2 the file cannot be read.
     """

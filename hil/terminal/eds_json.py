@@ -19,7 +19,7 @@ def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Plann
         "serves": fitness.serves,
         "obstacles": list(fitness.obstacles),
         "remarks": list(fitness.remarks),
-        "kind": "DCF" if loaded.commissioning is not None else "EDS",
+        "kind": loaded.kind,
         "node_id": loaded.dictionary.node_id,
         "identity": _identity(fitness.identity),
         "profile": fitness.profile,

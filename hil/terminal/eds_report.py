@@ -44,11 +44,10 @@ def _say(console: Console, *parts: Table | Text) -> None:
 def _facts(file: Path, loaded: LoadedDictionary, fitness: Fitness) -> Table:
     identity, objects = fitness.identity, loaded.objects
     entries = sum(len(found.entries) for found in objects.values())
-    kind = "EDS" if loaded.commissioning is None else "DCF"
     size = f"{len(objects)} objects, {entries} entries"
     rates = ", ".join(map(str, loaded.device.bit_rates_kbit_s))
     lines = {
-        "File": f"{file} ({kind}, node {loaded.dictionary.node_id}, {size})",
+        "File": f"{file} ({loaded.kind}, node {loaded.dictionary.node_id}, {size})",
         "Made": " ".join(
             part for part in (loaded.file.modified or loaded.file.created, _version(loaded)) if part
         ),

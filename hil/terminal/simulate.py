@@ -39,7 +39,7 @@ SerialOption = Annotated[
 ]
 EdsOption = Annotated[
     Path | None,
-    typer.Option("--eds", metavar="FILE", help="EDS or DCF of the device to rehearse: its dictionary."),
+    typer.Option("--eds", metavar="FILE", help="EDS, DCF, XDD or XDC of the device to rehearse."),
 ]
 StoreOption = Annotated[
     Path | None,

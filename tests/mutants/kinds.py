@@ -17,6 +17,7 @@ from hil.configuration.plant_file import load_plant
 from hil.configuration.weights_file import load_weights
 from hil.restoring.journal import read_journal
 from tests.mutants.mutant import Kind
+from tests.unit.drivers.made_xdd import COMMISSIONED, xdd_text
 from tests.unit.drivers.sound_sheet import SOUND
 from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.faults.delay_histogram import read_histogram
@@ -77,4 +78,5 @@ KINDS: Final = [
     Kind("delays.json", b'{"edges_us": [0, 10, 20], "counts": [3, 4]}', read_histogram),
     Kind("sound.eds", SOUND.encode(), load_dictionary),
     Kind("configured.dcf", CONFIGURED.encode(), load_dictionary),
+    Kind("drive.xdc", xdd_text(commissioning=COMMISSIONED).encode(), load_dictionary),
 ]

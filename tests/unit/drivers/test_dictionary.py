@@ -250,7 +250,7 @@ def test_what_is_no_dictionary_is_bad_input(data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("data", "found"),
-    [(b"\xef\xbb\xbf<?xml version='1.0'?><a/>", "an XML file"), (b"PK\x03\x04xxxx", "an archive")],
+    [(b"\xef\xbb\xbf<?xml version='1.0'?><a/>", "a root element 'a'"), (b"PK\x03\x04xxxx", "an archive")],
 )
 def test_other_formats_are_named(data: bytes, found: str) -> None:
     with pytest.raises(BadInput, match=found):

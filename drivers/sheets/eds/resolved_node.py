@@ -1,0 +1,48 @@
+"""Files in which somebody has put a node-ID in the place of $NODEID: the COB-IDs of one node for all."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from drivers.sheets.eds.entries import Entry
+from drivers.sheets.eds.numbers import Formula
+from drivers.sheets.eds.objects import EdsObject
+from drivers.sheets.eds.repairs import RepairLog
+from drivers.sheets.eds.sections import Sections, section_name
+from drivers.sheets.eds.values import Value
+
+_PREDEFINED: Final[dict[tuple[int, int], int]] = {
+    (0x1014, 0): 0x80,
+    **{(0x1400 + number, 1): 0x200 + 0x100 * number for number in range(4)},
+    **{(0x1800 + number, 1): 0x180 + 0x100 * number for number in range(4)},
+}
+"""COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
+_WITNESSES_MIN: Final = 3
+"""So many identifiers have to be those of one node: two may be by chance, or by somebody's wish."""
+_IDENTIFIER: Final = 0x7FF
+
+
+def free_of_node(objects: Mapping[int, EdsObject], sections: Sections, log: RepairLog) -> None:
+    """Let the identifiers of the predefined connection set follow the node-ID, if all that are plain numbers
+    are those of one and the same node."""
+    plain = list(_plain(objects))
+    nodes = {(value & _IDENTIFIER) - base for _, base, value in plain}
+    if len(plain) < _WITNESSES_MIN or len(nodes) != 1:
+        return
+    (node,) = nodes
+    if not 1 <= node <= 127:
+        return
+    for entry, _, value in plain:
+        entry.default = Value(None, Formula(1, value - node), entry.default.text)
+    first = plain[0][0]
+    name = section_name(first.index, None if objects[first.index].is_variable else first.sub)
+    line = sections[name].line if name in sections else 0
+    log.add("file", f"{len(plain)} COB-IDs are those of node {node}", "read as $NODEID+0x...", line)
+
+
+def _plain(objects: Mapping[int, EdsObject]) -> Iterator[tuple[Entry, int, int]]:
+    """Entries that are plain numbers, with the identifier's base and the number."""
+    for (index, sub), base in _PREDEFINED.items():
+        entry = objects[index].entries.get(sub) if index in objects else None
+        value = None if entry is None else entry.default.value
+        if entry is not None and isinstance(value, int) and value & _IDENTIFIER:
+            yield entry, base, value
