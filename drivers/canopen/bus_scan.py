@@ -45,6 +45,13 @@ DRIVE_KINDS = {1: "frequency converter", 2: "servo drive", 4: "stepper drive", 8
 """CiA 402: bits 16 to 23 of 1000h."""
 
 
+def profile_title(number: int) -> str:
+    """A device profile by its number, the low word of 1000h. Not every number is one of CiA's."""
+    if number not in PROFILES:
+        return f"device of profile {number} ({number:04X}h), no profile of CiA known here"
+    return f"{PROFILES[number]} (CiA {number})"
+
+
 @dataclass(slots=True)
 class NodeFound:
     """What is known of one node; None where nothing was told."""
@@ -76,7 +83,7 @@ class NodeFound:
             return f"{kind} (CiA 402)"
         if number == 0:
             return "no standard profile"
-        return f"{PROFILES.get(number, 'device')} (CiA {number})"
+        return profile_title(number)
 
 
 @dataclass(slots=True)

@@ -13,6 +13,18 @@ from collections import deque
 from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
+DRIVE_PROFILE: Final = 402
+"""Low 16 bits of 1000h: the number of the device profile, CiA 402 (CiA 301, 7.5.2.1)."""
+
+
+def other_profile(device_type: int) -> str:
+    """Why a device with this 1000h is no drive."""
+    number = device_type & 0xFFFF
+    return (
+        f"1000h is {device_type:08X}h, whose low 16 bits say device profile {number} ({number:04X}h);"
+        f" a drive's say {DRIVE_PROFILE} ({DRIVE_PROFILE:04X}h, CiA 402)"
+    )
+
 
 class State(Enum):
     """States of the power drive system, CiA 402-2 6.2 (finite state automaton)."""

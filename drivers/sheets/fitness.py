@@ -12,14 +12,15 @@ import canopen.objectdictionary as od
 from drivers.canopen.pdo import mapping_text
 from drivers.canopen.pdo_capability import PdoCapability
 from drivers.canopen.sdo import object_name
+from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
-from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, supported_mode_bit
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.doubts import doubts
+from drivers.sheets.identity import told_identity
 
-DRIVE_PROFILE = 402
 INTERPOLATION_DATA = 0x60C1
 AXIS_STEP = 0x800
 """CiA 402-2: the objects of a second axis lie so much higher."""
@@ -69,6 +70,11 @@ class FileIdentity(NamedTuple):
     revision: int | None
     device_name: str
     device_type: int | None
+
+    @property
+    def profile(self) -> int | None:
+        """The number of its device profile; None if 1000h tells nothing."""
+        return None if self.device_type is None else self.device_type & 0xFFFF
 
 
 class SheetPdo(NamedTuple):
@@ -164,7 +170,6 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
     """Hold a dictionary, loaded for ``node_id``, against what a bench needs."""
     dictionary = loaded.dictionary
     identity = _identity(loaded)
-    profile = None if identity.device_type is None else identity.device_type & 0xFFFF
     capability = capability_of(loaded)
     modes, told_by = _modes(dictionary)
     usable = tuple(
@@ -172,15 +177,15 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
     )
     return Fitness(
         identity=identity,
-        profile=profile,
+        profile=identity.profile,
         axes=_axes(dictionary),
         modes=modes,
         modes_told_by=told_by,
         usable=usable,
         pdos=_pdo_defaults(capability),
         lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
-        obstacles=_obstacles(dictionary, profile, modes, usable),
-        remarks=(*_remarks(dictionary, profile, usable), *doubts(dictionary, capability)),
+        obstacles=_obstacles(dictionary, identity, modes, usable),
+        remarks=(*_remarks(dictionary, identity.profile, usable), *doubts(dictionary, capability)),
     )
 
 
@@ -201,19 +206,16 @@ def held(dictionary: od.ObjectDictionary, index: int, sub: int = 0) -> Any:
 def _identity(loaded: LoadedDictionary) -> FileIdentity:
     dictionary, device = loaded.dictionary, loaded.device
 
-    def number(sub: int, other: int | None) -> int | None:
-        value = held(dictionary, 0x1018, sub)
-        return value if isinstance(value, int) and value else other
-
+    told = told_identity(dictionary)
     device_type = held(dictionary, 0x1000)
     name = held(dictionary, 0x1008)
     return FileIdentity(
         vendor_name=device.vendor_name,
         product_name=device.product_name,
         order_code=device.order_code,
-        vendor=number(1, device.vendor_number),
-        product=number(2, device.product_number),
-        revision=number(3, device.revision_number),
+        vendor=next(iter(told.vendor), None),
+        product=next(iter(told.product), None),
+        revision=next(iter(told.revision), None),
         device_name=name if isinstance(name, str) else "",
         device_type=device_type if isinstance(device_type, int) else None,
     )
@@ -282,16 +284,13 @@ def _pdo_defaults(capability: PdoCapability) -> tuple[SheetPdo, ...]:
 
 def _obstacles(
     dictionary: od.ObjectDictionary,
-    profile: int | None,
+    identity: FileIdentity,
     modes: tuple[Mode, ...],
     usable: tuple[ModeFitness, ...],
 ) -> tuple[str, ...]:
     found = []
-    if profile is not None and profile not in (0, DRIVE_PROFILE):
-        found.append(
-            f"1000h says device profile {profile} ({profile:04X}h), and a servo drive has"
-            f" {DRIVE_PROFILE} ({DRIVE_PROFILE:04X}h)"
-        )
+    if identity.profile not in (None, 0, DRIVE_PROFILE):
+        found.append(other_profile(identity.device_type or 0))
     missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if index not in dictionary]
     if missing:
         names = " and ".join(object_name(index, 0) for index in missing)
@@ -315,16 +314,14 @@ def _remarks(
         found.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
     served = [mode.mode for mode in usable if mode.plan is not None]
     if served and not any(mode in _TORQUE_MODES for mode in served):
-        best = served[0].title
-        found.append(f"no torque mode for the loop of `hil run`; the bench can use {best}")
+        found.append(f"no torque mode; {run_words(served)}")
     guarded = 0x100C in dictionary and 0x100D in dictionary
     if 0x1016 not in dictionary:
-        instead = (
-            "node guarding (100Ch, 100Dh) stands in the dictionary instead"
+        found.append(
+            "without 1016h the drive watches its host by life guarding (100Ch, 100Dh)"
             if guarded
-            else "nothing stands in"
+            else "without 1016h, 100Ch and 100Dh nothing stops the drive when the host is gone"
         )
-        found.append(f"without 1016h nothing stops the drive when the host is gone; {instead}")
     if _axes(dictionary) > 1:
         found.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
     return tuple(found)

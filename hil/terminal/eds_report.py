@@ -7,8 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from drivers.canopen.bus_scan import profile_title
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
-from drivers.cia402.profile import Mode
+from drivers.cia402.bench_modes import BENCH_MODES, run_words
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.repairs import Repair
 from drivers.sheets.fitness import FileIdentity, Fitness
@@ -90,7 +91,8 @@ def _numbers(identity: FileIdentity) -> str:
 
 
 def _profile(fitness: Fitness) -> str:
-    profile = "not given" if fitness.profile is None else f"CiA {fitness.profile}"
+    number = fitness.profile
+    profile = "not given" if number is None else profile_title(number) if number else "no standard profile"
     return f"{profile}, {fitness.axes} {'axis' if fitness.axes == 1 else 'axes'} with a controlword"
 
 
@@ -209,10 +211,10 @@ def _print_verdict(console: Console, fitness: Fitness) -> None:
     if fitness.serves:
         best = fitness.best
         mode = f", best in {best.mode.title}" if best is not None else ""
-        runs = best is None or best.mode is Mode.CYCLIC_SYNCHRONOUS_TORQUE
-        closes = "" if runs else f"; `hil run` needs {Mode.CYCLIC_SYNCHRONOUS_TORQUE.title}"
-        style = "bold green" if runs else "bold yellow"
-        console.print(Text(f"It can serve a bench{mode}{closes}.", style=style), soft_wrap=True)
+        served = [each.mode for each in fitness.usable if each.plan is not None]
+        style = "bold green" if set(served) & set(BENCH_MODES.values()) else "bold yellow"
+        words = f"It can serve a bench{mode}; {run_words(served)}."
+        console.print(Text(words, style=style), soft_wrap=True)
         return
     console.print(Text("It cannot serve a bench:", style="bold red"))
     for obstacle in fitness.obstacles:

@@ -163,7 +163,7 @@ def test_traffic_is_sorted_by_what_it_is() -> None:
         (0x00000192, "drive (CiA 402)"),
         (0x000F0191, "I/O module (CiA 401)"),
         (0x00000196, "encoder (CiA 406)"),
-        (0x000003E7, "device (CiA 999)"),
+        (0x00220811, "device of profile 2065 (0811h), no profile of CiA known here"),
         (0, "no standard profile"),
         (None, ""),
     ],

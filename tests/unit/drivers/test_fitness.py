@@ -60,6 +60,10 @@ def test_cyclic_modes_are_concluded_from_what_only_they_have() -> None:
     ("how", "telling"),
     [
         ({"device_type": "0x00030191"}, "device profile 401"),
+        (
+            {"device_type": "0x00220811"},
+            "1000h is 00220811h, whose low 16 bits say device profile 2065 (0811h); a drive's say 402 (0192h",
+        ),
         ({"without": (0x6040,)}, "6040h:00 missing: it has no CiA 402 state machine"),
         ({"without": (0x6040, 0x6041)}, "6040h:00 and 6041h:00 missing"),
         ({"without": (0x6060,)}, "6060h:00 missing: its mode cannot be chosen"),

@@ -7,8 +7,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from drivers.cia402.bench_modes import RULE
 from hil.cli import app
 from tests.unit.drivers.eds_maker import four_pdos, sheet_text
+
+README = Path(__file__).parents[3] / "README.md"
 
 
 def run(*arguments: str) -> tuple[int, str]:
@@ -49,7 +52,10 @@ def test_a_drive_that_serves(good: str) -> None:
         "1 repair",
     ):
         assert words in text
-    assert "It can serve a bench, best in cyclic synchronous torque." in text
+    assert (
+        'It can serve a bench, best in cyclic synchronous torque; `hil run` can use it with mode = "cst"'
+        in text
+    )
 
 
 def test_a_drive_without_the_mode_of_hil_run_says_so(tmp_path: Path) -> None:
@@ -57,7 +63,16 @@ def test_a_drive_without_the_mode_of_hil_run_says_so(tmp_path: Path) -> None:
     path.write_text(sheet_text(four_pdos(), modes="0x104"))
     status, text = run(str(path))
     assert status == 0
-    assert "best in cyclic synchronous velocity; `hil run` needs cyclic synchronous torque." in text
+    assert 'best in cyclic synchronous velocity; `hil run` can use it with mode = "csv".' in text
+
+
+def test_a_drive_that_hil_run_cannot_use_is_told_in_the_words_of_the_readme(tmp_path: Path) -> None:
+    path = tmp_path / "profile.eds"
+    path.write_text(sheet_text(four_pdos(), modes="0x4"))
+    status, text = run(str(path))
+    assert status == 0
+    assert f"best in profile velocity; {RULE}." in text
+    assert RULE in README.read_text()
 
 
 def test_a_device_that_does_not_says_why(bad: str) -> None:

@@ -1,0 +1,45 @@
+"""Which device a data sheet is of: 1018h, and [DeviceInfo] where that tells nothing (CiA 306-1)."""
+
+from typing import NamedTuple
+
+import canopen.objectdictionary as od
+
+IDENTITY = 0x1018
+_PARTS = ("vendor", "product", "revision")
+
+
+class ToldIdentity(NamedTuple):
+    """The numbers that a sheet has for each part of an identity, 1018h's first; 0 is none. Two of them: the
+    sheet contradicts itself, and a device may have either."""
+
+    vendor: tuple[int, ...]
+    product: tuple[int, ...]
+    revision: tuple[int, ...]
+
+    def strangers(self, vendor: int, product: int, revision: int) -> list[tuple[str, int, int]]:
+        """Part, number of the sheet and number of the device where the device is none that the sheet is of;
+        what either does not tell does not differ."""
+        held = (vendor, product, revision)
+        return [
+            (part, told[0], number)
+            for part, told, number in zip(_PARTS, self, held, strict=True)
+            if told and number and number not in told
+        ]
+
+
+def told_identity(dictionary: od.ObjectDictionary) -> ToldIdentity:
+    """The identity by the sheet whose dictionary it is."""
+    information = dictionary.device_information
+    return ToldIdentity(
+        _numbers(dictionary, 1, information.vendor_number),
+        _numbers(dictionary, 2, information.product_number),
+        _numbers(dictionary, 3, information.revision_number),
+    )
+
+
+def _numbers(dictionary: od.ObjectDictionary, sub: int, informed: int | None) -> tuple[int, ...]:
+    entry = dictionary.get(IDENTITY)
+    member = None if entry is None or isinstance(entry, od.ODVariable) else entry.subindices.get(sub)
+    held = None if member is None else member.value if member.value is not None else member.default
+    numbers = (held if isinstance(held, int) else 0, informed or 0)
+    return tuple(dict.fromkeys(number & 0xFFFF_FFFF for number in numbers if number))
