@@ -13,6 +13,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from drivers.canopen.frame_pump import NEVER, FramePump, Handler
+from drivers.canopen.life_signs import ERROR_CONTROL, LifeSigns
 from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand
 from drivers.canopen.sdo import (
@@ -31,13 +32,10 @@ from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
 EMERGENCY = 0x080
-ERROR_CONTROL = 0x700
 MASTER_NODE_ID = 127
 SURPLUS_BORNE = 2
 """SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each
 request, and a dozen are needed to connect."""
-
-_OPERATIONAL = b"\x05"
 
 
 class CanopenNetwork(canopen.Network):
@@ -70,8 +68,8 @@ class CanopenNetwork(canopen.Network):
         """See :meth:`FramePump.pump_one`."""
         self.send_sync: Callable[[], Instant] = pump.send_sync
         """See :meth:`FramePump.send_sync`."""
-        self._heartbeat_period_ns = Duration(0)
-        self._heartbeat_due = NEVER
+        self.life_signs = LifeSigns(link, clock, node_id)
+        """What the nodes watch of this master; ended by :meth:`fall_silent`."""
         self._emergency_listeners: tuple[Callable[[Emergency], None], ...] = ()
         self.on_surplus_answer: Callable[[int, Instant], None] | None = None
         """Told of an SDO answer that nobody has asked for: which node's, and when."""
@@ -93,9 +91,9 @@ class CanopenNetwork(canopen.Network):
     # ---- sending --------------------------------------------------------------------------------------
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a data frame; canopen's own services come through here. Remote frames are not used."""
+        """Send a data frame; canopen's own services come through here, and remote frames do not."""
         if remote:
-            raise ValueError("this master sends no remote frames (CiA 301 advises against them)")
+            raise ValueError("the only remote frames of this master are those of its guard()")
         self.link.send(can_id, bytes(data))
 
     def command(self, command: NmtCommand, node_id: int = 0) -> Instant:
@@ -107,14 +105,36 @@ class CanopenNetwork(canopen.Network):
 
         It is sent by the pump, so a master that stops pumping stops its heartbeat: that is its purpose.
         """
-        self._heartbeat_period_ns = period_ns
-        self._heartbeat_due = self.clock.now() if period_ns else NEVER
+        self.life_signs.beat(period_ns)
         self._keep_house(self.clock.now())
 
     @property
     def produces_heartbeat(self) -> bool:
         """The master's heartbeat is being sent."""
-        return self._heartbeat_period_ns > 0
+        return self.life_signs.heartbeat
+
+    def guard(self, node_id: int, period_ns: Duration) -> None:
+        """Ask a node for its NMT state now and then every ``period_ns``, by remote frame (CiA 301
+        7.2.8.3.2.1); 0 ends it. Sent by the pump, as the heartbeat; the answers are :meth:`status`'s.
+        """
+        self.status(node_id).guarded = period_ns > 0
+        self.life_signs.guard(node_id, period_ns)
+        self._keep_house(self.clock.now())
+
+    def fall_silent(self) -> None:
+        """End heartbeat and guarding: each node that watches this master takes it for lost."""
+        self.life_signs.end()
+        self._plan_housekeeping()
+
+    def withhold_life_signs(self) -> None:
+        """As if this master were gone, until :meth:`resume_life_signs`."""
+        self.life_signs.withhold()
+        self._plan_housekeeping()
+
+    def resume_life_signs(self) -> None:
+        """Send heartbeat and guarding at once, and go on with them."""
+        self.life_signs.resume()
+        self._keep_house(self.clock.now())
 
     # ---- nodes ----------------------------------------------------------------------------------------
 
@@ -210,7 +230,8 @@ class CanopenNetwork(canopen.Network):
 
     def disconnect(self) -> None:
         """Leave the bus to its owner; only this object's services end."""
-        self._heartbeat_due = self.frame_pump.housekeeping_at = NEVER
+        self.life_signs.end()
+        self.frame_pump.housekeeping_at = NEVER
 
     def _post(self, node_id: int) -> DownloadPost:
         post = self._posts.get(node_id)
@@ -288,12 +309,8 @@ class CanopenNetwork(canopen.Network):
             listener(emergency)
 
     def _keep_house(self, now: Instant) -> None:
-        """Send the heartbeat, note lost nodes and repeat posted downloads that are due at ``now``."""
-        if now >= self._heartbeat_due:
-            self.link.send(ERROR_CONTROL + self.node_id, _OPERATIONAL)
-            # Missed beats are not made up for, and the grid is not shifted by a late one.
-            missed = (now - self._heartbeat_due) // self._heartbeat_period_ns
-            self._heartbeat_due = Instant(self._heartbeat_due + (missed + 1) * self._heartbeat_period_ns)
+        """Send the life signs, note lost nodes and repeat posted downloads that are due at ``now``."""
+        self.life_signs.keep(now)
         for status in self._status.values():
             expires_at = status.expires_at()
             if expires_at is not None and now >= expires_at:
@@ -303,7 +320,7 @@ class CanopenNetwork(canopen.Network):
         self._plan_housekeeping()
 
     def _plan_housekeeping(self) -> None:
-        due = self._heartbeat_due
+        due = self.life_signs.due
         for status in self._status.values():
             expires_at = status.expires_at()
             if expires_at is not None and expires_at < due:

@@ -8,6 +8,8 @@ from drivers.canopen.nmt_states import NmtState
 from drivers.timebase import Duration, Instant
 
 _EMERGENCY = Struct("<HB5s")
+_TOGGLE = 0x80
+"""Of an answer to node guarding."""
 
 
 class Emergency(NamedTuple):
@@ -47,7 +49,10 @@ def parse_emergency(node_id: int, data: bytes, at: Instant) -> Emergency | None:
 class NodeStatus:
     """One node as its heartbeats show it."""
 
-    __slots__ = ("boot_ups", "heartbeat_at", "lost_at", "node_id", "state", "timeout_ns", "watched_since")
+    __slots__ = (
+        "_toggle", "boot_ups", "guarded", "heartbeat_at", "lost_at", "node_id", "state", "timeout_ns",
+        "watched_since",
+    )  # fmt: skip
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
@@ -60,6 +65,9 @@ class NodeStatus:
         self.watched_since = Instant(0)
         self.lost_at: Instant | None = None
         """When the silence became too long; None while the node is heard."""
+        self.guarded = False
+        """It is asked by node guarding: its answers count as heartbeats, and their toggle bits alternate."""
+        self._toggle = -1
 
     def watch(self, timeout_ns: Duration, now: Instant) -> None:
         """Bear no silence longer than ``timeout_ns`` from now on; 0 ends the watch."""
@@ -69,6 +77,13 @@ class NodeStatus:
         """A frame with this node's error control identifier arrived."""
         if len(data) != 1:
             return
+        if self.guarded and data[0]:
+            toggle = data[0] & _TOGGLE
+            repeated, self._toggle = toggle == self._toggle, toggle
+            if repeated:  # CiA 301 7.2.8.3.2.1: as if it had not come
+                return
+        else:
+            self._toggle = -1
         try:
             self.state = NmtState(data[0] & 0x7F)
         except ValueError:

@@ -7,20 +7,32 @@ a note. What the bench cannot do without raises.
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from drivers.canopen.error_control import WatchTimes
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.pdo import PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
-from drivers.cia402.pdo_plans import DEMAND, STAMP, Features, choices, limits_of, mode_plan, status_timer_ms
+from drivers.cia402.pdo_plans import (
+    DEMAND,
+    STAMP,
+    TORQUE,
+    Features,
+    choices,
+    limits_of,
+    mode_plan,
+    status_timer_ms,
+)
 from drivers.cia402.profile import (
+    DRIVE_PROFILE,
     AbortConnectionOption,
     DisableOperationOption,
     FaultReactionOption,
     Mode,
     QuickStopOption,
     ShutdownOption,
+    other_profile,
 )
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
@@ -37,7 +49,6 @@ ERROR_BEHAVIOUR = 0x1029
 NO_CHANGE_OF_NMT_STATE = 1
 """1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
 PDOs would be silent: the host could not see the statusword fall, nor the speed go down."""
-DRIVE_PROFILE = 402
 
 
 class Identity(NamedTuple):
@@ -84,10 +95,13 @@ class DriveSettings:
     host_heartbeat_timeout_ms: int = 150
     """A drive that does not hear the host for this long stops by itself."""
     unwatched: bool = False
-    """Bear a drive that has no 1016h, or no 1017h: then one side does not notice that the other is gone."""
+    """Bear a drive that lacks 1016h or 1017h and is not to be guarded either: then one side does not notice
+    that the other is gone."""
     torque_max_nm: float | None = None
     speed_max_rad_s: float | None = None
     quick_stop_deceleration_rad_s2: float | None = None
+    quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
+    """How it stops on a quick stop and in the reaction to a fault: 605Ah and 605Eh have the same values."""
     scale: ScaleOverride = field(default_factory=ScaleOverride)
 
     def __post_init__(self) -> None:
@@ -103,6 +117,16 @@ class DriveSettings:
             )
         if self.command_timeout_ms is not None and not 0 < self.command_timeout_ms <= 0xFFFF:
             raise ValueError("command_timeout_ms must be in 1..65535")
+
+    @property
+    def watch_times(self) -> WatchTimes:
+        """Of the watch on either side."""
+        return WatchTimes(
+            self.drive_heartbeat_ms,
+            self.drive_heartbeat_timeout_ms,
+            self.host_heartbeat_ms,
+            self.host_heartbeat_timeout_ms,
+        )
 
 
 class Reaction(NamedTuple):
@@ -135,7 +159,7 @@ def read_identity(objects: RemoteObjects) -> Identity:
     if device_type & 0xFFFF != DRIVE_PROFILE:
         raise PeerFault(
             f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
-            f"device type {device_type:08X}h, profile {device_type & 0xFFFF} instead of {DRIVE_PROFILE}",
+            other_profile(device_type),
             f"check the node id; hil scan --bus {objects.network.link.name} shows who is there",
         )
     vendor, product, revision, serial = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2, 3, 4))
@@ -161,10 +185,12 @@ def _polarity_notes(polarity: int) -> list[str]:
     return [f"607Eh turns the sign of {' and '.join(turned)}, not of torque: see that the loop pushes back"]
 
 
-def write_reactions(objects: RemoteObjects) -> list[str]:
+def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
     """Option codes; notes on those that the drive has not, or holds otherwise."""
     notes = []
     for index, value, text in REACTIONS:
+        if index in (Object.QUICK_STOP_OPTION, Object.FAULT_REACTION_OPTION):
+            value = int(stop)
         notes += write_optional(objects, index, "h", value, text)
     if objects.read_if_there(ERROR_BEHAVIOUR, 1, "B") is not None:
         text = "NMT state kept when the host is lost"
@@ -226,7 +252,8 @@ def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, 
     the standard ones. With notes on what it cannot do.
 
     A drive that will not have its mappings changed is served by those that it has, if they carry what is
-    needed. Raises TransferAborted, SettingRefused or PlanImpossible.
+    needed. Raises PlanImpossible; or TransferAborted or SettingRefused, with PlanImpossible as the cause
+    where the drive keeps its mappings and they cannot serve the mode.
     """
     if settings.plan is not None:
         return settings.plan, write_plan(objects, settings.plan)
@@ -244,7 +271,20 @@ def map_pdos(objects: RemoteObjects, settings: DriveSettings) -> tuple[PdoPlan, 
             continue
         refused = [f"a PDO plan that tells more was not taken: {refusals[0].evidence}"] if refusals else []
         return plan, refused + notes + written
+    if settings.capability is None and objects.read_if_there(*TORQUE) is None:
+        plan = _without_torque(_standard_plan(objects, settings, _able(objects, settings)))
+        return plan, ["no 6077h: readings carry no torque", *write_plan(objects, plan)]
     return _map_as_held(objects, settings, refusals[0])
+
+
+def _without_torque(plan: PdoPlan) -> PdoPlan:
+    return replace(
+        plan,
+        tpdos=tuple(
+            replace(pdo, entries=tuple(entry for entry in pdo.entries if (entry.index, entry.sub) != TORQUE))
+            for pdo in plan.tpdos
+        ),
+    )
 
 
 def _able(objects: RemoteObjects, settings: DriveSettings) -> Features:
@@ -302,7 +342,7 @@ def _map_as_held(
     wanted = {(entry.index, entry.sub): entry.code for pdo in pdos for entry in pdo.entries}
     try:
         result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))
-    except PlanImpossible:
-        raise refusal from None
+    except PlanImpossible as error:
+        raise refusal from error
     notes = [f"mappings are used as the drive has them: {refusal.evidence}", *result.notes]
     return result.plan, notes + write_plan(objects, result.plan)

@@ -6,12 +6,18 @@ drive neither jumps nor turns by an old value.
 """
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import Control, Mode, State, supported_mode_bit
 from drivers.cia402.state_control import FAULTY, POLL_NS, StateControl
-from drivers.errors import PeerFault
+from drivers.errors import TransferAborted
 from drivers.timebase import Instant
+
+
+class ModeRefused(SettingRefused):
+    """A drive does not take up a mode: it has none such, refuses the change, or stays in another one."""
+
 
 MODE_BITS = Control.MODE_4 | Control.MODE_5 | Control.MODE_6
 
@@ -22,6 +28,8 @@ class ModeControl:
     def __init__(self, control: StateControl) -> None:
         self.mode = Mode.NONE
         """What the drive confirmed last; NONE before the first change."""
+        self.primed_position: int | None = None
+        """607Ah as it was written last for a position mode to begin with; None in any other mode."""
         self._control = control
         self._objects: RemoteObjects = control.objects
 
@@ -29,14 +37,19 @@ class ModeControl:
         """Have the drive take up a mode, in whatever state it is, and wait until it shows it.
 
         A position mode begins at the present position, a torque mode at 0, a velocity mode at the present
-        speed if the drive is enabled, else at 0. Raises PeerFault if the drive has no such mode,
-        SettingRefused if it keeps another one until the deadline, DriveInFault if a fault comes up.
+        speed if the drive is enabled, else at 0. Raises ModeRefused if the drive has no such mode, refuses it
+        or keeps another one until the deadline, DriveInFault if a fault comes up.
         """
         self.require(mode)
         self.mode = Mode.NONE
         self._control.clear_bits(MODE_BITS)
-        self.prime(mode)
-        self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
+        try:
+            self.prime(mode)
+            self._control.write_value(Object.MODES_OF_OPERATION, "b", mode)
+        except TransferAborted as error:
+            raise ModeRefused(
+                f"{self._control.title} does not take {mode.title} mode", f"{error.summary}; {error.evidence}"
+            ) from error
         self._await_display(mode, deadline)
         self.mode = mode
 
@@ -48,11 +61,12 @@ class ModeControl:
     def prime(self, mode: Mode) -> None:
         """Write a set-point to the drive from which the mode can begin."""
         target = TARGETS.get(mode)
+        self.primed_position = None
         if target is None:
             return
         raw = 0
         if target.index == Object.TARGET_POSITION:
-            raw = self._objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
+            raw = self.primed_position = self._objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         elif target.index == Object.TARGET_VELOCITY and self._turns():
             raw = self._objects.read(Object.VELOCITY_ACTUAL_VALUE, 0, "i")
         self._control.write_value(target.index, target.code, raw)
@@ -61,13 +75,13 @@ class ModeControl:
         return self._control.read_state() is State.OPERATION_ENABLED
 
     def require(self, mode: Mode) -> None:
-        """Raises PeerFault if 6502h says that the drive does not have ``mode``."""
+        """Raises ModeRefused if 6502h says that the drive does not have ``mode``."""
         modes = self._objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
         if modes and not modes & supported_mode_bit(mode):
-            raise PeerFault(
+            raise ModeRefused(
                 f"{self._control.title} has no {mode.title} mode",
                 f"6502h is {modes:08X}h",
-                "`hil run` needs cyclic synchronous torque; `hil eds` tells what a drive can serve for",
+                run_words([each for each in Mode if modes & supported_mode_bit(each)]),
             )
 
     def _await_display(self, mode: Mode, deadline: Instant) -> None:
@@ -79,7 +93,7 @@ class ModeControl:
             if control.read_state() in FAULTY:
                 raise control.in_fault()
             if network.clock.now() >= deadline:
-                raise SettingRefused(
+                raise ModeRefused(
                     f"{control.title} stays in mode {held}",
                     f"mode {mode:d} was asked for; {control.evidence()}",
                 )

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from drivers.canopen.heartbeats import HostWatch, forget_host, write_heartbeats
+from drivers.canopen.error_control import ErrorControl
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
 from drivers.canopen.nmt_states import NmtCommand, NmtState
@@ -68,8 +68,7 @@ class ServoDrive(Drive):
         self.modes = ModeControl(self.control)
         self.motion: Motion | None = None
         self._assembler: ReadingAssembler | None = None
-        self._host_watch: HostWatch | None = None
-        self._beats = True
+        self.error_control = ErrorControl(self.objects)
         self._watch = DriveWatch(self.control, self.status, self._told)
         self.supervision = CommandSupervision(self.objects)
         """Ended by whatever stops the drive. Where several are let go one after the other, end that of all
@@ -99,20 +98,11 @@ class ServoDrive(Drive):
         or TransferAborted for what the bench cannot do without, DriveInFault if the drive is not to be had.
         """
         network = self.network
-        if not network.produces_heartbeat:
-            network.produce_heartbeat(Duration(settings.host_heartbeat_ms * NS_PER_MS))
-        period_ms, host_ms = settings.drive_heartbeat_ms, settings.host_heartbeat_timeout_ms
-        beats = write_heartbeats(self.objects, period_ms, host_ms, unwatched=settings.unwatched)
-        self._host_watch, self._beats = beats.host_watch, beats.produced
-        watch_ms = settings.drive_heartbeat_timeout_ms if beats.produced else 0
-        network.watch(self.node_id, Duration(watch_ms * NS_PER_MS))
+        watched = self.error_control.begin(settings.watch_times, unwatched=settings.unwatched)
+        self.modes.require(settings.mode)  # before anything is asked for that only this mode needs
         self._change_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL, settings)
-        try:
-            scaling = read_scaling(self.objects, settings.scale)
-        except PeerFault:  # a unit that only the mode needs is not to be asked for if the mode is not there
-            self.modes.require(settings.mode)
-            raise
-        notes = [*beats.notes, *scaling.notes, *write_reactions(self.objects)]
+        scaling = read_scaling(self.objects, settings.scale)
+        notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
@@ -123,7 +113,7 @@ class ServoDrive(Drive):
         )
         self.control.controlword = NONE_SENT
         self.plan = plan
-        self._watch.configure(beats.produced, plan, settings.drive_heartbeat_timeout_ms)
+        self._watch.configure(self.error_control.told, plan, settings.drive_heartbeat_timeout_ms)
         self.supervision.configure(settings, plan, self._assembler)
         self.motion = Motion(self.control, self.modes, scaling)
         network.refuse_two(self.node_id)
@@ -193,7 +183,7 @@ class ServoDrive(Drive):
         try:
             rested_at = self._bring_to_rest(deadline)
         except PeerFault as failure:
-            done = end_heartbeat(self.network, watched=self._host_watch is not None)
+            done = end_heartbeat(self.network, watched=self.error_control.host_watched)
             return Release(False, self.state, f"{failure}; {done}")
         try:
             unwatched = self._leave()
@@ -358,7 +348,7 @@ class ServoDrive(Drive):
         return True
 
     def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
-        if not self._beats:
+        if not self.error_control.told:
             # Nobody tells what became of the command: give the drive its time.
             self.network.pump(Instant(self.network.command(command, self.node_id) + _SETTLE_NS))
             return
@@ -386,9 +376,8 @@ class ServoDrive(Drive):
                     raise
 
     def _leave(self) -> str:
-        """End the watch on either side, and the PDOs; as :func:`drivers.canopen.heartbeats.forget_host`."""
-        self.network.watch(self.node_id, Duration(0))
-        unwatched = "" if self._host_watch is None else forget_host(self.objects, self._host_watch)
+        """End the watch on either side, and the PDOs; as :meth:`.error_control.ErrorControl.end`."""
+        unwatched = self.error_control.end()
         self.network.command(NmtCommand.ENTER_PRE_OPERATIONAL, self.node_id)
         return unwatched
 

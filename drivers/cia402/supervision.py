@@ -20,7 +20,7 @@ from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.readings import ReadingAssembler
 from drivers.errors import BusDown, PeerFault, TransferAborted
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.timebase import NS_PER_MS, Instant
 
 _EVENT_TIMER: Final = 5
 """Sub-index of a PDO's communication parameter; an RPDO is missed after so many ms (CiA 301 7.5.2.35)."""
@@ -124,12 +124,12 @@ class CommandSupervision:
 def end_heartbeat(network: CanopenNetwork, *, watched: bool) -> str:
     """The last resort for a drive that nothing else stops; what was done, in words.
 
-    ``watched``: the drive has an entry in 1016h for the host.
+    ``watched``: the drive watches the host, by 1016h or by life guarding.
     """
     if not watched:
         return "it does not watch the host's heartbeat: stop it by hand"
     with suppress(BusDown):
-        network.produce_heartbeat(Duration(0))
+        network.fall_silent()
     return f"the host's heartbeat ended: each drive on {network.link.name} that watches it (1016h) stops"
 
 

@@ -109,7 +109,13 @@ class BusLink:
 
         Raises BusDown if the bus is gone or its transmit queue is full.
         """
-        frame = WireFrame(can_id, data)
+        return self._hand_over(WireFrame(can_id, data))
+
+    def request(self, can_id: int, length: int) -> Instant:
+        """Queue a remote frame that asks for ``length`` bytes; as :meth:`send`."""
+        return self._hand_over(WireFrame(can_id, b"", False, True, length))
+
+    def _hand_over(self, frame: WireFrame) -> Instant:
         frame.handed_at = at = self._now()
         try:
             self._port.transmit(frame)
@@ -117,7 +123,7 @@ class BusLink:
             self._fail("send on", error)
         self.sent_frames += 1
         for tap in self._taps:
-            tap.frame("tx", can_id, data, False, False, at)
+            tap.frame("tx", frame.can_id, frame.data, False, frame.remote, at)
         return at
 
     def _fail(self, action: str, error: Exception) -> NoReturn:

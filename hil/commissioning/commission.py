@@ -73,7 +73,7 @@ def _finish(session: Session, result: Commissioned) -> None:
                 journal.note_restored()
     finally:
         session.guard.end(session.clock_now)
-        network.produce_heartbeat(Duration(0))
+        network.fall_silent()
         network.watch(session.request.node, Duration(0))
         journal.close()
         put_back = result.restoration is not None and result.restoration.complete

@@ -15,7 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from drivers.canopen.frame_pump import SYNC, Handler
-from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, CanopenNetwork
+from drivers.canopen.life_signs import ERROR_CONTROL
+from drivers.canopen.network import EMERGENCY, CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.canopen.owed import Owed

@@ -8,7 +8,8 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-from drivers.canopen.network import EMERGENCY, ERROR_CONTROL, CanopenNetwork
+from drivers.canopen.life_signs import ERROR_CONTROL
+from drivers.canopen.network import EMERGENCY, CanopenNetwork
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.canopen.sdo import SDO_ANSWER
 from drivers.errors import BadInput, NoAnswer, PeerFault

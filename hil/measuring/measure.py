@@ -210,7 +210,7 @@ class _Measurement:
                 failures += [*(result.failures if result else []), command]
             network.watch(node, Duration(0))
             journal.close()
-        network.produce_heartbeat(Duration(0))
+        network.fall_silent()
         self._guard.end(network.clock.now())
         for text in failures:
             self._say(text)

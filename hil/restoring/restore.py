@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.heartbeats import PRODUCER_HEARTBEAT_TIME
+from drivers.canopen.error_control import PRODUCER_HEARTBEAT_TIME
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects

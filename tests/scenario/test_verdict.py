@@ -32,7 +32,7 @@ def test_the_settling_time_decides_which_errors_count(servo_bench: BenchRunner) 
 BENCH = EXAMPLES / "ling2012.toml"
 SHORT = {"bench.duration_s": 0.6, "load": {}, "verdict": {"dropouts_percent_max": 50.0}}
 NO_LIMITS = SHORT | {"verdict": {}}
-BLIND = {"drive.axis1.simulation.lacks": ["1016", "1400:5"], "drive.axis1.unwatched": True}
+BLIND = {"drive.axis1.simulation.lacks": ["1016", "100C", "1400:5"], "drive.axis1.unwatched": True}
 """A drive that does not notice that its host is gone."""
 
 

@@ -116,6 +116,51 @@ def test_boot_up_is_counted_and_odd_heartbeats_are_borne(rig: Rig) -> None:
     assert status.state is None
 
 
+def test_a_guarded_node_is_asked_and_its_toggle_bit_has_to_alternate(rig: Rig) -> None:
+    """CiA 301 7.2.8.3.2.1: an answer whose toggle bit does not change counts as none."""
+    bus, _, network = rig
+    network.guard(3, Duration(10 * MS))
+    status = network.status(3)
+    heard = []
+    for place, data in enumerate((b"\x05", b"\x85", b"\x85", b"\x05", b"\x00", b"\x7f"), start=1):
+        bus.deliver(0x703, data)
+        network.pump(Instant(place * NS_PER_MS + 1))
+        heard.append(status.heartbeat_at)
+    assert heard[2] == heard[1], "repeated"
+    assert len(set(heard)) == 5
+    assert (status.state, status.boot_ups) == (NmtState.PRE_OPERATIONAL, 1)
+    asked = [(frame.remote, frame.remote_length) for _, frame in bus.sent if frame.can_id == 0x703]
+    assert set(asked) == {(True, 1)}
+    network.pump(Instant(100 * NS_PER_MS))
+    assert len([frame for _, frame in bus.sent if frame.can_id == 0x703]) == 11
+    network.guard(3, Duration(0))
+    bus.deliver(0x703, b"\x7f")
+    network.pump(Instant(120 * NS_PER_MS))
+    assert status.heartbeat_at == 100 * NS_PER_MS, "a heartbeat has no toggle bit"
+
+
+def test_life_signs_are_withheld_and_their_longest_gap_is_known(rig: Rig) -> None:
+    bus, _, network = rig
+    network.produce_heartbeat(Duration(10 * MS))
+    network.guard(3, Duration(10 * MS))
+    network.pump(Instant(30 * NS_PER_MS))
+    assert network.life_signs.longest_gap_ns == 10 * MS
+    bus.sleep_until(Instant(77 * NS_PER_MS))
+    network.pump(Instant(80 * NS_PER_MS))
+    assert network.life_signs.longest_gap_ns == 47 * MS
+    network.life_signs.longest_gap_ns = Duration(0)
+    network.withhold_life_signs()
+    sent = len(bus.sent)
+    network.pump(Instant(500 * NS_PER_MS))
+    assert len(bus.sent) == sent
+    network.resume_life_signs()
+    assert len(bus.sent) == sent + 2
+    assert network.life_signs.longest_gap_ns == 0, "what was withheld is no gap"
+    network.fall_silent()
+    network.pump(Instant(900 * NS_PER_MS))
+    assert len(bus.sent) == sent + 2
+
+
 def test_emergencies_are_values(rig: Rig) -> None:
     bus, _, network = rig
     told: list[Emergency] = []

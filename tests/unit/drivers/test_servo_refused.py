@@ -2,6 +2,7 @@
 
 import pytest
 
+from drivers.cia402.bench_modes import RULE
 from drivers.errors import NoAnswer, PeerFault
 from tests.unit.drivers.test_servo import SETTINGS, Bench, bench, soon
 
@@ -21,8 +22,9 @@ def test_a_drive_without_the_mode_is_not_asked_for_its_torque_unit(bench: Bench)
     servo.values[0x6502, 0] = 1 << 2
     servo.values[0x6076, 0] = 0
     drive.connect(soon(network))
-    with pytest.raises(PeerFault, match="has no cyclic synchronous torque mode"):
+    with pytest.raises(PeerFault, match="has no cyclic synchronous torque mode") as refused:
         drive.configure(SETTINGS)
+    assert refused.value.remedy == RULE
     servo.values[0x6502, 0] = 1 << 9
     with pytest.raises(PeerFault, match="does not tell its torque unit"):
         drive.configure(SETTINGS)
