@@ -90,6 +90,10 @@ class DriveInFault(PeerFault):
     """A drive reports a fault, or fell out of the state that it was to be in."""
 
 
+class PowerLost(PeerFault):
+    """The power stage of an enabled drive has no voltage any more: safe torque off, or its supply is gone."""
+
+
 class TransferAborted(PeerFault):
     """A device refused an SDO transfer; ``evidence`` holds the abort code and its text."""
 

@@ -1,5 +1,6 @@
 """Whether an enabled drive is still what it should be, by what it tells of itself."""
 
+from contextlib import suppress
 from typing import Final
 
 from drivers.canopen.nmt import NodeStatus
@@ -9,11 +10,14 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import state_of
 from drivers.cia402.readings import LastStatusword
 from drivers.cia402.state_control import FAULTY, StateControl
-from drivers.errors import DriveInFault, NoAnswer
+from drivers.errors import DriveInFault, NoAnswer, PeerFault, PowerLost
 from drivers.timebase import NS_PER_MS, Duration
 
 _ENABLED_BITS: Final = 0x6F
 _ENABLED: Final = 0x27
+_VOLTAGE: Final = 0x10
+_INTERLOCK: Final = 1 << 3
+"""Of 60FDh (CiA 402-2): where a drive shows safe torque off."""
 _UNWATCHED: Final = Duration(1 << 62)
 
 
@@ -28,6 +32,8 @@ class DriveWatch:
         self._now = control.network.clock.now
         self._boot_ups = 0
         self._beats = True
+        self._bits = _ENABLED_BITS
+        self._wanted = _ENABLED
         self._silence_ns = _UNWATCHED
 
     def configure(self, beats: bool, plan: PdoPlan, silence_ms: int) -> None:
@@ -39,6 +45,10 @@ class DriveWatch:
         """The drive is enabled now."""
         self._boot_ups = self._status.boot_ups
         self._control.emergency_came = False
+        # Some drives never set the bit "voltage enabled": it can be lost only where it was.
+        word = self._told.statusword
+        voltage = _VOLTAGE if word >= 0 and word & _VOLTAGE else 0
+        self._bits, self._wanted = _ENABLED_BITS | voltage, _ENABLED | voltage
         self.active = True
 
     def check(self) -> None:
@@ -46,7 +56,7 @@ class DriveWatch:
 
         NoAnswer: its heartbeat is lost, or its statusword was not told for too long. DriveInFault: it was
         enabled and reports a fault, has left OPERATION ENABLED or the NMT state OPERATIONAL (which silences
-        its PDOs), or was restarted.
+        its PDOs), or was restarted. PowerLost: its statusword says that there is no voltage any more.
         """
         status, control = self._status, self._control
         if status.lost_at is not None:
@@ -72,7 +82,7 @@ class DriveWatch:
             raise DriveInFault(f"{control.title} fell back to {left}", control.evidence(), seen_at=seen_at)
         if control.emergency_came:
             control.ask_after_emergency()
-        if self._told.statusword & _ENABLED_BITS != _ENABLED:
+        if self._told.statusword & self._bits != self._wanted:
             self.active = False
             raise self._out_of_operation()
         if self._now() - self._told.at > self._silence_ns:
@@ -83,15 +93,31 @@ class DriveWatch:
                 remedy="check the cable, and what else is on the bus",
             )
 
-    def _out_of_operation(self) -> DriveInFault:
+    def _out_of_operation(self) -> DriveInFault | PowerLost:
         control, word = self._control, self._told.statusword
         state = state_of(word) if word >= 0 else None
         if state in FAULTY:
             return control.in_fault()
+        if self._bits & _VOLTAGE and word >= 0 and not word & _VOLTAGE:
+            return self._power_lost()
         named = "an unknown state" if state is None else repr(state.value)
         seen_at = self._told.at
         return DriveInFault(
             f"{control.title} fell out of operation into {named}", control.evidence(), seen_at=seen_at
+        )
+
+    def _power_lost(self) -> PowerLost:
+        control, seen_at = self._control, self._told.at
+        inputs: int | None = None
+        with suppress(PeerFault):
+            inputs = control.objects.read_if_there(Object.DIGITAL_INPUTS, 0, "I")
+        shown = inputs is not None and inputs & _INTERLOCK
+        cause = "safe torque off: 60FDh shows an interlock" if shown else "60FDh shows no interlock"
+        return PowerLost(
+            f"{control.title} lost the power of its stage while it was enabled",
+            f"the bit 'voltage enabled' of the statusword is gone; {cause}; {control.evidence()}",
+            "look after the safety circuit and the supply of the power stage",
+            seen_at,
         )
 
 

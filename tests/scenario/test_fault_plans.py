@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault
+from drivers.errors import BadInput, BenchError, DriveInFault, PeerFault, PowerLost
 from hil.cli import app
 from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
@@ -21,7 +21,12 @@ pytestmark = pytest.mark.xdist_group("real time")
 
 BENCH = EXAMPLES / "ling2012.toml"
 PLANS = sorted(path.stem for path in (EXAMPLES / "faults").glob("*.toml"))
-ENDS_IN_FAULT = {"drive_faults": "4310h", "encoder_loss": "7305h", "bus_off": "no usable reading"}
+ENDS_IN_FAULT = {
+    "drive_faults": "4310h",
+    "encoder_loss": "7305h",
+    "bus_off": "no usable reading",
+    "safe_torque_off": "lost the power of its stage",
+}
 INJECTED = {
     "demo": {"delay", "loss", "blackout"},
     "bursts": {"burst"},
@@ -38,6 +43,7 @@ INJECTED = {
     "gateway": {"delay", "loss"},
     "host_stall": {"host_stall"},
     "lss": {"lss_yes_sayer"},
+    "safe_torque_off": {"safe_torque_off"},
 }
 
 
@@ -174,6 +180,17 @@ def test_faults_that_cannot_act_on_a_real_time_bus_are_refused_with_what_to_do(
             view=False,
             progress=no_progress,
         )
+
+
+def test_a_drive_without_torque_ends_a_run_by_an_end_of_its_own(servo_bench: BenchRunner) -> None:
+    plan = EXAMPLES / "faults" / "safe_torque_off.toml"
+    run = servo_bench(BENCH, faults=plan, ends_in=PowerLost)
+    assert not [event for event in run.events if "EMCY" in event.get("text", "")], "it is no fault"
+    told = [event for event in run.events if "lost the power of its stage" in event.get("text", "")]
+    assert told
+    assert "safe torque off: 60FDh shows an interlock" in told[0]["text"]
+    (drive,) = run.summary.drives
+    assert drive.at_rest
 
 
 def test_a_drive_fault_names_itself_in_the_error(servo_bench: BenchRunner) -> None:

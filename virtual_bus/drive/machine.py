@@ -131,7 +131,7 @@ class SimulatedMachine:
         ):
             add(3 + place, name, DataType.INTEGER32, None, self._reader(place), self._writer(place))
         add(7, "Index pulse", DataType.UNSIGNED32, self._counts - 1, self._reader(4), self._writer(4))
-        add(8, "Safe torque off", DataType.UNSIGNED8, 1, lambda: int(self.sto), self._switch_sto)
+        add(8, "Safe torque off", DataType.UNSIGNED8, 1, lambda: int(self.sto), self.switch_sto)
 
     def _reader(self, place: int) -> Callable[[], int]:
         return lambda: self._places[place]
@@ -151,7 +151,8 @@ class SimulatedMachine:
         self.fitted = bits
         self._on_change()
 
-    def _switch_sto(self, value: int) -> None:
+    def switch_sto(self, value: int) -> None:
+        """Safe torque off: 1 open, 0 closed."""
         self.sto = value != 0
         self._on_change()
 

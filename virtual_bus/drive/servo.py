@@ -308,6 +308,10 @@ class ServoApplication(Application):
         """``held``: the encoder's count stands still from the next inner tick on; nothing notices it here."""
         self.firmware.hold_encoder(held)
 
+    def open_sto(self, opened: bool) -> None:
+        """As the object of the machine: the input for safe torque off."""
+        self.machine.switch_sto(int(opened))
+
     def _signal_fault(self, code: int) -> None:
         if self.power.state in (State.FAULT, State.FAULT_REACTION):
             return

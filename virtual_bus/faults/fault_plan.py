@@ -18,6 +18,7 @@ Each of these may also hold direction ("host_to_drive", "drive_to_host"; "both" 
     [[drive_fault]]  fault = "over_current", "over_temperature",     when
                      "following_error", "encoder_loss" or "under_voltage";
                      of encoder_loss: detected_after_ms = 2, duration_s = 0.1
+    [[safe_torque_off]]  duration_s                                  when
     [[clock_step]]   step_us, or step_min_us and step_max_us         when
     [[clock_drift]]  drift_ppm; from_s, until_s
     [[slow_drive]]   sdo_delay_us, tpdo_delay_us, boot_s, or a _min and _max of each

@@ -54,6 +54,9 @@ class StruckNode(Protocol):
 
     def hold_encoder(self, held: bool, now: Instant) -> None: ...
 
+    def open_sto(self, opened: bool, now: Instant) -> None:
+        """Its input for safe torque off."""
+
     def later(self, due: int, action: Callable[[Instant], None]) -> None:
         """Do something at ``due``."""
 

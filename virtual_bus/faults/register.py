@@ -18,6 +18,7 @@ from virtual_bus.faults.kinds.lss_yes_sayer import LssYesSayer
 from virtual_bus.faults.kinds.measured_delay import MeasuredDelay
 from virtual_bus.faults.kinds.periodic_loss import PeriodicLoss
 from virtual_bus.faults.kinds.reorder import Reorder
+from virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
 from virtual_bus.faults.kinds.silence import Silence
 from virtual_bus.faults.kinds.slow_drive import SlowDrive
 from virtual_bus.faults.log_kind import LogKind
@@ -40,6 +41,7 @@ _ALL: Final[tuple[type[FaultTable], ...]] = (
     SlowDrive,
     HostStall,
     LssYesSayer,
+    SafeTorqueOff,
 )
 TABLES: Final = {table.kind: table for table in _ALL}
 """By the name of a plan's tables."""

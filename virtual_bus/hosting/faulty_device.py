@@ -63,6 +63,8 @@ class FailingDrive(Protocol):
 
     def hold_encoder(self, held: bool) -> None: ...
 
+    def open_sto(self, opened: bool) -> None: ...
+
 
 class BusOffControl(Protocol):
     """The node's CAN controller, where the bus has error counters; it tells the device by itself."""
@@ -323,6 +325,13 @@ class FaultyDevice:
         """Its encoder stands still at its last count, or goes on."""
         self._out += self._pass_on(self.device.wake(now), now)
         self._drive().hold_encoder(held)
+
+    def open_sto(self, opened: bool, now: Instant) -> None:
+        """Its input for safe torque off opens, or closes again."""
+        frames = list(self.device.wake(now))
+        self._drive().open_sto(opened)
+        frames += self.device.wake(now)
+        self._out += self._pass_on(frames, now)
 
     def later(self, due: int, action: Callable[[Instant], None]) -> None:
         """Do something at ``due``."""

@@ -12,7 +12,7 @@ from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import State
 from drivers.cia402.servo import ServoDrive
-from drivers.errors import DriveInFault, NoAnswer
+from drivers.errors import DriveInFault, NoAnswer, PowerLost
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
@@ -78,6 +78,36 @@ def test_check_names_a_drive_that_left_operation(bench: Bench) -> None:
     cycle(bench)
     with pytest.raises(DriveInFault, match="fell out of operation into 'switch on disabled'"):
         drive.check()
+
+
+@pytest.mark.parametrize(
+    ("word", "inputs", "said"),
+    [
+        (0x0227, None, "60FDh shows no interlock"),
+        (0x0240, 0x8, "safe torque off: 60FDh shows an interlock"),
+    ],
+    ids=["no voltage, still enabled", "safe torque off"],
+)
+def test_check_names_a_drive_that_lost_its_power(
+    bench: Bench, word: int, inputs: int | None, said: str
+) -> None:
+    _, servo, _, drive = bench
+    enabled(bench)
+    drive._told.take(0x0237, drive._now())
+    drive._watch.begin()
+    if inputs is not None:
+        servo.types[0x60FD, 0], servo.values[0x60FD, 0] = "I", inputs
+    drive._told.take(word, drive._now())
+    with pytest.raises(PowerLost, match=f"lost the power of its stage.*{said}"):
+        drive.check()
+
+
+def test_a_drive_that_never_tells_of_its_voltage_is_not_said_to_have_lost_it(bench: Bench) -> None:
+    _, _, _, drive = bench
+    enabled(bench)
+    drive._told.take(0x0227, drive._now())
+    drive._watch.begin()
+    drive.check()
 
 
 def test_check_names_a_drive_that_left_nmt_operational(bench: Bench) -> None:
