@@ -1,19 +1,28 @@
 """The files of a simulated device on the command line: its data sheet and its memory."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from canopen import ObjectDictionary as VendorDictionary
 
+from drivers.cia402.objects402 import Object
+from drivers.cia402.quirky_units import apply_quirks
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride
 from drivers.errors import BadInput
 from drivers.sheets.dictionary import load_dictionary
 from drivers.sheets.eds.information import Commissioning
+from drivers.sheets.fitness import held
+from drivers.sheets.identity import told_identity
+from drivers.vendors.families import quirks_for
 from virtual_bus.device.eds_export import export_eds
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore
-from virtual_bus.device.vendor_dictionary import BASE_NODE_ID, overlay
+from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
+from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over
+from virtual_bus.drive.servo_parameters import DriveParameters
 
 REPAIRS_SHOWN = 5
 IDENTITY, SERIAL_NUMBER = 0x1018, 4
@@ -23,7 +32,7 @@ class DeviceFiles(NamedTuple):
     """What a device is made from beside motor and faults."""
 
     eds: Path | None = None
-    """EDS or DCF (CiA 306-1) that says which objects are on the bus."""
+    """EDS or DCF (CiA 306-1), XDD or XDC (CiA 311) that says which objects are on the bus."""
     store: Path | None = None
     """Where 1010h and LSS store, over the end of the process."""
     export: Path | None = None
@@ -35,6 +44,26 @@ class DeviceFiles(NamedTuple):
             return None
         commissioning = load_dictionary(self.eds).commissioning
         return None if commissioning is None else commissioning.node_id
+
+    def drive(self, parameters: DriveParameters) -> DriveParameters:
+        """``parameters`` with the encoder that the sheet tells of by an object of its maker's, if it does:
+        a master that knows the maker takes the units from there. Raises BadInput."""
+        if self.eds is None:
+            return parameters
+        loaded = load_dictionary(self.eds, BASE_NODE_ID)
+        told, resolution = told_identity(loaded.dictionary), (Object.POSITION_ENCODER_RESOLUTION, 1)
+
+        def read(index: int, sub: int) -> int | None:
+            value = held(loaded.dictionary, index, sub)
+            return value if isinstance(value, int) else None
+
+        vendor, product = (next(iter(numbers), 0) for numbers in (told.vendor, told.product))
+        quirks = quirks_for(vendor, product, loaded.device.product_name)
+        known = apply_quirks(quirks, {key: read(*key) for key in FACTOR_OBJECTS}, ScaleOverride(), read)
+        counts = known.values.get(resolution) or 0
+        if read(*resolution) or counts < ENCODER_COUNTS_MIN:
+            return parameters
+        return replace(parameters, encoder_counts_per_revolution=counts)
 
     def vendor(
         self, announce: Callable[[str], None], nodes: Sequence[int] = (), bitrate_bit_s: int | None = None
@@ -99,7 +128,7 @@ class DeviceFiles(NamedTuple):
 
 def _lay_over(dictionary: ObjectDictionary, vendor: VendorDictionary, serial_number: int | None) -> None:
     """The data sheet, and LSS_SerialNumber of a DCF as 1018h:4 (CiA 306-1, DeviceComissioning)."""
-    overlay(dictionary, vendor)
+    lay_over(dictionary, vendor)
     variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
     if serial_number is not None and variable is not None:
         variable.default = variable.value = serial_number
@@ -121,5 +150,5 @@ def _differences(made_for: Commissioning, nodes: Sequence[int], bitrate_bit_s: i
     if made_for.node_id is not None and nodes and made_for.node_id not in nodes:
         yield f"made for node {made_for.node_id}, simulated as {', '.join(map(str, nodes))}"
     rate = made_for.bit_rate_kbit_s
-    if rate is not None and bitrate_bit_s is not None and rate * 1000 != bitrate_bit_s:
+    if rate and bitrate_bit_s is not None and rate * 1000 != bitrate_bit_s:
         yield f"made for {rate} kbit/s, the bus runs at {bitrate_bit_s / 1000:.0f} kbit/s"

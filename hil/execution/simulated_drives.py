@@ -115,7 +115,7 @@ def simulate(
         )
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s), serial_of_each(nodes, serials))
-    drive = drive_parameters(current_control)
+    drive = files.drive(drive_parameters(current_control))
     devices = [
         SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)

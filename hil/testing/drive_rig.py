@@ -23,6 +23,7 @@ from hil.execution.world import World, WorldPlan, open_world
 from hil.testing.hosted import DriveHost, DriveProcess
 from hil.testing.wire import Wire, intended_frames
 from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.hosting.injection import Faults
 
 PathLike = str | os.PathLike[str]
@@ -43,7 +44,7 @@ class DriveWish:
     faults: PathLike | Mapping[str, Any] | None = None
     """A fault plan; its times count from the moment that the drive is on the bus."""
     eds: PathLike | None = None
-    """EDS or DCF of the device to rehearse."""
+    """EDS, DCF, XDD or XDC of the device to rehearse."""
     store: PathLike | None = None
     """File that keeps what 1010h and LSS store."""
     seed: int = 0
@@ -241,7 +242,9 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
         files = DeviceFiles(_path(wish.eds), _path(wish.store))
         vendor, memory = files.vendor(lambda _repair: None), files.memory([wish.node])
         motor = wish.motor_file.parameters
-        devices = [SimulatedServo(wish.node, motor, None, wish.seed, memory, vendor)]
+        devices = [
+            SimulatedServo(wish.node, motor, files.drive(DriveParameters()), wish.seed, memory, vendor)
+        ]
         plan = wish.plan
     elif host.missing([wish.node]):
         process = host.start(

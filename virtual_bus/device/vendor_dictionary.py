@@ -6,8 +6,9 @@
     known, not in the file                not on the bus; the application still sees its own value
     2000h..5FFFh                          always the file's: the same index means something else there
 
-A variable of the device profile whose type is not the file's is the file's plain storage too. 1000h,
-1001h and 1018h are mandatory (CiA 301, 7.5.2) and stay even if the file forgets them.
+A variable of the device profile whose type is not the file's is the file's plain storage too. 1000h and
+1001h are mandatory (CiA 301, 7.5.2) and stay even if the file forgets them; 1018h was not in the first
+versions of the standard. Its numbers, and 1008h, come from [DeviceInfo] where the objects have none.
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from typing import Any
 import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
+from drivers.sheets.identity import IDENTITY, told_identity
 from virtual_bus.device.encoding import encode
 from virtual_bus.device.object_dictionary import (
     Access,
@@ -28,7 +30,8 @@ from virtual_bus.device.object_dictionary import (
 BASE_NODE_ID = 1
 """The node-ID to load the file with; it is taken off the defaults again that depend on it."""
 
-_MANDATORY = frozenset({0x1000, 0x1001, 0x1018})
+_MANDATORY = frozenset({0x1000, 0x1001})
+_DEVICE_NAME = 0x1008
 _FIRST_OBJECT = 0x1000
 _MANUFACTURER = range(0x2000, 0x6000)
 _PROFILE = range(0x6000, 0x10000)
@@ -48,6 +51,18 @@ def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
             if index in dictionary:
                 _merge(dictionary.object(index), made, _silent(entry))
             dictionary.put(made)
+    _identify(dictionary, vendor)
+
+
+def _identify(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
+    """1018h:1 to 3 and 1008h by all that the file says of the device: the simulated drive's own would lie."""
+    for subindex, numbers in enumerate(told_identity(vendor), start=1):
+        variable = dictionary.get(IDENTITY, subindex)
+        if variable is not None:
+            variable.default = variable.value = next(iter(numbers), 0)
+    name, product = dictionary.get(_DEVICE_NAME), vendor.device_information.product_name
+    if name is not None and product and _DEVICE_NAME in vendor and 0 in _silent(vendor[_DEVICE_NAME]):
+        name.default = name.value = product.encode("latin-1", errors="replace")
 
 
 def _silent(entry: Any) -> frozenset[int]:
@@ -77,15 +92,28 @@ def _adapt(variable: Variable, wanted: Variable, valued: bool) -> None:
     variable.name = wanted.name
     variable.access = wanted.access
     variable.mappable = wanted.mappable
-    variable.low = wanted.low if variable.low is None else variable.low
-    variable.high = wanted.high if variable.high is None else variable.high
-    if variable.data_type is not wanted.data_type or not valued:
+    if variable.data_type is not wanted.data_type:
+        return
+    _narrow(variable, wanted)
+    if not valued:
         return
     # What the simulated motor measures or cannot do is not the file's to say.
     if variable.index in _PROFILE and (not wanted.writable or variable.refusal(wanted.default) is not None):
         return
     variable.default = variable.value = wanted.default
     variable.node_relative = wanted.node_relative
+
+
+def _narrow(variable: Variable, wanted: Variable) -> None:
+    """The range that both the device and the file allow; the device's own if they have none in common."""
+    low = max((bound for bound in (variable.low, wanted.low) if bound is not None), default=None)
+    high = min((bound for bound in (variable.high, wanted.high) if bound is not None), default=None)
+    if low is not None and high is not None and low > high:
+        return
+    variable.low, variable.high = low, high
+    if variable.writable and isinstance(variable.default, int) and not variable.in_range(variable.default):
+        bound = high if high is not None and variable.default > high else low
+        variable.default = variable.value = int(bound or 0)
 
 
 def _object(index: int, entry: Any) -> DictionaryObject:

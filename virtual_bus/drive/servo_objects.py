@@ -20,6 +20,7 @@ from drivers.cia402.profile import (
     Mode,
     QuickStopOption,
     ShutdownOption,
+    supported_mode_bit,
 )
 from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Variable
@@ -48,9 +49,9 @@ class ServoObjects:
         drive: DriveParameters,
         modes: frozenset[Mode],
     ) -> None:
-        self._dictionary = dictionary
+        self._dictionary, self._modes = dictionary, modes
         _add_option_codes(dictionary, drive.abort_connection)
-        self._add_state(modes)
+        self._add_state()
         self._add_values()
         self._add_limits(motor, drive)
         self._add_motor(motor)
@@ -73,15 +74,24 @@ class ServoObjects:
     def _add(self, index: Object, data_type: DataType, access: Access, **options: Any) -> Variable:
         return add_profile_object(self._dictionary, index, data_type, access, **options)
 
-    def _add_state(self, modes: frozenset[Mode]) -> None:
+    def _add_state(self) -> None:
         self.error_code = self._add(Object.ERROR_CODE, U16, RO)
         self.controlword = self._add(Object.CONTROLWORD, U16, RW, stored=False)
         self.statusword = self._add(Object.STATUSWORD, U16, RO)
-        first, known = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE), one_of((*modes, Mode.NONE))
-        self.mode = self._add(Object.MODES_OF_OPERATION, I8, RW, default=first, check=known, stored=False)
+        first = int(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+        self.mode = self._add(
+            Object.MODES_OF_OPERATION, I8, RW, default=first, check=self._refused_mode, stored=False
+        )
         self.mode_display = self._add(Object.MODES_OF_OPERATION_DISPLAY, I8, RO, default=first)
-        bits = sum(1 << (mode - 1) for mode in modes)
-        self._add(Object.SUPPORTED_DRIVE_MODES, U32, RO, default=bits)
+        bits = sum(supported_mode_bit(mode) for mode in self._modes)
+        self.supported_modes = self._add(Object.SUPPORTED_DRIVE_MODES, U32, RO, default=bits)
+
+    def _refused_mode(self, mode: int) -> AbortCode | None:
+        """6060h takes what 6502h tells, and 0, which is no change."""
+        known = mode == Mode.NONE or (
+            mode in self._modes and self.supported_modes.value & supported_mode_bit(Mode(mode))
+        )
+        return None if known else AbortCode.INVALID_VALUE
 
     def _add_values(self) -> None:
         self.target_torque = self._add(Object.TARGET_TORQUE, I16, RW, stored=False)

@@ -20,6 +20,7 @@ from drivers.rotation import RAD_S_PER_RPM
 from virtual_bus.device.object_dictionary import Variable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.shown import show_instead
 
 _COUNTS: Final = (4000, 4096, 8192, 10_000, 16_384, 65_536, 131_072, 1_048_576)
 _RATIOS: Final = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
@@ -48,22 +49,27 @@ class Truth:
     @property
     def nameplate(self) -> dict[str, Any]:
         """What is printed on motor and drive, as tables of a nameplate file."""
-        motor = self.motor
-        return {
-            "motor": {
-                "name": motor.name,
-                "resistance_ohm": motor.resistance_ohm,
-                "inductance_d_h": motor.inductance_d_h,
-                "inductance_q_h": motor.inductance_q_h,
-                "pole_pairs": motor.pole_pairs,
-            },
-            "rating": {
-                "torque_nm": round(motor.rated_torque_nm, 3),
-                "speed_rpm": round(motor.rated_speed_rad_s / RAD_S_PER_RPM),
-                "current_a": round(motor.rated_current_a / math.sqrt(2.0), 3),
-                "dc_bus_voltage_v": motor.dc_bus_voltage_v,
-            },
-        }
+        return nameplate_of(self.motor)
+
+
+def nameplate_of(motor: PmsmParameters) -> dict[str, Any]:
+    """What is printed on a motor, as tables of a nameplate file."""
+    per_rms = 3.0 if motor.transform is Transform.POWER_INVARIANT else 2.0
+    return {
+        "motor": {
+            "name": motor.name,
+            "resistance_ohm": motor.resistance_ohm,
+            "inductance_d_h": motor.inductance_d_h,
+            "inductance_q_h": motor.inductance_q_h,
+            "pole_pairs": motor.pole_pairs,
+        },
+        "rating": {
+            "torque_nm": round(motor.rated_torque_nm, 3),
+            "speed_rpm": round(motor.rated_speed_rad_s / RAD_S_PER_RPM),
+            "current_a": round(motor.rated_current_a / math.sqrt(per_rms), 3),
+            "dc_bus_voltage_v": motor.dc_bus_voltage_v,
+        },
+    }
 
 
 def unknown_drive(seed: int, node_id: int = 1, clock_drift_ppm: float = 0.0) -> tuple[SimulatedServo, Truth]:
@@ -197,20 +203,7 @@ def _set(servo: SimulatedServo, index: int, sub: int, value: int) -> None:
 
 
 def _show(servo: SimulatedServo, index: int, sub: int, value: int) -> None:
-    """What the bus reads; what rules stays. A write from the bus ends the difference."""
-    variable = servo.dictionary.variable(index, sub)
-    held, on_write = variable.default, variable.on_write
-
-    def wrong() -> int:
-        return value if variable.value == held else int(variable.value)
-
-    def written(new: int) -> None:
-        if new == value:
-            variable.value = held
-        if on_write is not None:
-            on_write(int(variable.value))
-
-    variable.provider, variable.on_write = wrong, written
+    show_instead(servo.dictionary.variable(index, sub), value)
 
 
 def _show_scaled(servo: SimulatedServo, index: int, sub: int, ratio: float) -> None:

@@ -8,7 +8,9 @@ from drivers.errors import BadInput
 from drivers.timebase import Instant
 from hil.execution.device_files import DeviceFiles
 from tests.motors import LING
+from tests.unit.drivers.eds_maker import U8, U32, four_pdos, sheet_text, sub
 from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
 
 
@@ -113,3 +115,17 @@ def test_a_serial_number_needs_a_place() -> None:
     (maker,) = DeviceFiles.makers(lambda dictionary: dictionary.conceal(0x1018), [7])
     with pytest.raises(BadInput, match="1018h:04"):
         SimulatedServo(9, LING, vendor=maker)
+
+
+@pytest.mark.parametrize(
+    ("vendor", "counts"), [("0xFB", 3200), ("0x123", 65536)], ids=["maxon's", "another's"]
+)
+def test_an_encoder_in_a_makers_object_is_the_simulated_ones(
+    tmp_path: Path, vendor: str, counts: int
+) -> None:
+    made = sheet_text(four_pdos(), also="[3000]\nParameterName=Axis\nObjectType=9\nSubNumber=2\n")
+    made += sub(0x3000, 0, U8, "ro", "5") + sub(0x3000, 5, U32, "rw", "3200")
+    path = tmp_path / "drive.eds"
+    path.write_text(made.replace("VendorNumber=0x123", f"VendorNumber={vendor}\nProductName=EPOS4"))
+    drive = DeviceFiles(eds=path).drive(DriveParameters())
+    assert drive.encoder_counts_per_revolution == counts

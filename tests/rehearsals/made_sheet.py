@@ -1,0 +1,81 @@
+"""The simulated drive's own data sheet under another maker's name, to be changed trait by trait."""
+
+import configparser
+import io
+from collections.abc import Iterable
+
+from tests.motors import LING
+from virtual_bus.device.eds_export import export_eds
+from virtual_bus.drive.servo import SimulatedServo
+
+VENDOR, PRODUCT, REVISION = 0x0A11, 0x0B22, 0x0C33
+LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+
+
+class MadeSheet:
+    """An EDS as sections with options."""
+
+    def __init__(self) -> None:
+        self._sections = configparser.RawConfigParser(strict=False)
+        self._sections.optionxform = str  # type: ignore[method-assign,assignment]
+        self._sections.read_string(export_eds(SimulatedServo(1, LING).dictionary))
+        for name in LISTS:  # they would have to follow each change; a file without is read with a remark
+            self._sections.remove_section(name)
+        for name, value in (("Vendor", VENDOR), ("Product", PRODUCT), ("Revision", REVISION)):
+            self.inform(f"{name}Number", f"0x{value:X}")
+        for sub, value in enumerate((VENDOR, PRODUCT, REVISION), start=1):
+            self.set(0x1018, sub, default=f"0x{value:X}")
+
+    def drop(self, *indices: int) -> None:
+        """Take objects out with all that they have, and out of the default mappings."""
+        for index in indices:
+            for name in [name for name in self._sections if name[:4] == f"{index:04X}"]:
+                self._sections.remove_section(name)
+        for base in (0x1600, 0x1A00):
+            for index in range(base, base + 4):
+                words = [word for word in self.mapping(index) if word >> 16 not in indices]
+                self.map(index, words)
+
+    def set(
+        self, index: int, sub: int | None = None, *, default: int | str | None = None, **options: object
+    ) -> None:
+        """Change options of an object that is there; None leaves DefaultValue as it is."""
+        section = self._sections[f"{index:04X}" if sub is None else f"{index:04X}sub{sub:X}"]
+        if default is not None:
+            section["DefaultValue"] = str(default)
+        for name, value in options.items():
+            section[name] = str(value)
+
+    def inform(self, name: str, value: object) -> None:
+        """Change an option of [DeviceInfo]."""
+        self._sections["DeviceInfo"][name] = str(value)
+
+    def mapping(self, index: int) -> list[int]:
+        """The words of a default mapping; empty if there is no such PDO."""
+        if f"{index:04X}sub0" not in self._sections:
+            return []
+        count = int(self._sections[f"{index:04X}sub0"]["DefaultValue"])
+        return [int(self._sections[f"{index:04X}sub{n:X}"]["DefaultValue"]) for n in range(1, count + 1)]
+
+    def map(self, index: int, words: Iterable[int], access: str = "rw") -> None:
+        """Make it the default mapping; ``ro``: for good."""
+        if f"{index:04X}sub0" not in self._sections:
+            return
+        held = list(words)
+        self.set(index, 0, default=len(held), AccessType=access)
+        for number in range(1, 9):
+            word = held[number - 1] if number <= len(held) else 0
+            self.set(index, number, default=word, AccessType=access)
+
+    def every(self, sub: int, bases: Iterable[int], **options: object) -> None:
+        """Change options of the same sub-index of four PDO parameters each."""
+        for base in bases:
+            for index in range(base, base + 4):
+                if f"{index:04X}sub{sub:X}" in self._sections:
+                    self.set(index, sub, **options)  # type: ignore[arg-type]
+
+    def text(self) -> str:
+        """The file."""
+        file = io.StringIO()
+        self._sections.write(file, space_around_delimiters=False)
+        return file.getvalue()

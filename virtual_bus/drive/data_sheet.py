@@ -1,0 +1,84 @@
+"""The simulated drive behind another drive's data sheet: a rehearsal of that drive (CiA 306-1, CiA 402-2)."""
+
+from typing import Any, Final
+
+import canopen.objectdictionary as od
+
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.profile import Mode, supported_mode_bit
+from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
+from virtual_bus.device.vendor_dictionary import overlay
+from virtual_bus.drive.shown import show_instead
+
+_NEEDED: Final[dict[Mode, int]] = {
+    **{mode: target.index for mode, target in TARGETS.items()},
+    Mode.HOMING: Object.HOMING_METHOD,
+}
+_STANDARD_MODES: Final = 0x3FF
+"""Of 6502h; the rest is reserved, and the maker's."""
+ENCODER_COUNTS_MIN: Final = 4
+"""Increments of one line of an encoder by quadrature: no encoder has fewer on a turn."""
+
+
+def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
+    """Make the simulated drive's ``dictionary`` what ``vendor``, loaded for BASE_NODE_ID, says.
+
+    Beyond :func:`virtual_bus.device.vendor_dictionary.overlay`, where a drive of the sheet would differ from
+    the simulated one in what it can do:
+
+    6502h   the simulated drive's modes that the sheet does not deny and whose object for a set-point, or for
+            the method of homing, is there; 6060h takes no other, and begins with the first
+    608Fh   the sheet's, read-only or not; less than four increments a turn are no encoder: they are shown,
+            and the position unit stays the simulated encoder's
+    6085h   a sheet's 0 is shown; the drive then has the weakest quick stop that there is, until it is written
+    """
+    modes = dictionary.variable(Object.SUPPORTED_DRIVE_MODES)
+    quick_stop = dictionary.variable(Object.QUICK_STOP_DECELERATION)
+    resolution = [dictionary.variable(Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
+    counts = [variable.default for variable in resolution]
+    overlay(dictionary, vendor)
+    _take_modes(dictionary, modes, _told(vendor, Object.SUPPORTED_DRIVE_MODES))
+    told = [_told(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
+    _take_resolution(resolution, counts, told)
+    if _told(vendor, Object.QUICK_STOP_DECELERATION) == 0:
+        quick_stop.default = quick_stop.value = 1
+        quick_stop.low = 0
+        show_instead(quick_stop, 0)
+
+
+def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -> None:
+    allowed = own.default if told is None or not told & _STANDARD_MODES else own.default & told
+    bits = sum(
+        supported_mode_bit(mode)
+        for mode, index in _NEEDED.items()
+        if allowed & supported_mode_bit(mode) and index in dictionary
+    )
+    for word in (own, dictionary.get(Object.SUPPORTED_DRIVE_MODES)):
+        if word is not None:
+            word.default = word.value = bits
+    mode = dictionary.variable(Object.MODES_OF_OPERATION)
+    if mode.refusal(mode.default) is not None:
+        first = next((each for each in sorted(_NEEDED) if mode.refusal(each) is None), Mode.NONE)
+        for shown in (mode, dictionary.variable(Object.MODES_OF_OPERATION_DISPLAY)):
+            shown.default = shown.value = int(first)
+
+
+def _take_resolution(own: list[Variable], counts: list[int], told: list[int | None]) -> None:
+    increments, turns = told
+    if not increments or not turns:
+        return
+    real = increments >= ENCODER_COUNTS_MIN * turns
+    for variable, count, number in zip(own, counts, (increments, turns), strict=True):
+        variable.default = variable.value = number if real else count
+        if not real:
+            show_instead(variable, number)
+
+
+def _told(vendor: od.ObjectDictionary, index: int, sub: int = 0) -> int | None:
+    """An integer of the sheet, a DCF's parameter value first."""
+    entry: Any = vendor.get(index)
+    if entry is not None and sub:
+        entry = entry.subindices.get(sub)
+    word = None if entry is None else entry.value if entry.value is not None else entry.default
+    return word if isinstance(word, int) else None
