@@ -29,7 +29,7 @@ from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
-from hil.loop.scenario import LoadProfile, Segment, SpeedProfile
+from hil.loop.scenario import LoadProfile, ReferenceProfile, Segment
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 
@@ -279,7 +279,7 @@ class Exerciser:
             controller=Watched(controller, limits, port, self._energy),
             compensator=Arrival(),
             guard=SafetyGuard(safety, self.period_s),
-            reference=SpeedProfile(reference),
+            reference=ReferenceProfile(reference),
             load=LoadProfile([]),
             load_machine=None,
             syncs=syncs,

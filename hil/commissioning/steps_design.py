@@ -18,7 +18,7 @@ from hil.commissioning.sequence import Step
 from hil.commissioning.session import PERIODS_US, Session
 from hil.commissioning.steps_dynamics import total_delay_s
 from hil.control.controllers import Pid, PidGains
-from hil.loop.scenario import Ramp, Segment, SpeedProfile
+from hil.loop.scenario import Ramp, ReferenceProfile, Segment
 
 _MARGIN: Final = 1.6
 """The controller is designed for so many times the measured delay."""
@@ -178,7 +178,7 @@ class Verify(Step):
         gains = {name: gain for name, gain in session.found.controller.items() if name != "kind"}
         with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
-        wanted = SpeedProfile(reference)
+        wanted = ReferenceProfile(reference)
         at = recording.time
         asked = np.array([wanted.value(float(t)) for t in at])
         errors = asked - recording.speed

@@ -25,7 +25,7 @@ from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.plots import draw_current, draw_mechanics
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s
-from hil.loop.scenario import Ramp, Segment, SpeedStep
+from hil.loop.scenario import LevelStep, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
 """Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""
@@ -150,7 +150,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
         for share in (*_PLATEAUS, 0.0):
             over = slower * _ramp_time(session, (share - last) * speed)
             target = direction * share * speed
-            reference.append(SpeedStep(time, target) if own_ramps else Ramp(time, target, over))
+            reference.append(LevelStep(time, target) if own_ramps else Ramp(time, target, over))
             time += over + slower * _PLATEAU_S
             last = share
         with session.exercising() as exerciser:

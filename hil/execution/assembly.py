@@ -20,7 +20,7 @@ from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, Ramp, Segment, Sine, SpeedProfile, SpeedStep
+from hil.loop.scenario import LevelStep, LoadProfile, Ramp, ReferenceProfile, Segment, Sine
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
@@ -107,14 +107,14 @@ def _segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
     )
 
 
-def speed_profile(segments: tuple[Reference, ...]) -> SpeedProfile:
+def speed_profile(segments: tuple[Reference, ...]) -> ReferenceProfile:
     """The reference of one axis in rad/s."""
-    return SpeedProfile([_segment(segment) for segment in segments])
+    return ReferenceProfile([_segment(segment) for segment in segments])
 
 
 def _segment(segment: Reference) -> Segment:
     if isinstance(segment, StepReference):
-        return SpeedStep(segment.at_s, segment.speed_rad_s)
+        return LevelStep(segment.at_s, segment.speed_rad_s)
     if isinstance(segment, RampReference):
         return Ramp(segment.at_s, segment.speed_rad_s, segment.over_s)
     return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)

@@ -16,7 +16,7 @@ from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
-from hil.loop.scenario import LoadProfile, SpeedProfile
+from hil.loop.scenario import LoadProfile, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
 
@@ -78,7 +78,7 @@ class AxisParts:
     compensator: Compensator
     guard: SafetyGuard
     """It makes the demands of the controller commands: of a torque, or of a speed."""
-    reference: SpeedProfile
+    reference: ReferenceProfile
     load: LoadProfile
     load_machine: LoadMachine | None
     syncs: SyncLog

@@ -7,7 +7,7 @@ from drivers.exchange import Command
 from drivers.record import Record
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.loop.samples import AT_REST, Sample, StateEstimate
-from hil.loop.scenario import SpeedProfile
+from hil.loop.scenario import ReferenceProfile
 
 CHANNELS_MAX: Final = 8
 """Values of its own that a controller may tell in a cycle: each costs 8 bytes of every row of every run."""
@@ -69,7 +69,7 @@ class Context:
         "sequence",
     )
 
-    def __init__(self, period: Duration, reference: SpeedProfile) -> None:
+    def __init__(self, period: Duration, reference: ReferenceProfile) -> None:
         self._reference = reference
         self._time_s = 0.0
         self.period: Final = period

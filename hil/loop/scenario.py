@@ -1,92 +1,179 @@
-"""What a run asks of an axis over time: a speed reference and a load torque."""
+"""What a run asks of an axis over time: a reference and a load torque."""
 
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from enum import Enum
+from typing import Final, Protocol
+
+
+class Quantity(Enum):
+    """What a set-point or a reference is."""
+
+    TORQUE = "torque"
+    SPEED = "speed"
+    POSITION = "position"
 
 
 class Segment(Protocol):
-    """One piece of a speed profile."""
+    """One piece of a reference, in the unit of its quantity: rad/s, rad or N m."""
 
     @property
     def at_s(self) -> float:
         """When the segment begins, s."""
         ...
 
-    def value(self, elapsed_s: float, start_rad_s: float) -> float:
-        """Speed ``elapsed_s`` after the segment began at ``start_rad_s``, rad/s."""
+    def value(self, elapsed_s: float, start: float) -> float:
+        """The reference ``elapsed_s`` after the segment began at ``start``."""
+        ...
+
+    def rate(self, elapsed_s: float, start: float) -> float:
+        """Its change, in its unit per second, towards later times; a jump has none."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class SpeedStep:
-    """Jump to a speed and stay."""
+class LevelStep:
+    """Jump to a level and stay."""
 
     at_s: float
-    speed_rad_s: float
+    level: float
 
-    def value(self, elapsed_s: float, start_rad_s: float) -> float:  # noqa: ARG002
-        return self.speed_rad_s
+    def value(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
+        return self.level
+
+    def rate(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
+        return 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """Go linearly to a speed within ``over_s``, then stay."""
+    """Go linearly to a level within ``over_s``, then stay."""
 
     at_s: float
-    speed_rad_s: float
+    level: float
     over_s: float
 
-    def value(self, elapsed_s: float, start_rad_s: float) -> float:
+    def value(self, elapsed_s: float, start: float) -> float:
         if elapsed_s >= self.over_s:
-            return self.speed_rad_s
-        return start_rad_s + (self.speed_rad_s - start_rad_s) * (elapsed_s / self.over_s)
+            return self.level
+        return start + (self.level - start) * (elapsed_s / self.over_s)
+
+    def rate(self, elapsed_s: float, start: float) -> float:
+        return 0.0 if elapsed_s >= self.over_s else (self.level - start) / self.over_s
 
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """Swing about the speed at which the segment began."""
+    """Swing about the level at which the segment began."""
 
     at_s: float
-    amplitude_rad_s: float
+    amplitude: float
     frequency_hz: float
 
-    def value(self, elapsed_s: float, start_rad_s: float) -> float:
-        return start_rad_s + self.amplitude_rad_s * sine_of_turns(elapsed_s * self.frequency_hz)
+    def value(self, elapsed_s: float, start: float) -> float:
+        return start + self.amplitude * sine_of_turns(elapsed_s * self.frequency_hz)
+
+    def rate(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
+        cosine = sine_of_turns(elapsed_s * self.frequency_hz + 0.25)
+        return 2.0 * math.pi * self.frequency_hz * self.amplitude * cosine
 
 
-class SpeedProfile:
-    """Speed reference of one axis: segments in order of time, 0 rad/s before the first."""
+class Table:
+    """Points in time, and between them straight or held; before the first that one, after the last the last.
 
-    def __init__(self, segments: Sequence[Segment]) -> None:
+    A point is found from the one before, so a million of them cost no more than ten.
+    """
+
+    def __init__(self, at_s: float, times_s: Sequence[float], levels: Sequence[float], held: bool) -> None:
+        """``times_s``: (n,), rising, from ``at_s``. ``levels``: (n,)."""
+        self.at_s: Final = at_s
+        self._times_s = times_s
+        self._levels = levels
+        self._held = held
+        self._last = len(times_s) - 1
+        self._place = 0
+
+    def value(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
+        place = self._find(elapsed_s)
+        level = self._levels[place]
+        if self._held or place == self._last or elapsed_s <= self._times_s[0]:
+            return level
+        share = (elapsed_s - self._times_s[place]) / (self._times_s[place + 1] - self._times_s[place])
+        return level + share * (self._levels[place + 1] - level)
+
+    def rate(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
+        place = self._find(elapsed_s)
+        if self._held or place == self._last or elapsed_s < self._times_s[0]:
+            return 0.0
+        passed_s = self._times_s[place + 1] - self._times_s[place]
+        return (self._levels[place + 1] - self._levels[place]) / passed_s
+
+    def _find(self, elapsed_s: float) -> int:
+        """The last point that is not later; the first where all are."""
+        place, times_s = self._place, self._times_s
+        for _ in range(4):
+            if place < self._last and times_s[place + 1] <= elapsed_s:
+                place += 1
+            elif place > 0 and times_s[place] > elapsed_s:
+                place -= 1
+            else:
+                self._place = place
+                return place
+        self._place = max(0, bisect_right(times_s, elapsed_s) - 1)
+        return self._place
+
+
+class ReferenceProfile:
+    """Reference of one axis: segments in order of time, 0 before the first.
+
+    Of a position the segments count from where the shaft is when the run begins (:meth:`count_from`).
+    """
+
+    def __init__(self, segments: Sequence[Segment], quantity: Quantity = Quantity.SPEED) -> None:
+        self.quantity: Final = quantity
+        self._origin = 0.0
         self._segments = sorted(segments, key=lambda segment: segment.at_s)
         self._starts_s = [segment.at_s for segment in self._segments]
-        self._start_speeds = self._speeds_at_starts()
+        self._start_levels = self._levels_at_starts()
 
     @property
     def change_times_s(self) -> tuple[float, ...]:
         """When a new segment begins, s."""
         return tuple(self._starts_s)
 
+    def count_from(self, position_rad: float) -> None:
+        """Where the shaft is when the run begins, counted as in a reading; for the axis alone to call. Of
+        no meaning for a speed or a torque."""
+        if self.quantity is Quantity.POSITION:
+            self._origin = position_rad
+
     def value(self, time_s: float) -> float:
-        """Reference ``time_s`` after the run began, rad/s."""
+        """Reference ``time_s`` after the run began, in the unit of its quantity."""
+        number = bisect_right(self._starts_s, time_s)
+        if number == 0:
+            return self._origin
+        segment = self._segments[number - 1]
+        return self._origin + segment.value(time_s - segment.at_s, self._start_levels[number - 1])
+
+    def rate(self, time_s: float) -> float:
+        """Its change per second at that time; of a position the speed. A jump has none."""
         number = bisect_right(self._starts_s, time_s)
         if number == 0:
             return 0.0
         segment = self._segments[number - 1]
-        return segment.value(time_s - segment.at_s, self._start_speeds[number - 1])
+        return segment.rate(time_s - segment.at_s, self._start_levels[number - 1])
 
-    def _speeds_at_starts(self) -> list[float]:
-        speeds: list[float] = []
+    def _levels_at_starts(self) -> list[float]:
+        levels: list[float] = []
         for number, segment in enumerate(self._segments):
             if number == 0:
-                speeds.append(0.0)
+                levels.append(0.0)
                 continue
             before = self._segments[number - 1]
-            speeds.append(before.value(segment.at_s - before.at_s, speeds[number - 1]))
-        return speeds
+            levels.append(before.value(segment.at_s - before.at_s, levels[number - 1]))
+        return levels
 
 
 class LoadProfile:

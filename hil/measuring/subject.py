@@ -29,7 +29,7 @@ from hil.loop.loop import LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, SpeedProfile
+from hil.loop.scenario import LoadProfile, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.measuring.excitation import Excitation, steps_of
@@ -147,7 +147,7 @@ class Subject:
             controller=Excitation(self._steps, unit_nm, request.speed_max_rad_s, request.seed + number),
             compensator=self.probe.decision,
             guard=SafetyGuard(self._limits(unit_nm), period / NS_PER_S),
-            reference=SpeedProfile([]),
+            reference=ReferenceProfile([]),
             load=LoadProfile([]),
             load_machine=None,
             syncs=syncs,

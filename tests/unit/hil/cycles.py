@@ -5,7 +5,7 @@ from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import AT_REST, StateEstimate
-from hil.loop.scenario import SpeedProfile
+from hil.loop.scenario import ReferenceProfile
 
 PERIOD = Duration(NS_PER_MS)
 START = Instant(0)
@@ -15,7 +15,7 @@ def in_cycle(
     estimate: StateEstimate = AT_REST, reference_rad_s: float = 0.0, acts_at: Instant = START
 ) -> Context:
     """A cycle of 1 ms of an axis with this estimate."""
-    context = Context(PERIOD, SpeedProfile([]))
+    context = Context(PERIOD, ReferenceProfile([]))
     context.begin(max(1, estimate.sequence), 0.0, reference_rad_s, acts_at, acts_at)
     context.estimate = estimate
     return context

@@ -21,7 +21,7 @@ from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, SpeedProfile, SpeedStep
+from hil.loop.scenario import LevelStep, LoadProfile, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 
@@ -186,7 +186,7 @@ def make_axis(
         controller=Proportional(SpeedSetPoint if isinstance(limits, SpeedLimits) else TorqueSetPoint),
         compensator=compensator or Arrival(),
         guard=SafetyGuard(limits or TorqueLimits(5.0, 200.0), 0.001),
-        reference=SpeedProfile([SpeedStep(0.01, 2.0)]),
+        reference=ReferenceProfile([LevelStep(0.01, 2.0)]),
         load=LoadProfile([]),
         load_machine=None,
         syncs=log,

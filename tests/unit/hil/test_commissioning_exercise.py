@@ -19,7 +19,7 @@ from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.pace import CALIBRATION_SYNCS
 from hil.loop.safety import SafetyGuard
-from hil.loop.scenario import SpeedStep
+from hil.loop.scenario import LevelStep
 from hil.loop.syncs import SyncLog
 from hil.machine.stopping import Interrupted
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive
@@ -156,7 +156,7 @@ def test_readings_of_before_are_let_go_and_the_bus_is_guarded_while_it_runs(benc
 
 
 def test_the_clock_of_the_drive_is_learnt_before_the_first_command(bench: Bench) -> None:
-    recording = bench.exerciser.run(Asked(0.5), 0.02, [SpeedStep(0.01, 3.0)])
+    recording = bench.exerciser.run(Asked(0.5), 0.02, [LevelStep(0.01, 3.0)])
     assert bench.notes[: bench.notes.index("command")].count("SYNC") == CALIBRATION_SYNCS + 1
     assert recording.cycles == 20
     sent = [command.torque_nm for command in bench.port.commands]
@@ -165,7 +165,7 @@ def test_the_clock_of_the_drive_is_learnt_before_the_first_command(bench: Bench)
 
 def test_speeds_follow_their_reference_for_the_whole_time(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch, Quantity.SPEED)
-    recording = bench.exerciser.run_speeds(0.02, [SpeedStep(0.01, 0.5)])
+    recording = bench.exerciser.run_speeds(0.02, [LevelStep(0.01, 0.5)])
     assert recording.cycles == 20
     assert (bench.port.speeds[:9], bench.port.speeds[-9:]) == ([0.0] * 9, [0.5] * 9)
     assert bench.port.commands == [], "and no torque"
@@ -173,7 +173,7 @@ def test_speeds_follow_their_reference_for_the_whole_time(monkeypatch: pytest.Mo
 
 def test_a_reference_reaches_the_controller(bench: Bench) -> None:
     controller = Asked()
-    bench.exerciser.run(controller, 0.02, [SpeedStep(0.01, 3.0)])
+    bench.exerciser.run(controller, 0.02, [LevelStep(0.01, 3.0)])
     assert controller.references[:9] == [0.0] * 9
     assert controller.references[-9:] == [3.0] * 9
     assert len(controller.references) == 20

@@ -26,7 +26,7 @@ from hil.commissioning.steps_mechanics import _coasts, _ramps, top_speed
 from hil.commissioning.steps_setup import _extra_limits
 from hil.commissioning.steps_units import Turn, pulses
 from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Segment, SpeedProfile
+from hil.loop.scenario import ReferenceProfile, Segment
 from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD_S = 1e-3
@@ -60,7 +60,7 @@ class Shaft:
         done: Callable[[], bool] = lambda: False,
         guard_speed: bool = True,  # noqa: ARG002 - as the Exerciser
     ) -> Any:
-        profile = SpeedProfile(reference or [])
+        profile = ReferenceProfile(reference or [])
         position = speed = 0.0
         positions, commands = [], []
         for cycle in range(1, round(duration / PERIOD_S)):

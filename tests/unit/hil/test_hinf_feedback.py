@@ -16,7 +16,7 @@ from hil.control.hinf import HinfFeedback, HinfSettings
 from hil.control.setup import Setup
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import StateEstimate
-from hil.loop.scenario import Ramp, SpeedProfile
+from hil.loop.scenario import Ramp, ReferenceProfile
 
 PERIOD = Duration(NS_PER_MS)
 SETTINGS = HinfSettings(
@@ -32,7 +32,9 @@ SETTINGS = HinfSettings(
 FILE = Path("examples/controllers/ling2012-hinf.toml")
 
 
-def drive(controller: HinfFeedback, speeds: np.ndarray, most_nm: float, profile: SpeedProfile) -> list[float]:
+def drive(
+    controller: HinfFeedback, speeds: np.ndarray, most_nm: float, profile: ReferenceProfile
+) -> list[float]:
     """What it asks for; more than ``most_nm`` is cut off before it is sent."""
     context, asked = Context(PERIOD, profile), []
     for number, speed in enumerate(speeds):
@@ -50,7 +52,7 @@ def drive(controller: HinfFeedback, speeds: np.ndarray, most_nm: float, profile:
 
 @pytest.mark.parametrize("answer_periods", [0.3, 1.0, 1.6, 4.25])
 def test_it_is_the_matrices_with_the_command_that_was_sent(answer_periods: float) -> None:
-    profile = SpeedProfile([Ramp(0.0, 10.0, 0.05)])
+    profile = ReferenceProfile([Ramp(0.0, 10.0, 0.05)])
     speeds = np.random.default_rng(15).normal(0.0, 1.0, 120)
     controller = HinfFeedback(replace(SETTINGS, answer_periods=answer_periods))
     asked = drive(controller, speeds, 0.5, profile)
@@ -69,9 +71,9 @@ def test_it_is_the_matrices_with_the_command_that_was_sent(answer_periods: float
 
 def test_reset_forgets_all() -> None:
     controller, speeds = HinfFeedback(SETTINGS), np.linspace(0.0, 3.0, 20)
-    first = drive(controller, speeds, 0.5, SpeedProfile([]))
+    first = drive(controller, speeds, 0.5, ReferenceProfile([]))
     controller.reset()
-    assert drive(controller, speeds, 0.5, SpeedProfile([])) == first
+    assert drive(controller, speeds, 0.5, ReferenceProfile([])) == first
 
 
 def setup(period: Duration) -> Setup:

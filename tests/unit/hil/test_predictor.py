@@ -15,7 +15,7 @@ from hil.control.motion import MotionModel, ShaftMotion
 from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import Sample, StateEstimate
-from hil.loop.scenario import Ramp, SpeedProfile
+from hil.loop.scenario import Ramp, ReferenceProfile
 
 Array = NDArray[np.float64]
 PERIOD = Duration(NS_PER_MS)
@@ -44,7 +44,7 @@ def command(at: int, torque_nm: float) -> Command:
 
 
 def estimate(predictor: Predictor, acts_at: int) -> StateEstimate:
-    context = Context(PERIOD, SpeedProfile([]))
+    context = Context(PERIOD, ReferenceProfile([]))
     context.begin(1, 0.0, 0.0, Instant(acts_at), Instant(acts_at))
     return predictor.estimate(context)
 
@@ -207,7 +207,7 @@ def test_the_load_is_cancelled_and_a_ramp_fed_forward() -> None:
     predictor = controller.observer()
     assert isinstance(predictor, Predictor)
     predictor.load_nm = 0.6
-    ramp = SpeedProfile([Ramp(0.0, 100.0, 1.0)])
+    ramp = ReferenceProfile([Ramp(0.0, 100.0, 1.0)])
     context = Context(PERIOD, ramp)
     context.begin(101, 0.1, 10.0, Instant(0), Instant(PERIOD))
     steady = 0.6 + 1.85e-3 * 10.1

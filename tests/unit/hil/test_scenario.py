@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.loop.scenario import LoadProfile, Ramp, Sine, SpeedProfile, SpeedStep, sine_of_turns
+from hil.loop.scenario import LevelStep, LoadProfile, Ramp, ReferenceProfile, Sine, sine_of_turns
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:
-    assert SpeedProfile([]).value(3.0) == 0.0
-    assert SpeedProfile([SpeedStep(1.0, 5.0)]).value(0.999) == 0.0
+    assert ReferenceProfile([]).value(3.0) == 0.0
+    assert ReferenceProfile([LevelStep(1.0, 5.0)]).value(0.999) == 0.0
 
 
 def test_segments_follow_each_other_in_time_whatever_their_order() -> None:
-    profile = SpeedProfile([Ramp(2.0, 20.0, 1.0), SpeedStep(1.0, 10.0), Sine(4.0, 3.0, 0.5)])
+    profile = ReferenceProfile([Ramp(2.0, 20.0, 1.0), LevelStep(1.0, 10.0), Sine(4.0, 3.0, 0.5)])
     assert profile.value(1.0) == 10.0
     assert profile.value(2.25) == pytest.approx(12.5)
     assert profile.value(3.5) == 20.0
@@ -24,7 +24,7 @@ def test_segments_follow_each_other_in_time_whatever_their_order() -> None:
 
 
 def test_a_segment_that_is_cut_off_hands_over_the_speed_it_had_reached() -> None:
-    profile = SpeedProfile([Ramp(0.0, 10.0, 1.0), Ramp(0.5, 0.0, 1.0)])
+    profile = ReferenceProfile([Ramp(0.0, 10.0, 1.0), Ramp(0.5, 0.0, 1.0)])
     assert profile.value(0.5) == pytest.approx(5.0)
     assert profile.value(1.0) == pytest.approx(2.5)
 
