@@ -133,6 +133,19 @@ class SpeedCommand(Command):
         self.speed_rad_s: Final = speed_rad_s
 
 
+class PositionCommand(Command):
+    """A position set-point, counted as in a reading; no torque, as :class:`SpeedCommand`."""
+
+    __match_args__ = ("sequence", "position_rad", "effective_at", "expires_at")
+    __slots__ = ("position_rad",)
+
+    def __init__(
+        self, sequence: int, position_rad: float, effective_at: Instant, expires_at: Instant
+    ) -> None:
+        super().__init__(sequence, math.nan, effective_at, expires_at)
+        self.position_rad: Final = position_rad
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Drive:
     """What an axis of the loop needs of a drive, simulated or real. Override all."""
@@ -151,6 +164,11 @@ class Drive:
 
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point; None if it had expired and was not sent."""
+        raise NotImplementedError
+
+    def held_position_rad(self) -> float:
+        """Where the shaft was when the drive was enabled, counted as in a reading; asked for on an axis whose
+        reference or command is a position, before its first cycle."""
         raise NotImplementedError
 
     def check(self) -> None:

@@ -131,6 +131,13 @@ class ReadingAssembler:
         raw = self._torque_raw
         return _NAN if raw is None else raw * self._nm_per_raw
 
+    def position_rad(self, raw: int | None) -> float:
+        """A raw position near to the last one told, rad, counted as in a reading; None: the last one."""
+        counted = self._position
+        if raw is not None and self._position_raw is not None:
+            counted += ((raw - self._position_raw + _HALF_WORD) % _WORD) - _HALF_WORD
+        return counted * self.scaling.position_rad
+
     # ---- what the frames tell -------------------------------------------------------------------------
 
     def anchor_position(self, raw: int, at: Instant) -> None:

@@ -20,6 +20,15 @@ from drivers.cia402.objects402 import Object, Unit, unit_parts
 from drivers.errors import PeerFault
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
 
+
+@dataclass(eq=False)
+class UnitNotTold(PeerFault):
+    """A drive whose objects do not say what one raw value is worth."""
+
+    unit: str = ""
+    """torque, position, velocity or acceleration."""
+
+
 ObjectValues = Mapping[tuple[int, int], int | None]
 """(index, sub) -> value; None or absent if the drive does not have it."""
 
@@ -111,7 +120,7 @@ class Scaling:
 
 
 def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) -> Scaling:
-    """Work out the factors. Raises PeerFault if the drive tells too little and no override helps."""
+    """Work out the factors. Raises UnitNotTold if the drive tells too little and no override helps."""
     given = override or ScaleOverride()
     sources: dict[str, str] = {}
 
@@ -120,7 +129,7 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
     ) -> float:
         found = (overridden, "override") if overridden is not None else derive()
         if found is None or not (math.isfinite(found[0]) and found[0] > 0.0):
-            raise PeerFault(f"the drive does not tell its {name} unit", "", remedy)
+            raise UnitNotTold(f"the drive does not tell its {name} unit", "", remedy, unit=name)
         sources[name] = found[1]
         return found[0]
 

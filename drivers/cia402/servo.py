@@ -28,7 +28,16 @@ from drivers.cia402.setpoint import SetPointFrames
 from drivers.cia402.state_control import FAULTY, NONE_SENT, StateControl
 from drivers.cia402.supervision import CommandSupervision, Release, end_heartbeat
 from drivers.errors import BusDown, DriveInFault, NoAnswer, PeerFault
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.exchange import (
+    Command,
+    DemandChange,
+    Drive,
+    PositionCommand,
+    Readback,
+    Reading,
+    SentCommand,
+    SpeedCommand,
+)
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
@@ -156,6 +165,11 @@ class ServoDrive(Drive):
             self.control.command(DriveCommand.QUICK_STOP)
         self.supervision.end()
 
+    def let_go(self) -> None:
+        """Disable voltage, and let the shaft coast: for one that turns slowly and does not stop."""
+        self._stop_following()
+        self.control.command(DriveCommand.DISABLE_VOLTAGE)
+
     def quick_stop(self, deadline: Instant) -> None:
         """Command a quick stop and wait until the shaft is slow and the drive disabled, or in fault."""
         self.stop()
@@ -225,16 +239,22 @@ class ServoDrive(Drive):
         return [] if self._assembler is None else self._assembler.take_demand_changes()
 
     def write(self, command: Command) -> SentCommand | None:
-        """Send a torque set-point; None and nothing sent if it has expired.
-
-        Torque beyond the drive's set limit is clipped to it. Raises ValueError for what is no number, as for
-        the torque of a :class:`.SpeedCommand`.
-        """
+        """Send a set-point, torque and speed clipped to their limits; None and nothing sent if it expired.
+        Raises ValueError for what is no number, RuntimeError for another quantity than the plan's."""
         if self._expired(command.expires_at):
             return None
-        sent = self._configured().send_torque(command.torque_nm, command.sequence)
+        frames = self._configured()
+        if isinstance(command, SpeedCommand):
+            return frames.send_speed(command.speed_rad_s, command.sequence)
+        if isinstance(command, PositionCommand):
+            return frames.send_position(command.position_rad, command.sequence)
+        sent = frames.send_torque(command.torque_nm, command.sequence)
         self.supervision.sent(sent.raw)
         return sent
+
+    def held_position_rad(self) -> float:
+        """In a mode of positions the set-point with which it was enabled, else the last position told."""
+        return self.assembler.position_rad(self.modes.primed_position)
 
     def check(self) -> None:
         """As :meth:`.drive_watch.DriveWatch.check`; DriveInFault too if it follows no command."""
@@ -325,20 +345,6 @@ class ServoDrive(Drive):
         """Take a halt back."""
         self._moving().resume()
 
-    def write_speed(self, speed_rad_s: float, expires_at: Instant, sequence: int = 0) -> SentCommand | None:
-        """As :meth:`write`, for cyclic synchronous velocity."""
-        if self._expired(expires_at):
-            return None
-        return self._configured().send_speed(speed_rad_s, sequence)
-
-    def write_position(
-        self, position_rad: float, expires_at: Instant, sequence: int = 0
-    ) -> SentCommand | None:
-        """As :meth:`write`, for cyclic synchronous position; counted as in a reading."""
-        if self._expired(expires_at):
-            return None
-        return self._configured().send_position(position_rad, sequence)
-
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _expired(self, expires_at: Instant) -> bool:
@@ -382,7 +388,8 @@ class ServoDrive(Drive):
         return unwatched
 
     def _stop_following(self) -> None:
-        """No frame from now on carries torque, and ``check`` no longer asks for OPERATION ENABLED."""
+        """Frames carry no torque nor speed from now on, and ``check`` asks for OPERATION ENABLED no more."""
         self._watch.active = False
         if self.control.set_point is not None:
             self.control.set_point.hold_torque(0.0)
+            self.control.set_point.hold(Object.TARGET_VELOCITY, 0)

@@ -4,24 +4,23 @@ A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no o
 """
 
 from collections.abc import Callable
-from enum import Enum
 from typing import Final
 
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand, SpeedCommand
+from drivers.exchange import (
+    Command,
+    DemandChange,
+    Drive,
+    PositionCommand,
+    Readback,
+    Reading,
+    SentCommand,
+    SpeedCommand,
+)
 from drivers.timebase import NS_PER_S, Instant
-
-
-class Quantity(Enum):
-    """What a set-point is."""
-
-    TORQUE = "torque"
-    SPEED = "speed"
-    POSITION = "position"
-    """Given speeds, which are summed up to positions."""
-
+from hil.loop.scenario import Quantity
 
 QUANTITY_OF_MODE: Final = {
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: Quantity.TORQUE,
@@ -30,7 +29,8 @@ QUANTITY_OF_MODE: Final = {
     Mode.PROFILE_VELOCITY: Quantity.SPEED,
     Mode.CYCLIC_SYNCHRONOUS_POSITION: Quantity.POSITION,
 }
-"""Modes in which an exercise can command a motion, the one to be preferred first."""
+"""Modes in which an exercise can command a motion, the one to be preferred first. For one of positions the
+exercise asks for speeds, which are summed up."""
 
 
 class DrivePort(Drive):
@@ -77,7 +77,7 @@ class DrivePort(Drive):
         if not isinstance(command, SpeedCommand):
             raise TypeError(f"{self.drive.name} is given speeds in {self.mode.name}, not {command!r}")
         if self.quantity is Quantity.SPEED:
-            return self.drive.write_speed(command.speed_rad_s, command.expires_at, command.sequence)
+            return self.drive.write(command)
         return self._write_position(command)
 
     @property
@@ -99,4 +99,6 @@ class DrivePort(Drive):
         passed_s = self._period_s if self._last is None else (command.effective_at - self._last) / NS_PER_S
         self._last = command.effective_at
         self._position_rad += command.speed_rad_s * passed_s
-        return self.drive.write_position(self._position_rad, command.expires_at, command.sequence)
+        return self.drive.write(
+            PositionCommand(command.sequence, self._position_rad, command.effective_at, command.expires_at)
+        )

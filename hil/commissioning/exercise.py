@@ -12,7 +12,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.errors import LimitExceeded
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant, duration_s
-from hil.commissioning.drive_port import DrivePort, Quantity
+from hil.commissioning.drive_port import DrivePort
 from hil.commissioning.excitation import SpeedReference, TimedTorque
 from hil.commissioning.request import MotionLimits
 from hil.control.compensation import Arrival
@@ -29,7 +29,7 @@ from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
-from hil.loop.scenario import LoadProfile, ReferenceProfile, Segment
+from hil.loop.scenario import LoadProfile, Quantity, ReferenceProfile, Segment
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 

@@ -19,7 +19,7 @@ from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, duration_s
 from hil.commissioning.dialog import Dialog, EmergencyStop
-from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort, Quantity
+from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome
@@ -30,6 +30,7 @@ from hil.execution.bus_guard import BusGuard
 from hil.execution.segments import timing_without_bench
 from hil.execution.world import World
 from hil.loop.loop import LoopTiming
+from hil.loop.scenario import Quantity
 from hil.machine.stopping import Interrupted
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import JournaledNetwork

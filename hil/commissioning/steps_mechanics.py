@@ -17,7 +17,6 @@ from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import SpeedGuide, TimedTorque
 from hil.commissioning.exercise import Recording, motions
 from hil.commissioning.identify import Mechanics, NotIdentifiable, identify_mechanics
@@ -25,7 +24,7 @@ from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.plots import draw_current, draw_mechanics
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s
-from hil.loop.scenario import LevelStep, Ramp, Segment
+from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment
 
 _SPEED_SHARE: Final = 0.9
 """Of the speed limit: the rest is room for the overshoot of a guide that knows the shaft only roughly."""

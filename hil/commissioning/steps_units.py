@@ -9,7 +9,6 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import Scaling
 from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
-from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import Pulse
 from hil.commissioning.exercise import Exerciser, Recording, motions
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
@@ -17,7 +16,7 @@ from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s
 from hil.commissioning.turn import can_home, hand_turn, index_turn
-from hil.loop.scenario import Ramp, Segment
+from hil.loop.scenario import Quantity, Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40

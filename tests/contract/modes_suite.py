@@ -17,6 +17,7 @@ from drivers.cia402.pdo_plans import all_modes_plan
 from drivers.cia402.profile import Mode, State
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault
+from drivers.exchange import PositionCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from virtual_bus.device.application import ErrorRegister
 from virtual_bus.drive.servo import SimulatedServo
@@ -190,24 +191,24 @@ class ModesSuite:
         drive, network = rig.drive, rig.network
         drive.objects.write(Object.INTERPOLATION_TIME_PERIOD, 1, "B", 10)
 
-        def cycles(count: int, write: Callable[[float, Instant], object], value: float) -> None:
+        def cycles(count: int, command: type[SpeedCommand | PositionCommand], value: float) -> None:
             for cycle in range(1, count + 1):
                 due = network.deadline_after(Duration(10 * NS_PER_MS))
                 network.send_sync()
-                write(value * cycle / count, rig.soon())
+                drive.write(command(cycle, value * cycle / count, due, rig.soon()))
                 network.pump(due)
 
         drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION, rig.soon())
-        cycles(40, drive.write_position, 1.0)
+        cycles(40, PositionCommand, 1.0)
         network.send_sync()
         rig.wait(0.1)
         assert rig.position_rad == pytest.approx(1.0, abs=0.02)
         drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, rig.soon())
-        cycles(40, drive.write_speed, 30.0)
+        cycles(40, SpeedCommand, 30.0)
         network.send_sync()
         rig.wait(0.1)
         assert rig.velocity_rad_s == pytest.approx(30.0, rel=0.05)
-        cycles(20, drive.write_speed, 0.0)
+        cycles(20, SpeedCommand, 0.0)
         drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_TORQUE, rig.soon())
         assert rig.words() == [], "every RPDO repeats the word in force"
         assert rig.shows(State.OPERATION_ENABLED)

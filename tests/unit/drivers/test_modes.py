@@ -17,13 +17,14 @@ from drivers.cia402.profile import Mode, State
 from drivers.cia402.scaling import ScaleOverride
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import DriveInFault, PeerFault, TransferAborted
-from drivers.exchange import Command
+from drivers.exchange import Command, PositionCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.link import Direction
 from tests.unit.drivers.fake_bus import FakeBus, make_network
 from tests.unit.drivers.profile_servo import ProfileServo
 
 PERIOD = Duration(NS_PER_MS)
+NOW = Instant(0)
 TURN = 2 * math.pi
 ENABLED = 0x0F
 SWITCHABLE = (
@@ -251,22 +252,22 @@ def test_a_cyclic_mode_knows_no_halt(rig: Rig) -> None:
 def test_cyclic_set_points_go_out_in_one_frame_each(rig: Rig) -> None:
     rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, rig.soon())
     sent = len(rig.bus.sent)
-    rig.drive.write_speed(TURN, rig.soon())
+    rig.drive.write(SpeedCommand(1, TURN, NOW, rig.soon()))
     assert rig.servo.values[0x60FF, 0] == 60_000
-    rig.drive.write_speed(1000.0, rig.soon())
+    rig.drive.write(SpeedCommand(1, 1000.0, NOW, rig.soon()))
     assert rig.servo.values[0x60FF, 0] == int(200.0 / TURN * 60_000)
     rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION, rig.soon())
     before = len(rig.bus.sent)
-    rig.drive.write_position(-TURN, rig.soon())
+    rig.drive.write(PositionCommand(1, -TURN, NOW, rig.soon()))
     assert rig.servo.values[0x607A, 0] == -65536
     # As the position in a reading runs on where 0x6064 wraps, so does the set-point.
-    rig.drive.write_position(TURN * 2**15, rig.soon())
+    rig.drive.write(PositionCommand(1, TURN * 2**15, NOW, rig.soon()))
     assert rig.servo.values[0x607A, 0] == -(2**31)
     assert len(rig.bus.sent) == before + 2
     assert before > sent + 2
     late = Instant(rig.network.clock.now() - 1)
-    assert rig.drive.write_position(0.0, late) is None
-    assert rig.drive.write_speed(0.0, late) is None
+    assert rig.drive.write(PositionCommand(1, 0.0, NOW, late)) is None
+    assert rig.drive.write(SpeedCommand(1, 0.0, NOW, late)) is None
     assert set(rig.words()) <= {ENABLED}
 
 
@@ -290,9 +291,9 @@ def test_a_drive_that_counts_the_other_way_is_turned_in_every_mode(velocity: int
     assert servo.values[0x6071, 0] == torque * 250
     assert servo.values[0x6087, 0] == 250, "a slope has no sign"
     drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, soon())
-    drive.write_speed(TURN, soon())
+    drive.write(SpeedCommand(1, TURN, NOW, soon()))
     assert servo.values[0x60FF, 0] == velocity * 60_000
-    drive.write_speed(1000.0, soon())
+    drive.write(SpeedCommand(1, 1000.0, NOW, soon()))
     assert servo.values[0x60FF, 0] == velocity * limit
     drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_TORQUE, soon())
     for torque_nm, raw in ((0.25, 125), (-7.0, -500)):
@@ -312,6 +313,6 @@ def test_a_drive_can_begin_in_another_mode() -> None:
     drive.enable(network.deadline_after(Duration(NS_PER_S)))
     assert servo.values[0x6061, 0] == Mode.CYCLIC_SYNCHRONOUS_VELOCITY
     assert servo.values[0x1600, 2] == 0x60FF0020
-    drive.write_speed(TURN, network.deadline_after(PERIOD))
+    drive.write(SpeedCommand(1, TURN, NOW, network.deadline_after(PERIOD)))
     assert bus.sent_to(0x201)[-1] == bytes.fromhex("0f0060ea0000")
     bus.shutdown()

@@ -251,7 +251,7 @@ def test_a_torque_that_is_no_number_is_never_sent_nor_a_speed_for_a_torque(bench
     for torque in (math.nan, math.inf):
         with pytest.raises((ValueError, OverflowError)):
             drive.write(command(torque, network))
-    with pytest.raises(ValueError, match="NaN"):
+    with pytest.raises(RuntimeError, match="no RPDO of the plan carries 60FFh"):
         drive.write(SpeedCommand(1, 1.0, network.clock.now(), soon(network)))
     assert len(bus.sent) == sent
 

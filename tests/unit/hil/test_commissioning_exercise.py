@@ -12,14 +12,13 @@ from drivers.exchange import Command, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis
 from hil.commissioning import exercise
-from hil.commissioning.drive_port import Quantity
 from hil.commissioning.exercise import EnergyMeter, Exerciser, speed_limits, torque_limits
 from hil.commissioning.request import Nameplate, motion_limits
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.pace import CALIBRATION_SYNCS
 from hil.loop.safety import SafetyGuard
-from hil.loop.scenario import LevelStep
+from hil.loop.scenario import LevelStep, Quantity
 from hil.loop.syncs import SyncLog
 from hil.machine.stopping import Interrupted
 from tests.unit.hil.loop_fakes import PERIOD, SYNC_LATENCY, TIMING, FakeBus, FakeDrive

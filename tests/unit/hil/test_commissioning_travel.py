@@ -14,7 +14,6 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
 from drivers.record import values_of
 from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.drive_port import Quantity
 from hil.commissioning.excitation import SpeedReference
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed
@@ -26,7 +25,7 @@ from hil.commissioning.steps_mechanics import _coasts, _ramps, top_speed
 from hil.commissioning.steps_setup import _extra_limits
 from hil.commissioning.steps_units import Turn, pulses
 from hil.loop.samples import StateEstimate
-from hil.loop.scenario import ReferenceProfile, Segment
+from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from tests.unit.hil.cycles import advance, in_cycle
 
 PERIOD_S = 1e-3

@@ -6,9 +6,10 @@ import pytest
 
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
-from drivers.exchange import Command, Drive, Reading, SpeedCommand
+from drivers.exchange import Command, Drive, PositionCommand, Reading, SpeedCommand
 from drivers.timebase import NS_PER_MS, Instant
-from hil.commissioning.drive_port import DrivePort, Quantity
+from hil.commissioning.drive_port import DrivePort
+from hil.loop.scenario import Quantity
 
 NOW = Instant(0)
 
@@ -22,13 +23,12 @@ class Noting(Drive):
         self.sent: list[tuple[str, float]] = []
 
     def write(self, command: Command) -> None:
-        self.sent.append(("N m", command.torque_nm))
-
-    def write_speed(self, speed_rad_s: float, _expires_at: Instant, _sequence: int) -> None:
-        self.sent.append(("rad/s", speed_rad_s))
-
-    def write_position(self, position_rad: float, _expires_at: Instant, _sequence: int) -> None:
-        self.sent.append(("rad", position_rad))
+        if isinstance(command, SpeedCommand):
+            self.sent.append(("rad/s", command.speed_rad_s))
+        elif isinstance(command, PositionCommand):
+            self.sent.append(("rad", command.position_rad))
+        else:
+            self.sent.append(("N m", command.torque_nm))
 
     def take_readings(self) -> list[Reading]:
         return [Reading(0.0, None, NOW, 5.0, NOW, 0.0, NOW, 0x237, NOW)]
