@@ -110,7 +110,7 @@ class Sending(Record):
         acts_by: Instant | None,
     ) -> None:
         self.raw: Final = raw
-        """In the unit of 0x6071."""
+        """In the unit of 0x6071, 0x60FF or 0x607A."""
         self.handed_at: Final = handed_at
         self.on_bus_at: Final = on_bus_at
         """End of its frame by the echo; None without one."""
@@ -142,6 +142,8 @@ class CycleRecord(Record):
         "clock_error_ns",
         "compute_ns",
         "channels",
+        "reference_rad",
+        "reference_nm",
     )
     __slots__ = __match_args__
 
@@ -164,6 +166,8 @@ class CycleRecord(Record):
         clock_error_ns: int | None,
         compute_ns: int | None = None,
         channels: Sequence[float] = (),
+        reference_rad: float | None = None,
+        reference_nm: float | None = None,
     ) -> None:
         self.sequence: Final = sequence
         """The cycle's number on the grid of ticks, from 1."""
@@ -193,3 +197,6 @@ class CycleRecord(Record):
         """What compensator and controller took, on the host's own clock also where time is simulated."""
         self.channels: Final = channels
         """What the controller told of its own, by its ``channels``."""
+        self.reference_rad: Final = reference_rad
+        """None but for a reference of a position, as the next is but for one of a torque."""
+        self.reference_nm: Final = reference_nm

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from drivers.canopen.nmt import Emergency
 from drivers.timebase import NS_PER_MS, Instant
-from hil.recording.run_folder import FRAMES_FILE
 from hil.rows.frame_names import frame_name
+from hil.rows.run_files import FRAMES_FILE
 
 FAULT_FILE = "fault.txt"
 FRAMES_MAX = 300

@@ -12,19 +12,20 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from drivers.timebase import Duration, Instant
+from drivers.timebase import Duration
 from hil.recording.append_file import AppendFile
 from hil.recording.candump import candump_lines, direction_lines
-from hil.recording.run_folder import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import NetworkKeeper
+from hil.rows.event_lines import event_json
 from hil.rows.frame_order import FrameOrder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, RecordsWriter
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     FRAME_DTYPE,
@@ -209,7 +210,7 @@ class EventsKeeper:
         before = self._zero.at
         if self._zero.look(events):
             self._recount(Duration(before - self._zero.at))
-        lines = [json.dumps(_event_json(event, self._zero.at)) + "\n" for event in shown]
+        lines = [json.dumps(event_json(event, self._zero.at)) + "\n" for event in shown]
         self._file.write("".join(lines).encode())
 
     def flush(self) -> None:
@@ -353,12 +354,3 @@ def _free_port() -> int:
         probe.bind((_LOOPBACK, 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-def _event_json(event: TextEvent | StateEvent | BeginEvent, zero: Instant) -> dict[str, object]:
-    at = {"at_ns": event.at - zero}
-    if isinstance(event, TextEvent):
-        return {**at, "level": event.level, "text": event.text}
-    if isinstance(event, BeginEvent):
-        return {**at, "begin": True}
-    return {**at, "track": event.track, "state": event.label}

@@ -25,12 +25,13 @@ from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
 from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
-from hil.recording.run_folder import SUMMARY_FILE, Reserve, write_summary
+from hil.recording.run_folder import Reserve, write_summary
 from hil.reviewing.review import Review
 from hil.rows.injected_faults import InjectedFaults
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE
+from hil.rows.run_files import SUMMARY_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.set_points import SetPointTeller
 from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, RunEvent, events_of

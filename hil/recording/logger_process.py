@@ -11,8 +11,8 @@ from typing import Any, Final
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S, Instant, MonotonicClock
 from hil.recording.line_reader import LineReader
-from hil.recording.run_folder import LOGGER_LOG
 from hil.rows.recording_plan import RecordingPlan
+from hil.rows.run_files import LOGGER_LOG
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome

@@ -14,9 +14,9 @@ from hil.loop.samples import CycleRecord
 from hil.recording.logger_process import LoggerProcess, RecordingFailed, salvage
 from hil.recording.ring import RingWriter, refuse
 from hil.recording.row_writer import RowWriter
-from hil.recording.run_folder import BENCH_FILE
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW
+from hil.rows.run_files import BENCH_FILE
 from hil.rows.side_rows import (
     EVENT,
     FRAME,

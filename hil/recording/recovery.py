@@ -24,14 +24,7 @@ from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
 from hil.recording.log_files import EventsKeeper, FramesKeeper
 from hil.recording.rerun_anew import write_rerun_anew
 from hil.recording.ring import RingReader
-from hil.recording.run_folder import (
-    DIRECTIONS_FILE,
-    EVENTS_FILE,
-    FRAMES_FILE,
-    LOAD_FILE,
-    Reserve,
-    write_summary,
-)
+from hil.recording.run_folder import Reserve, write_summary
 from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, read_tail
 from hil.recording.telemetry import RERUN_FILE
@@ -46,6 +39,7 @@ from hil.rows.records_file import (
     read_metadata,
     read_records,
 )
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE, LOAD_FILE
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import (
     EVENT_DTYPE,

@@ -13,12 +13,12 @@ from drivers.bounded_file import parse_json
 from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import Instant
-from hil.recording.run_folder import EVENTS_FILE, LOAD_FILE
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.reviewing.histogram import TimeHistogram
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.run_files import EVENTS_FILE, LOAD_FILE
 from hil.rows.side_rows import BeginEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.summary import Summary
 

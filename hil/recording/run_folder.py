@@ -1,26 +1,13 @@
-"""What the files in a run's folder are called, and the room on the disk that is kept for its end."""
+"""The room on the disk that is kept for the end of a recording, and its summary."""
 
 import fcntl
 import json
 import os
 from pathlib import Path
 
+from hil.rows.run_files import RESERVE_FILE, SUMMARY_FILE
 from hil.verdict.summary import Summary
 
-BENCH_FILE = "bench.toml"
-"""The bench as it was run."""
-FRAMES_FILE = "frames.log"
-"""Every frame, in candump's format and in order of time."""
-DIRECTIONS_FILE = "frames.directions"
-"""A line for each of frames.log: T was sent by the bench, R was received by it."""
-EVENTS_FILE = "events.jsonl"
-LOAD_FILE = "load.csv"
-"""What a load machine measured."""
-SUMMARY_FILE = "summary.json"
-LOGGER_LOG = "logger.log"
-"""What the logger said on its standard error."""
-
-_RESERVE_FILE = ".reserve"
 _RESERVE_BYTES = 256 * 1024
 """Given back at the end: network.toml has 5 kB, fault.txt 30, the end of records.arrow 86 for each hour."""
 _SUMMARY_BYTES = 32 * 1024
@@ -32,7 +19,7 @@ class Reserve:
 
     def __init__(self, folder: Path) -> None:
         """Error: OSError if there is no such room; BlockingIOError if somebody records into the folder."""
-        self._path = folder / _RESERVE_FILE
+        self._path = folder / RESERVE_FILE
         self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
-from hil.rows.side_rows import TextEvent
+from hil.rows.side_rows import StateEvent, TextEvent
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, HOST_KINDS, FaultEntry
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import node_kind
@@ -14,13 +14,18 @@ from virtual_bus.faults.register import LOG_KINDS
 WINDOW_GAP: Final = Duration(NS_PER_S // 2)
 """Strikes of one fault that are no further apart belong to one window: a loss of 1 % of the readings of one
 axis at 1 kHz has one each 100 ms, and a gap as long as this once in 15 s."""
+INJECTED_TRACK: Final = "injected "
+"""So begins the track of a fault; then come its kind, ": ", and where it strikes."""
+ACTIVE, QUIET = "active", "-"
+"""Its states."""
 _IN_WINDOWS: Final = frozenset(code for code, kind in enumerate(LOG_KINDS) if kind.in_windows)
 
 
 class _Window:
     """Strikes of one fault in a row."""
 
-    def __init__(self, what: str, at: Instant) -> None:
+    def __init__(self, kind: str, what: str, at: Instant) -> None:
+        self.kind = kind
         self.what = what
         self.first = self.last = at
         self.count = 1
@@ -33,14 +38,16 @@ class InjectedFaults:
         self._windows: dict[tuple[int, int], _Window] = {}
         """Those that are open, by kind and link."""
 
-    def take(self, entries: Sequence[FaultEntry], zero: Instant) -> list[TextEvent]:
+    def take(self, entries: Sequence[FaultEntry], zero: Instant) -> list[TextEvent | StateEvent]:
         """``entries``: in run time. The events are on the bench clock, in order of time."""
-        told: list[TextEvent] = []
+        told: list[TextEvent | StateEvent] = []
         windows = self._windows
         for entry in entries:
             at, code = Instant(zero + entry[0]), entry[6]
             if code not in _IN_WINDOWS:
                 told.append(TextEvent(at, "WARN", f"injected: {_in_words(entry)}"))
+                track = _track(entry.kind, f"node {entry.link}")
+                told += [StateEvent(at, track, ACTIVE), StateEvent(at, track, QUIET)]
                 continue
             # Where every frame is delayed, all but the first come here.
             window = windows.get((code, entry[7]))
@@ -49,22 +56,31 @@ class InjectedFaults:
                 window.count += 1
                 continue
             if window is not None:
-                told.append(_closed(window))
-            windows[code, entry[7]] = _Window(_struck(entry), at)
-            told.append(TextEvent(at, "WARN", f"injected from here: {_struck(entry)}{_first(entry)}"))
+                told += _closed(window)
+            struck = _struck(entry)
+            windows[code, entry[7]] = _Window(entry.kind, struck, at)
+            told.append(TextEvent(at, "WARN", f"injected from here: {struck}{_first(entry)}"))
+            told.append(StateEvent(at, _track(entry.kind, struck), ACTIVE))
         return sorted(told, key=lambda event: event.at)
 
-    def finish(self) -> list[TextEvent]:
+    def finish(self) -> list[TextEvent | StateEvent]:
         """The windows that are still open."""
-        told = [_closed(window) for window in self._windows.values()]
+        told = [event for window in self._windows.values() for event in _closed(window)]
         self._windows.clear()
         return sorted(told, key=lambda event: event.at)
 
 
-def _closed(window: _Window) -> TextEvent:
+def _track(kind: str, what: str) -> str:
+    return f"{INJECTED_TRACK}{kind.replace('_', ' ')}: {what}"
+
+
+def _closed(window: _Window) -> list[TextEvent | StateEvent]:
     lasted_ms = (window.last - window.first) / NS_PER_MS
     times = "once" if window.count == 1 else f"{window.count} times within {lasted_ms:g} ms"
-    return TextEvent(window.last, "INFO", f"injected until here: {window.what}, {times}")
+    return [
+        TextEvent(window.last, "INFO", f"injected until here: {window.what}, {times}"),
+        StateEvent(window.last, _track(window.kind, window.what), QUIET),
+    ]
 
 
 def _struck(entry: FaultEntry) -> str:

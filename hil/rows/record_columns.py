@@ -1,13 +1,26 @@
 """The columns of records.arrow: type, unit, codes and meaning of each. docs/recording.md shows them."""
 
 import json
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Final, NamedTuple
 
+from drivers.errors import BadInput
 from hil.loop.context import CHANNELS_MAX
 from hil.rows.records import CAUSES, COMMAND_FATES, NOTHING
 
 FORMAT: Final = "2"
 """Version of the run's folder as docs/recording.md describes it; counts up when a reader must know."""
+
+
+def refuse_later_format(metadata: Mapping[str, str], source: Path) -> None:
+    """Raises BadInput for a recording whose format counts higher than FORMAT; earlier ones are read."""
+    told = metadata.get("format", FORMAT)
+    if not told.isdigit() or int(told) > int(FORMAT):
+        expected = f"a recording of format {FORMAT} or earlier"
+        raise BadInput(
+            str(source), "format", told, expected, "read it with the servobench that wrote it, or later"
+        )
 
 
 class Column(NamedTuple):
@@ -86,12 +99,12 @@ COLUMNS: Final = (
     _number("estimate_torque_nm", "N m", "the state that the controller was given"),
     _instant("estimate_valid_at", "for when that state holds"),
     Column("estimate_sequence", "int64", "", "cycle of the sample that it rests on; 0 before the first"),
-    _number("reference_rad_s", "rad/s", "speed that was asked for"),
+    _number("reference_rad_s", "rad/s", "speed that was asked for; of a position its rate, null of a torque"),
     _number("load_torque_nm", "N m", "load that was asked for; positive opposes positive speed"),
     _number("command_torque_nm", "N m", "torque set-point, after the limits"),
     _instant("command_effective_at", "when it was meant to act"),
     _instant("command_expires_at", "when it was worth nothing any more"),
-    Column("command_raw", "int64", "the unit of object 6071h", "the set-point as it was sent"),
+    Column("command_raw", "int64", "the unit of 6071h, 60FFh or 607Ah", "the set-point as it was sent"),
     _instant("command_handed_at", "when it was handed to the bus; null if it was not sent"),
     _instant("command_on_bus_at", "end of its frame on the bus; null if that is not known"),
     Column(
@@ -110,6 +123,10 @@ COLUMNS: Final = (
         _number(f"channel_{number}", "", f"what the controller told as number {number} of its channels")
         for number in range(CHANNELS_MAX)
     ),
+    _number("reference_position_rad", "rad", "position that was asked for; null of another reference"),
+    _number("reference_torque_nm", "N m", "torque that was asked for; null of another reference"),
+    _number("command_speed_rad_s", "rad/s", "speed set-point, after the limits; null of another command"),
+    _number("command_position_rad", "rad", "position set-point, after the limits; null of another command"),
 )
 """In the order of :data:`hil.rows.records.LAYOUT`."""
 

@@ -10,6 +10,8 @@ from hil.verdict.verdict import VerdictLimits
 
 SETTLING = Duration(250_000_000)
 """Default of ``verdict.settling_ms``."""
+SETTLING_BAND_PERCENT = 2.0
+"""Default of ``verdict.settling_band_percent``: the usual one of step responses."""
 SIMULATED_EPOCH = 1_000_000_000 * NS_PER_S
 """Where the first cycle of a simulated run lies in frames.log, ns since 1970: in September 2001, so that no
 stamp is taken for a real one, and run times can be read off at sight."""
@@ -44,6 +46,14 @@ class AxisPlan:
     """Of the motor; None: how much its torque swings is not judged."""
     certified: CertifiedPlan | None = None
     """None: its controller has no certificate."""
+    torque_max_nm: float | None = None
+    """Limit of its commands, drawn beside them."""
+    speed_max_rad_s: float | None = None
+    """Beyond it the bench stops the drive; drawn beside its speed."""
+    quantity: str = "speed"
+    """Of its reference, by :class:`hil.loop.scenario.Quantity`."""
+    mode: str = "cst"
+    """Of its drive, as in the bench file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +64,11 @@ class ReviewPlan:
     """By axis number of the records."""
     limits: VerdictLimits = field(default_factory=VerdictLimits)
     settling: Duration = SETTLING
-    """How long after a reference step the speed error is not counted."""
+    """How long after a reference step speed and position errors are not counted."""
+    band_percent: float = SETTLING_BAND_PERCENT
+    """Of a step: within it the speed has settled."""
+    period: Duration = Duration(0)  # noqa: RUF009 - an int
+    """Of the loop; for the errors of drives that are given positions."""
 
 
 class PlannedSetPoint(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from librt.strings import BytesWriter, write_f64_le, write_i64_le
 from numpy.typing import NDArray
 
-from drivers.exchange import Command
+from drivers.exchange import Command, PositionCommand, SpeedCommand
 from hil.loop.context import CHANNELS_MAX
 from hil.loop.samples import (
     CommandFate,
@@ -76,11 +76,19 @@ LAYOUT: tuple[tuple[str, str], ...] = (
     ("compute_ns", "q"),
     # of its channels
     *((f"channel_{number}", "d") for number in range(CHANNELS_MAX)),
+    # CycleRecord, of a reference that is no speed
+    ("reference_position_rad", "d"),
+    ("reference_torque_nm", "d"),
+    # its command, where that is no torque
+    ("command_speed_rad_s", "d"),
+    ("command_position_rad", "d"),
 )
 """Name and struct code of each field, in the order in which the records nest."""
 
 DIGESTED_BYTES: Final = 8 * [name for name, _ in LAYOUT].index("compute_ns")
-"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed."""
+"""Of each row, from its beginning: in simulated time that follows from the bench file and the seed. A
+reference or a command that is no speed and no torque lies behind, but what of it came to the drive and back,
+``command_raw`` and the reading, lies within."""
 
 ROW: Final = struct.Struct("<" + "".join(code for _, code in LAYOUT))
 _NUMPY: Final = {"q": "<i8", "d": "<f8"}
@@ -131,6 +139,9 @@ def row_of(record: CycleRecord) -> bytes:
     _write(row, record.clock_error_ns)
     _write(row, record.compute_ns)
     _write_channels(row, record.channels)
+    write_f64_le(row, math.nan if record.reference_rad is None else record.reference_rad)
+    write_f64_le(row, math.nan if record.reference_nm is None else record.reference_nm)
+    _write_other_command(row, record.command)
     return row.getvalue()
 
 
@@ -178,6 +189,12 @@ def _write_command(row: BytesWriter, command: Command | None) -> None:
     write_f64_le(row, command.torque_nm)
     write_i64_le(row, command.effective_at)
     write_i64_le(row, command.expires_at)
+
+
+def _write_other_command(row: BytesWriter, command: Command | None) -> None:
+    """Of a speed or of a position."""
+    write_f64_le(row, command.speed_rad_s if isinstance(command, SpeedCommand) else math.nan)
+    write_f64_le(row, command.position_rad if isinstance(command, PositionCommand) else math.nan)
 
 
 def _write_sending(row: BytesWriter, sending: Sending | None) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.timebase import Instant
 from hil.rows.record_columns import COLUMNS, FORMAT, PHASE_COLUMN, PHASES, RUN, Column
-from hil.rows.records import NOTHING, ROW_DTYPE, Rows
+from hil.rows.records import FATE_SAMPLE, NOTHING, ROW_DTYPE, Rows
 
 RECORDS_FILE = "records.arrow"
 MAGIC = b"ARROW1\0\0"
@@ -67,6 +67,21 @@ def records_schema(metadata: Mapping[str, str]) -> pa.Schema:
     return pa.schema(fields, metadata={"format": FORMAT, **metadata})
 
 
+def records_table(rows: Rows, metadata: Mapping[str, str], zero: Instant) -> pa.Table:
+    """The content of a file: (n,) of ROW_DTYPE on the bench clock; ``metadata``: of the run."""
+    return pa.Table.from_batches([_batch(rows, records_schema(metadata), zero)])
+
+
+def rows_of_table(table: pa.Table) -> Rows:
+    """(n,) of ROW_DTYPE in run time."""
+    return np.concatenate([np.empty(0, ROW_DTYPE), *(_rows_of(batch, 0) for batch in table.to_batches())])
+
+
+def read_table(path: Path) -> pa.Table:
+    """The batches of a file that are whole, with units and metadata; of a file without a head: none."""
+    return pa.Table.from_batches(_batches(path), schema=_schema_of(path) or records_schema({}))
+
+
 def read_metadata(path: Path) -> dict[str, str]:
     """What the file says of the run; empty if it was cut off before its head."""
     schema = _schema_of(path)
@@ -89,7 +104,7 @@ def finish_records(path: Path) -> int:
     What was not written whole is left out. It needs room for the footer alone. Error: OSError.
     """
     count: int = sum(batch.num_rows for batch in _batches(path))
-    if _is_whole(path):
+    if is_whole(path):
         return count
     sink = pa.BufferOutputStream()
     with pa.ipc.new_file(sink, _schema_of(path) or records_schema({}), options=_OPTIONS) as writer:
@@ -114,7 +129,8 @@ def _schema_of(path: Path) -> pa.Schema | None:
             return None
 
 
-def _is_whole(path: Path) -> bool:
+def is_whole(path: Path) -> bool:
+    """Whether the file has its end."""
     with path.open("rb") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - len(_MAGIC_END)))
         return file.read() == _MAGIC_END
@@ -161,7 +177,10 @@ def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
         found = batch.column(column.name)
         if column.kind != "float64":
             found = found.cast("int64").fill_null(NOTHING)
-        rows[column.name] = found.to_numpy(zero_copy_only=False)
+        values = found.to_numpy(zero_copy_only=False)
         if column.is_instant and first_cycle:
-            rows[column.name][rows[column.name] != NOTHING] += first_cycle
+            values = np.where(values == NOTHING, NOTHING, values + first_cycle)
+        if column.none != NOTHING:  # what a reading lacks is written otherwise than a reading that lacks
+            values = np.where((values == NOTHING) & (rows["fate"] == FATE_SAMPLE), column.none, values)
+        rows[column.name] = values
     return rows

@@ -20,9 +20,9 @@ from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
 from hil.execution.drive_settings import data_sheets
-from hil.recording.run_folder import EVENTS_FILE
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.rows.run_files import EVENTS_FILE
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, read_wire
 from hil.verdict.plain_values import from_plain

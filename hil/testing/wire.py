@@ -15,9 +15,9 @@ from typing import NamedTuple
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.objects402 import Object
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
-from hil.recording.run_folder import DIRECTIONS_FILE, FRAMES_FILE
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
 
 ORIGIN = Instant(0)
 SHOWN_MAX = 5

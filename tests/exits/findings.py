@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
-from hil.recording.run_folder import EVENTS_FILE, FRAMES_FILE
+from hil.rows.run_files import EVENTS_FILE, FRAMES_FILE
 from tests.exits.cells import BROKER, DRIVE, HOST, HUB, KILL, RUNNING
 from tests.exits.one_run import STOPPED_NS, Ended
 from tests.swarm.invariants import broken, lost_max

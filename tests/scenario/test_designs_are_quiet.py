@@ -11,7 +11,7 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.motor_file import LING2012
 from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
-from hil.recording.run_folder import EVENTS_FILE
+from hil.rows.run_files import EVENTS_FILE
 from hil.studies.speed.controller_text import plant_of
 from hil.verdict.verdict import LimitResult
 from tests.random_motors import FINE_ENCODER, designed, random_bench, run, steady_rms_nm, torque_rms_nm

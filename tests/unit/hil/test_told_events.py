@@ -9,7 +9,7 @@ from hil.rows.injected_faults import WINDOW_GAP, InjectedFaults
 from hil.rows.recording_plan import PlannedSetPoint
 from hil.rows.records import NOTHING, ROW_DTYPE, Rows
 from hil.rows.set_points import SetPointTeller
-from hil.rows.side_rows import TextEvent
+from hil.rows.side_rows import StateEvent, TextEvent
 from virtual_bus.faults.fault_log import KIND_CODES, FaultEntry
 from virtual_bus.faults.log_kind import NONE
 
@@ -32,8 +32,12 @@ def rows_of(cycles: range, axis: int, unsent: Sequence[int] = ()) -> Rows:
     return rows
 
 
-def told(events: Sequence[TextEvent]) -> list[tuple[int, str]]:
-    return [(event.at - ZERO, event.text) for event in events]
+def told(events: Sequence[TextEvent | StateEvent]) -> list[tuple[int, str]]:
+    return [(event.at - ZERO, event.text) for event in events if isinstance(event, TextEvent)]
+
+
+def lanes(events: Sequence[TextEvent | StateEvent]) -> list[tuple[int, str, str]]:
+    return [(event.at - ZERO, event.track, event.label) for event in events if isinstance(event, StateEvent)]
 
 
 def test_a_set_point_is_told_once_by_the_command_that_acted_upon_it() -> None:
@@ -109,5 +113,20 @@ def test_strikes_at_frames_are_told_as_windows() -> None:
 
 
 def test_stalls_of_the_host_are_windows_too() -> None:
-    (begun,) = InjectedFaults().take([entry("host_stall", 1, 5 * NS_PER_MS, link=0)], ZERO)
+    begun, _ = InjectedFaults().take([entry("host_stall", 1, 5 * NS_PER_MS, link=0)], ZERO)
+    assert isinstance(begun, TextEvent)
     assert begun.text == "injected from here: host stall, first by 5 ms"
+
+
+def test_a_lane_of_a_fault_is_active_from_the_first_to_the_last_strike() -> None:
+    faults = InjectedFaults()
+    found = faults.take([entry("loss", at, link=0) for at in (10, 200, 400)], ZERO)
+    found += faults.take([entry("silence", 450, 30 * NS_PER_MS)], ZERO)
+    found += faults.finish()
+    track = next(track for _, track, _ in lanes(found))
+    assert track.startswith("injected loss: ")
+    assert [(at, label) for at, name, label in lanes(found) if name == track] == [
+        (10 * NS_PER_MS, "active"),
+        (400 * NS_PER_MS, "-"),
+    ]
+    assert (450 * NS_PER_MS, "injected silence: node 1", "active") in lanes(found)
