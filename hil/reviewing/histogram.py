@@ -1,6 +1,7 @@
 """A histogram of times in bounded memory: exact below 2 us, within 0.1 % above."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,21 @@ class TimeHistogram:
         found = np.zeros(count, np.int64)
         np.add.at(found, places, self._counts[filled])
         return found
+
+    def take_in(self, other: "TimeHistogram") -> None:
+        """What another one has counted."""
+        self._counts += other._counts
+        self.total += other.total
+        self._smallest_ns = min(self._smallest_ns, other._smallest_ns)
+        self._largest_ns = max(self._largest_ns, other._largest_ns)
+
+
+def merged(histograms: Iterable[TimeHistogram]) -> TimeHistogram:
+    """All that they have counted."""
+    found = TimeHistogram()
+    for each in histograms:
+        found.take_in(each)
+    return found
 
 
 def _bucket_of(times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import NS_PER_S
+from hil.reviewing.envelope import Envelope
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 from hil.verdict.summary import SpeedError
@@ -42,8 +43,17 @@ class SpeedErrorMeter:
         self._reference_changed_row = self._load_changed_row = -1
         self._counted = 0
         self._square_sum = 0.0
-        self._peak = self._reference_peak = self._after_load_peak = 0.0
+        self._peak = self._after_load_peak = 0.0
         self._after_load_counted = 0
+        self.reference_peak = 0.0
+        """Largest reference by size, rad/s; the base of the peak in percent."""
+        self.settling: list[tuple[int, int]] = []
+        """From when to when the error is not counted, ns; in order, and apart from each other."""
+        self.counted = Envelope()
+        """The size of the error that counts, rad/s."""
+        self.peak_at: int | None = None
+        self.after_load_at: int | None = None
+        """When the cycles of the two peaks were due, ns; None: there is none."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -52,13 +62,16 @@ class SpeedErrorMeter:
         reference = rows["reference_rad_s"]
         error = np.abs(reference - rows["velocity_rad_s"])
         counts, after_load = self._windows(rows)
-        self._reference_peak = max(self._reference_peak, float(np.abs(reference).max()))
-        self._take_counted(error[counts])
+        self.reference_peak = max(self.reference_peak, float(np.abs(reference).max()))
+        self._take_counted(rows["due_at"][counts], error[counts])
         relative = counts & after_load & (reference != 0.0)
         if relative.any():
             self._after_load_counted += int(relative.sum())
             share = error[relative] / np.abs(reference[relative])
-            self._after_load_peak = max(self._after_load_peak, float(share.max()))
+            place = int(share.argmax())
+            if self.after_load_at is None or share[place] > self._after_load_peak:
+                self._after_load_peak = float(share[place])
+                self.after_load_at = int(rows["due_at"][relative][place])
 
     def figures(self) -> SpeedError:
         """Of all rows so far."""
@@ -66,16 +79,19 @@ class SpeedErrorMeter:
             return SpeedError(None, None, None, None)
         return SpeedError(
             peak_rad_s=self._peak,
-            peak_percent=100.0 * self._peak / self._reference_peak if self._reference_peak else None,
+            peak_percent=100.0 * self._peak / self.reference_peak if self.reference_peak else None,
             rms_rad_s=math.sqrt(self._square_sum / self._counted),
             after_load_percent=100.0 * self._after_load_peak if self._after_load_counted else None,
         )
 
-    def _take_counted(self, error: NDArray[np.float64]) -> None:
+    def _take_counted(self, due_at: NDArray[np.int64], error: NDArray[np.float64]) -> None:
         if not error.size:
             return
         self._counted += error.size
-        self._peak = max(self._peak, float(error.max()))
+        self.counted.add(due_at, error)
+        place = int(error.argmax())
+        if self.peak_at is None or error[place] > self._peak:
+            self._peak, self.peak_at = float(error[place]), int(due_at[place])
         # cumsum adds from left to right; sum() adds in pairs, whose result depends on the chunk
         self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], error * error)))[-1])
 
@@ -88,6 +104,7 @@ class SpeedErrorMeter:
         reference_change = np.diff(reference, prepend=self._last_reference)
         elapsed_s = np.diff(due_at, prepend=self._last_due_at) / NS_PER_S
         stepped = np.abs(reference_change) > self._acceleration_max * elapsed_s * _ROUNDING
+        self._note_settling(due_at[stepped])
         step_at = np.maximum.accumulate(np.where(stepped, due_at, self._step_at))
         numbers = np.arange(self._rows, self._rows + rows.size)
         reference_row = _last_marked(reference_change != 0.0, numbers, self._reference_changed_row)
@@ -100,6 +117,13 @@ class SpeedErrorMeter:
         self._reference_changed_row, self._load_changed_row = int(reference_row[-1]), int(load_row[-1])
         counts = (rows["fate"] == FATE_SAMPLE) & (due_at - step_at >= self._settling_ns)
         return counts, load_row > reference_row
+
+    def _note_settling(self, stepped_at: NDArray[np.int64]) -> None:
+        for at in stepped_at.tolist():
+            if self.settling and at <= self.settling[-1][1]:
+                self.settling[-1] = self.settling[-1][0], at + self._settling_ns
+            else:
+                self.settling.append((at, at + self._settling_ns))
 
 
 def _last_marked(marks: NDArray[np.bool_], numbers: NDArray[np.int64], before: int) -> NDArray[np.int64]:

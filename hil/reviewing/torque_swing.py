@@ -73,11 +73,15 @@ class TorqueSwingMeter:
         self._told = False
         self.rms_nm: float | None = None
         """The largest of all blocks so far; None: no block has been steady."""
+        self.worst_at: int | None = None
+        """When the last cycle of that block was due, ns."""
         self._swings: list[Swing] = []
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
-        rows = rows[rows["command_expires_at"] != NOTHING]
+        commanded = rows["command_expires_at"] != NOTHING
+        if not commanded.all():
+            rows = rows[commanded]
         if not rows.size:
             return
         steady = self._steady(rows)
@@ -120,7 +124,8 @@ class TorqueSwingMeter:
     def _judge(self, torque: NDArray[np.float64], due_at: NDArray[np.int64]) -> None:
         """Take in the block at the end of a window, which is shorter soon after a change."""
         rms_nm = float(np.std(torque[-BLOCK:]))
-        self.rms_nm = max(rms_nm, self.rms_nm or 0.0)
+        if self.rms_nm is None or rms_nm > self.rms_nm:
+            self.rms_nm, self.worst_at = rms_nm, int(due_at[-1])
         if self._told or rms_nm < self._swing_nm:
             return
         line, share = strongest_line(torque)

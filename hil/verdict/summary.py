@@ -3,18 +3,20 @@
 The figures rest on the cycle records alone (see :mod:`hil.reviewing.review`), never on the telemetry.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from hil.verdict.verdict import (
     CycleCount,
+    Demand,
     DriveEnd,
     Finding,
     RunOutcome,
     RunVerdict,
     VerdictKind,
     VerdictLimits,
+    WorstPlace,
     judge,
     not_run,
 )
@@ -30,6 +32,16 @@ _METRICS = {
     "lateness_us_max": "lateness, largest [us]",
     "compute_us_max": "computing time, largest [us]",
     "torque_rms_nm_max": "torque about its mean, rms [N m]",
+    "settling_time_ms_max": "settling after a step [ms]",
+    "overshoot_percent_max": "overshoot of a step [%]",
+    "recovery_time_ms_max": "recovery after a load step [ms]",
+    "losses_in_a_row_max": "dropouts in a row",
+    "certified_delay_us": "certified: delay [us]",
+    "certified_losses_in_a_row": "certified: losses in a row",
+    "certified_gain_rad_s_nm": "certified: gain [rad/s per N m]",
+    "position_error_peak_rad_max": "position error, peak [rad]",
+    "position_error_rms_rad_max": "position error, RMS [rad]",
+    "following_error_peak_rad_max": "following error, peak [rad]",
 }
 
 
@@ -71,6 +83,29 @@ class SpeedError:
 
 
 @dataclass(frozen=True, slots=True)
+class StepResponse:
+    """Worst step and axis (:mod:`hil.reviewing.step_response`); None: no step, or one that did not settle."""
+
+    settling_time_ms: float | None = None
+    overshoot_percent: float | None = None
+    recovery_time_ms: float | None = None
+    """After a step of the load."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionError:
+    """Of the worst axis; None: not measured. What each is: :mod:`hil.reviewing.position_error`."""
+
+    peak_rad: float | None
+    rms_rad: float | None
+    following_peak_rad: float | None
+    """Of a drive in csp."""
+
+
+NO_POSITIONS = PositionError(None, None, None)
+
+
+@dataclass(frozen=True, slots=True)
 class Figures:
     """What the records alone tell."""
 
@@ -93,8 +128,14 @@ class Figures:
     torque_rms_nm: float | None = None
     """About its mean at steady reference and load, worst axis and block (:mod:`hil.reviewing.torque_swing`);
     None: there was no such block."""
+    position_error: PositionError = NO_POSITIONS
     certificates: Mapping[str, Any] = field(default_factory=dict)
     """By axis with a certified controller: certified and seen (:mod:`hil.reviewing.certificate_meter`)."""
+    step_response: StepResponse = StepResponse()
+    losses_in_a_row: int = 0
+    """Cycles in a row without a usable reading, worst axis."""
+    worst: Mapping[str, WorstPlace] = field(default_factory=dict)
+    """By the names of :class:`VerdictLimits`: where the worst value comes from, as far as it has a place."""
 
     @property
     def dropouts_percent(self) -> float | None:
@@ -130,6 +171,9 @@ class Summary:
     drives: tuple[DriveEnd, ...] = ()
     """How each was found when the cycles were over."""
     torque_rms_nm: float | None = None
+    step_response: StepResponse = StepResponse()
+    losses_in_a_row: int = 0
+    position_error: PositionError = NO_POSITIONS
     certificates: Mapping[str, Any] = field(default_factory=dict)
     recording_faults: tuple[str, ...] = ()
     """What the recording lacks, e.g. rows that found the ring full or a file on a full disk."""
@@ -160,8 +204,9 @@ def summarise(
     recording: str,
     seed: int,
     recording_faults: tuple[str, ...] = (),
+    certified: Sequence[Demand] = (),
 ) -> Summary:
-    """Figures, outcome and verdict in one."""
+    """Figures, outcome and verdict in one; ``certified``: what is asked beside the limits."""
     shared = {each.name for each in fields(Figures)} & {each.name for each in fields(Summary)}
     count = CycleCount(figures.dense, figures.rows, figures.dropouts.missed)
     values = _limited_values(figures, outcome)
@@ -169,7 +214,7 @@ def summarise(
         **{name: getattr(figures, name) for name in shared},
         bus_load_percent=outcome.bus_load_percent,
         realtime_factor=outcome.realtime_factor,
-        verdict=judge(outcome, count, values, limits, recording_lacks="; ".join(recording_faults)),
+        verdict=judge(outcome, count, values, limits, "; ".join(recording_faults), figures.worst, certified),
         recording=recording,
         seed=seed,
         drives=outcome.drives,
@@ -212,4 +257,11 @@ def _limited_values(figures: Figures, outcome: RunOutcome) -> dict[str, float | 
         "lateness_us_max": figures.lateness_us.max,
         "compute_us_max": figures.compute_us.max,
         "torque_rms_nm_max": figures.torque_rms_nm,
+        "settling_time_ms_max": figures.step_response.settling_time_ms,
+        "overshoot_percent_max": figures.step_response.overshoot_percent,
+        "recovery_time_ms_max": figures.step_response.recovery_time_ms,
+        "losses_in_a_row_max": figures.losses_in_a_row if figures.rows else None,
+        "position_error_peak_rad_max": figures.position_error.peak_rad,
+        "position_error_rms_rad_max": figures.position_error.rms_rad,
+        "following_error_peak_rad_max": figures.position_error.following_peak_rad,
     }

@@ -82,6 +82,23 @@ def _certificate_line(figures: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
+def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """What is certified, for how much, and what was seen, as :func:`certificate_lines` tells it."""
+    found = certificates or {}
+    rows = []
+    for axis, figures in found.items():
+        of = "" if len(found) == 1 else f"{axis}: "
+        for name, words in _CERTIFIED.items():
+            certified, _, seen = _pair(figures[name]).partition(", seen ")
+            rows.append((of + words, certified, seen))
+        loop = figures["current_bandwidth_hz"]
+        if loop["certified"] is not None:
+            least, most = map(_number, loop["certified"])
+            covered = least if least == most else f"{least} to {most}"
+            rows.append((f"{of}current loop [Hz]", covered, f"{_number(loop['drive'])} (drive)"))
+    return rows
+
+
 def _pair(found: Mapping[str, float | None]) -> str:
     seen, most = found["seen"], found.get("seen_at_most")
     text = f"{_number(found['certified'])}, seen {_number(seen)}"

@@ -7,7 +7,7 @@ docs/verdict.md says the same to a reader. The figures that limits speak of come
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum, StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 
 class ExitStatus(IntEnum):
@@ -96,6 +96,23 @@ class VerdictLimits:
     lateness_us_max: float | None = None
     compute_us_max: float | None = None
     torque_rms_nm_max: float | None = None
+    settling_time_ms_max: float | None = None
+    overshoot_percent_max: float | None = None
+    recovery_time_ms_max: float | None = None
+    losses_in_a_row_max: float | None = None
+    position_error_peak_rad_max: float | None = None
+    position_error_rms_rad_max: float | None = None
+    following_error_peak_rad_max: float | None = None
+
+
+class Demand(NamedTuple):
+    """A limit that no file of limits names."""
+
+    metric: str
+    axis: str
+    value: float | None
+    """None: not measured."""
+    limit: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +184,16 @@ class LimitResult(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class WorstPlace:
+    """Where a value of a run comes from."""
+
+    axis: str = ""
+    """Empty: of no axis."""
+    at_ns: int | None = None
+    """When its cycle was due, run time; None: it is of no one instant."""
+
+
+@dataclass(frozen=True, slots=True)
 class Check:
     """One limit and what was found."""
 
@@ -175,6 +202,10 @@ class Check:
     """In a run that was cut short, of the part that was run."""
     limit: float
     result: LimitResult
+    axis: str = ""
+    """Whose value is the worst; empty: it is of no one axis."""
+    at_ns: int | None = None
+    """When it was, run time; None: at no one instant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,19 +247,26 @@ def judge(
     values: Mapping[str, float | None],
     limits: VerdictLimits,
     recording_lacks: str = "",
+    places: Mapping[str, WorstPlace] | None = None,
+    demands: Sequence[Demand] = (),
 ) -> RunVerdict:
     """The verdict on a run.
 
     ``values``: by the names of :class:`VerdictLimits`; None, or left out, if not measured.
-    ``recording_lacks``: why the recording is not whole; empty if it is.
+    ``recording_lacks``: why the recording is not whole; empty if it is. ``places``: where the values come
+    from, by the same names, as far as that is known. ``demands``: what else is asked.
     """
+    nowhere = WorstPlace()
     undone = _undone(outcome, count)
     completed = not undone
     checks = tuple(
-        Check(key, value, limit, _held_against(value, limit, completed))
+        Check(key, value, limit, _held_against(value, limit, completed), place.axis, place.at_ns)
         for key, limit in asdict(limits).items()
         if limit is not None
-        for value in [values.get(key)]
+        for value, place in [(values.get(key), (places or {}).get(key, nowhere))]
+    ) + tuple(
+        Check(metric, value, limit, _held_against(value, limit, completed), axis)
+        for metric, axis, value, limit in demands
     )
     found = [*undone, *_doubted(outcome, recording_lacks), *_broken(checks, completed)]
     if not checks and count.missed:

@@ -1,0 +1,173 @@
+"""How an axis answers to a step of its reference, and how it comes back after a step of its load.
+
+    reference  ____/~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~
+    speed         .'``'-.__-------.   .----------
+    load       ___________________/~`'~~~~~~~~~~~
+                   |settling| 2 % of the step
+                                  |recovery| 2 % of the reference
+
+A step counts until reference or load change again. What counts as a step of the reference is what opens a
+settling window (:mod:`hil.reviewing.speed_error`). One that was not within its band when it ended has no
+time: then none is told, for a time that is not known is not the largest of those that are.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.timebase import NS_PER_MS, NS_PER_S
+from hil.reviewing.speed_error import largest
+from hil.rows.recording_plan import AxisPlan
+from hil.rows.records import FATE_SAMPLE, Rows
+from hil.verdict.summary import StepResponse
+
+_ROUNDING = 1.0 + 1e-9
+
+
+class _Step(NamedTuple):
+    at: int
+    of_load: bool
+    target: float
+    size: float
+    """Of the reference's step, with its sign; for a load that of the reference."""
+
+
+class _Worst:
+    """The largest of what was found, and when its step was."""
+
+    def __init__(self) -> None:
+        self.value: float | None = None
+        self.at: int | None = None
+
+    def look(self, value: float, at: int) -> None:
+        if self.value is None or value > self.value:
+            self.value, self.at = value, at
+
+
+class StepMeter:
+    """Feed it rows of its axis in order of sequence; any division into chunks gives the same figures."""
+
+    def __init__(self, axis: AxisPlan, band_percent: float) -> None:
+        """``band_percent``: of the step, or of the reference: within it the speed has settled."""
+        self._acceleration_max = axis.acceleration_max_rad_s2
+        self._band = band_percent / 100.0
+        self._last: tuple[float, float, int] | None = None
+        self._open: _Step | None = None
+        self._outside_at = self._seen_at = 0
+        self._overshoot_rad_s = 0.0
+        self._settling, self._recovery, self._over = _Worst(), _Worst(), _Worst()
+        self._unsettled = [False, False]
+        """A step of the reference, or of the load, did not come into its band."""
+
+    def add(self, rows: Rows) -> None:
+        """Take in rows: (n,) of ROW_DTYPE."""
+        if not rows.size:
+            return
+        reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]
+        if self._last is None:
+            self._last = 0.0, float(load[0]), int(due_at[0])
+        step = np.diff(reference, prepend=self._last[0])
+        load_step = np.diff(load, prepend=self._last[1])
+        elapsed_s = np.diff(due_at, prepend=self._last[2]) / NS_PER_S
+        stepped = np.abs(step) > self._acceleration_max * elapsed_s * _ROUNDING
+        loaded = (step == 0.0) & (load_step != 0.0) & (reference != 0.0)
+        changes = np.append(np.flatnonzero((step != 0.0) | (load_step != 0.0)), rows.size)
+        self._take(rows[: changes[0]])
+        if changes.size > 1:
+            self._close()
+        # of a ramp every cycle is a change, and none is looked at
+        for place in np.flatnonzero(stepped[changes[:-1]] | loaded[changes[:-1]]):
+            start, end = int(changes[place]), int(changes[place + 1])
+            of_load = bool(loaded[start])
+            target = float(reference[start])
+            self._open = _Step(int(due_at[start]), of_load, target, target if of_load else float(step[start]))
+            self._outside_at, self._seen_at = self._open.at, -1
+            self._overshoot_rad_s = 0.0
+            self._take(rows[start:end])
+            if end < rows.size:
+                self._close()
+        self._last = float(reference[-1]), float(load[-1]), int(due_at[-1])
+
+    def figures(self) -> StepResponse:
+        """Of all steps so far, with the one that goes on."""
+        if self._open is not None:
+            self._look(self._open)
+        return StepResponse(
+            settling_time_ms=None if self.unsettled[False] else self._settling.value,
+            overshoot_percent=self._over.value,
+            recovery_time_ms=None if self.unsettled[True] else self._recovery.value,
+        )
+
+    @property
+    def unsettled(self) -> list[bool]:
+        """Whether a step of the reference, and one of the load, did not come into its band."""
+        found = list(self._unsettled)
+        if self._open is not None:
+            found[self._open.of_load] |= self._outside_at == self._seen_at
+        return found
+
+    @property
+    def instants(self) -> tuple[int | None, int | None, int | None]:
+        """When the steps were that the figures come from, ns, in their order."""
+        return self._settling.at, self._over.at, self._recovery.at
+
+    def _take(self, rows: Rows) -> None:
+        step = self._open
+        came = rows[rows["fate"] == FATE_SAMPLE]
+        if step is None or not came.size:
+            return
+        beyond: NDArray[np.float64] = (came["velocity_rad_s"] - step.target) * math.copysign(1.0, step.size)
+        outside = np.flatnonzero(np.abs(beyond) > self._band * abs(step.size))
+        if outside.size:
+            self._outside_at = int(came["due_at"][outside[-1]])
+        self._seen_at = int(came["due_at"][-1])
+        self._overshoot_rad_s = max(self._overshoot_rad_s, float(beyond.max()))
+
+    def _close(self) -> None:
+        if self._open is not None:
+            self._look(self._open)
+            if self._outside_at == self._seen_at:
+                self._unsettled[self._open.of_load] = True
+        self._open = None
+
+    def _look(self, step: _Step) -> None:
+        time_ms = (self._outside_at - step.at) / NS_PER_MS
+        (self._recovery if step.of_load else self._settling).look(time_ms, step.at)
+        if not step.of_load:
+            self._over.look(100.0 * self._overshoot_rad_s / abs(step.size), step.at)
+
+
+def worst_steps(meters: Sequence[StepMeter]) -> StepResponse:
+    """The largest of each figure over the axes; None where a step of any axis did not settle."""
+    figures = [meter.figures() for meter in meters]
+    settled, recovered = (not any(meter.unsettled[of_load] for meter in meters) for of_load in (False, True))
+    return StepResponse(
+        largest(each.settling_time_ms for each in figures) if settled else None,
+        largest(each.overshoot_percent for each in figures),
+        largest(each.recovery_time_ms for each in figures) if recovered else None,
+    )
+
+
+class LossRun:
+    """The most cycles of an axis in a row without a usable reading."""
+
+    def __init__(self) -> None:
+        self._open = 0
+        self.most = 0
+        self.at: int | None = None
+        """When the last of them was due, ns."""
+
+    def add(self, rows: Rows) -> None:
+        """Take in rows of the axis: (n,) of ROW_DTYPE."""
+        if not rows.size:
+            return
+        numbers = np.arange(rows.size)
+        came = rows["fate"] == FATE_SAMPLE
+        runs = numbers - np.maximum.accumulate(np.where(came, numbers, -1 - self._open))
+        place = int(runs.argmax())
+        if runs[place] > self.most:
+            self.most, self.at = int(runs[place]), int(rows["due_at"][place])
+        self._open = int(runs[-1])

@@ -1,0 +1,77 @@
+"""Step responses against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hil.reviewing.step_response import LossRun, StepMeter, worst_steps
+from hil.rows.recording_plan import AxisPlan
+from hil.rows.records import Rows
+from hil.verdict.summary import StepResponse
+from tests.unit.hil.row_tools import plain_rows
+
+AXIS = AxisPlan("axis1", 6_250.0)
+CYCLES, STEP, LOAD = 1_000, 100, 600
+TAU_S = 0.03
+
+
+def first_order(target: float = 50.0) -> Rows:
+    """A step at 100 ms with a lag of 30 ms; at 600 ms a load that takes a tenth away, which decays so too."""
+    at_s = np.arange(CYCLES) * 1e-3
+    reference = np.where(at_s >= STEP * 1e-3, target, 0.0)
+    speed = np.where(at_s >= STEP * 1e-3, target * (1.0 - np.exp(-(at_s - STEP * 1e-3) / TAU_S)), 0.0)
+    sag = np.where(at_s >= LOAD * 1e-3, 0.1 * target * np.exp(-(at_s - LOAD * 1e-3) / TAU_S), 0.0)
+    load = np.where(at_s >= LOAD * 1e-3, 0.6, 0.0)
+    return plain_rows(CYCLES, reference=reference, velocity=speed - sag, load=load)
+
+
+def figures(rows: Rows, chunk: int = CYCLES) -> StepResponse:
+    meter = StepMeter(AXIS, 2.0)
+    for start in range(0, rows.size, chunk):
+        meter.add(rows[start : start + chunk])
+    return meter.figures()
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100, CYCLES])
+@pytest.mark.parametrize("target", [50.0, -50.0])
+def test_a_lag_of_the_first_order_settles_as_its_closed_form(chunk: int, target: float) -> None:
+    found = figures(first_order(target), chunk)
+    assert found.settling_time_ms == math.floor(1e3 * TAU_S * math.log(1 / 0.02))
+    assert found.recovery_time_ms == math.floor(1e3 * TAU_S * math.log(0.1 / 0.02))
+    assert found.overshoot_percent == 0.0
+
+
+def test_the_overshoot_of_a_second_order_is_its_closed_form() -> None:
+    damping, natural = 0.4, 60.0
+    at_s = np.arange(900) * 1e-3
+    damped = natural * math.sqrt(1 - damping**2)
+    swing = np.cos(damped * at_s) + damping / math.sqrt(1 - damping**2) * np.sin(damped * at_s)
+    speed = 80.0 * (1.0 - np.exp(-damping * natural * at_s) * swing)
+    found = figures(plain_rows(900, reference=80.0, velocity=speed))
+    expected = 100.0 * math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
+    assert found.overshoot_percent == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_step_that_does_not_settle_has_no_time() -> None:
+    rows = first_order()[: STEP + 50]
+    assert figures(rows).settling_time_ms is None
+    settled, other = StepMeter(AXIS, 2.0), StepMeter(AXIS, 2.0)
+    settled.add(first_order()[:LOAD])
+    other.add(rows)
+    assert settled.figures().settling_time_ms is not None
+    assert worst_steps([settled, other]).settling_time_ms is None, "nor has the worst of both"
+
+
+def test_a_ramp_is_no_step() -> None:
+    ramp = np.linspace(0.0, 50.0, CYCLES)
+    assert figures(plain_rows(CYCLES, reference=ramp, velocity=0.9 * ramp)) == StepResponse()
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 5, 12])
+def test_losses_in_a_row_against_a_count_by_hand(chunk: int) -> None:
+    rows = plain_rows(12, fate=[0, 1, 1, 0, 1, 2, 3, 4, 0, 1, 1, 0])
+    run = LossRun()
+    for start in range(0, 12, chunk):
+        run.add(rows[start : start + chunk])
+    assert (run.most, run.at) == (4, 7_000_000)
