@@ -44,9 +44,11 @@ GROUPS = {
         *_below("drivers/wire", "frame_port link message_port"),
     ],
     "loop": [
-        *_below("hil/control", "compensation controllers hinf load_filter motion predictor"),
-        *_below("hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context"),
-        *_below("hil/loop", "delay loop order_attribution pace safety samples scenario"),
+        *_below("hil/control", "compensation controllers hinf load_filter motion positions predictor"),
+        *_below(
+            "hil/loop", "attribution axis axis_roles clock_map clock_question command_meter context decision"
+        ),
+        *_below("hil/loop", "delay loop order_attribution pace position_path safety samples scenario"),
         *_below("hil/loop", "stamp_attribution syncs ticker"),
         *_below("hil/recording", "ring row_writer"),
         *_below("hil/rows", "records side_rows"),

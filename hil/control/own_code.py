@@ -192,6 +192,8 @@ class _Guard:
         """The innermost line of the object's own file, else the innermost of all."""
         frames = list(_frames(error))
         own = [frame for frame in frames if frame[0] == self._file]
+        if not frames:
+            return "in code that is not Python"
         file, line, function = (own or frames)[-1]
         return f"{Path(file).name}:{line} in {function}"
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from design.motor import PmsmParameters
 from drivers.timebase import NS_PER_S, Duration
+from hil.loop.scenario import Quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,8 @@ class Setup:
     """How long one call of a class of one's own may take by the host's clock, s."""
     source: str
     """The bench file; errors name it."""
+    given: Quantity = Quantity.TORQUE
+    """What the drive takes in its mode."""
 
     @property
     def period_s(self) -> float:

@@ -1,22 +1,24 @@
 """One axis of the loop: from its drive's readings to its next command, and the record of both."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 from drivers.errors import LimitExceeded
-from drivers.exchange import Command, DemandChange, Drive, Readback, Reading, SentCommand
+from drivers.exchange import DemandChange, Drive, Readback, Reading
 from drivers.record import replaced
 from drivers.timebase import Duration, Instant, MonotonicClock
 from hil.loop.attribution import HELD_FOR, HELD_MAX
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
 from hil.loop.command_meter import CommandMeter
 from hil.loop.context import Context
+from hil.loop.decision import Decision, Tick
 from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard
-from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending, StateEstimate
-from hil.loop.scenario import LoadProfile, ReferenceProfile
+from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending
+from hil.loop.scenario import LoadProfile, Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
 
@@ -24,48 +26,6 @@ _SHOWN_BY_OTHERS: Final = (DropoutCause.LOST, DropoutCause.STALE)
 """What a cycle's reading is known to be by the places of other readings."""
 READINGS_REMEMBERED: Final = 64
 """Readings that a read-back may come after."""
-
-
-class Tick:
-    """What all axes of a cycle share."""
-
-    __slots__ = ("due_at", "sequence", "time_s", "woke_at")
-
-    def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
-        """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
-        self.sequence = sequence
-        self.due_at = due_at
-        self.woke_at = woke_at
-        self.time_s = time_s
-
-
-class Decision:
-    """What was done in one cycle, while the fates of its reading and of its command may still be open."""
-
-    __slots__ = (
-        "channels",
-        "command",
-        "compute_ns",
-        "estimate",
-        "fate",
-        "load_torque_nm",
-        "mark",
-        "reference_rad_s",
-        "sent",
-        "tick",
-    )
-
-    def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
-        self.tick = tick
-        self.reference_rad_s = reference_rad_s
-        self.load_torque_nm = load_torque_nm
-        self.mark: SyncMark | None = None
-        self.estimate: StateEstimate | None = None
-        self.command: Command | None = None
-        self.sent: SentCommand | None = None
-        self.fate: Fate | None = None
-        self.compute_ns: int | None = None
-        self.channels: Sequence[float] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +37,9 @@ class AxisParts:
     controller: Controller
     compensator: Compensator
     guard: SafetyGuard
-    """It makes the demands of the controller commands: of a torque, or of a speed."""
+    """It makes the demands of the controller commands: of a torque, a speed or a position."""
     reference: ReferenceProfile
+    """Of a position it is counted from where the shaft is when the run begins."""
     load: LoadProfile
     load_machine: LoadMachine | None
     syncs: SyncLog
@@ -109,6 +70,8 @@ class Axis:
         self._half_period = period // 2
         self._held_max = max(REVOKED, min(HELD_MAX, HELD_FOR // period))
         self._record = record
+        self._asks_speeds = parts.reference.quantity is Quantity.SPEED
+        self._asks_positions = parts.reference.quantity is Quantity.POSITION
         self._acts_later = acts_later
         self._drive = parts.drive
         self._controller = parts.controller
@@ -182,19 +145,23 @@ class Axis:
 
     def reset(self) -> None:
         """The first cycle is about to begin."""
+        if self._asks_positions or self.parts.guard.takes_positions:
+            held_rad = self._drive.held_position_rad()
+            self.parts.guard.start_from(held_rad)
+            self.parts.reference.count_from(held_rad)
         self._compensator.reset()
         self._controller.reset()
 
     def begin(self, tick: Tick) -> None:
         """A SYNC has gone out, or was heard."""
-        decision = Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm)
+        decision = self._asked(tick)
         decision.mark = self.parts.syncs.last_of(tick.sequence)
         self._decisions.append(decision)
         self.meter.sync_sent(tick.sequence, tick.due_at, self.parts.syncs.heard_ns)
 
     def miss(self, tick: Tick) -> str | None:
         """A planned cycle goes without SYNC; why the run must stop after it, or None."""
-        self._decisions.append(Decision(tick, self.parts.reference.value(tick.time_s), self._load_nm))
+        self._decisions.append(self._asked(tick))
         self.meter.missed(tick.sequence, tick.due_at)
         self._context.dropouts += 1
         reason = self.parts.guard.miss_cycle()
@@ -243,7 +210,11 @@ class Axis:
         self._apply_load(parts.load.value(tick.time_s))
         decision.load_torque_nm = self._load_nm
         fresh = len(context.samples) > 0
-        context.begin(tick.sequence, tick.time_s, decision.reference_rad_s, now, apply_at)
+        context.begin(tick.sequence, tick.due_at, tick.time_s, decision.reference_rad_s, now, apply_at)
+        if decision.reference_rad is not None:
+            context.reference_rad = decision.reference_rad
+        if decision.reference_nm is not None:
+            context.reference_nm = decision.reference_nm
         began = self._host.now()
         context.estimate = estimate = self._compensator.estimate(context)
         demand = guard.demand(self._controller.output(context))
@@ -290,6 +261,20 @@ class Axis:
             if self._decisions:
                 self._hold(fate)
         self.settle(now)
+
+    def _asked(self, tick: Tick) -> Decision:
+        """A new cycle, and what is asked for in it."""
+        reference = self.parts.reference
+        asked = reference.value(tick.time_s)
+        if self._asks_speeds:
+            return Decision(tick, asked, self._load_nm)
+        if self._asks_positions:
+            decision = Decision(tick, reference.rate(tick.time_s), self._load_nm)
+            decision.reference_rad = asked
+            return decision
+        decision = Decision(tick, math.nan, self._load_nm)
+        decision.reference_nm = asked
+        return decision
 
     def _take(self, reading: Reading) -> None:
         self._readings += 1
@@ -373,6 +358,8 @@ class Axis:
                 clock.error_ns if clock.ready else None,
                 decision.compute_ns,
                 decision.channels,
+                decision.reference_rad,
+                decision.reference_nm,
             )
         )
 

@@ -1,5 +1,6 @@
 """What a controller and a compensator are told in a cycle, and what a controller answers with."""
 
+import math
 from typing import Final
 
 from drivers.errors import BenchError
@@ -59,10 +60,13 @@ class Context:
         "_time_s",
         "acts_at",
         "dropouts",
+        "due_at",
         "estimate",
         "newest",
         "now",
         "period",
+        "reference_nm",
+        "reference_rad",
         "reference_rad_s",
         "samples",
         "sent",
@@ -76,6 +80,8 @@ class Context:
         """Of the loop, ns."""
         self.sequence = 0
         """Number of the cycle, from 1."""
+        self.due_at = Instant(0)
+        """The tick of the cycle."""
         self.now = Instant(0)
         """The present instant on the bench's clock, ns; in simulated time that of the last frame."""
         self.acts_at = Instant(0)
@@ -91,13 +97,25 @@ class Context:
         self.sent: Command | None = None
         """The last command that was handed to the bus, after all limits; None before the first."""
         self.reference_rad_s = 0.0
-        """The speed that is asked for now."""
+        """The speed that is asked for now; of a position reference its rate, NaN of a torque reference."""
+        self.reference_rad = math.nan
+        """The position that is asked for now, counted as in a reading; NaN of any other reference."""
+        self.reference_nm = math.nan
+        """The torque that is asked for now; NaN of any other reference."""
 
     def begin(
-        self, sequence: int, time_s: float, reference_rad_s: float, now: Instant, acts_at: Instant
+        self,
+        sequence: int,
+        due_at: Instant,
+        time_s: float,
+        reference_rad_s: float,
+        now: Instant,
+        acts_at: Instant,
     ) -> None:
-        """A decision begins, in the cycle ``time_s`` after the first one; for the axis alone to call."""
+        """A decision begins, in the cycle due at ``due_at``, which is ``time_s`` after the first one; for the
+        axis alone to call."""
         self.sequence = sequence
+        self.due_at = due_at
         self._time_s = time_s
         self.reference_rad_s = reference_rad_s
         self.now = now
@@ -109,6 +127,15 @@ class Context:
             self.dropouts += 1
 
     def preview(self, periods: int) -> list[float]:
-        """The speeds that are asked for, rad/s, in this cycle and the ``periods`` after it."""
+        """What is asked for in this cycle and the ``periods`` after it: speeds, rad/s, or what else the
+        reference is of, positions, rad, or torques, N m."""
         period_s = self.period / NS_PER_S
         return [self._reference.value(self._time_s + ahead * period_s) for ahead in range(periods + 1)]
+
+    def reference_at(self, instant: Instant) -> float:
+        """What is asked for at an instant, past or to come; units as of :meth:`preview`."""
+        return self._reference.value(self._time_s + (instant - self.due_at) / NS_PER_S)
+
+    def reference_rate_at(self, instant: Instant) -> float:
+        """The change of that per second; of a position the speed, rad/s. A jump has none."""
+        return self._reference.rate(self._time_s + (instant - self.due_at) / NS_PER_S)

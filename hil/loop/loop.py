@@ -20,7 +20,8 @@ from typing import Final
 from drivers.errors import LimitExceeded, NoAnswer
 from drivers.exchange import Master
 from drivers.timebase import NS_PER_MS, NS_PER_S, Clock, Duration, Instant
-from hil.loop.axis import Axis, Tick
+from hil.loop.axis import Axis
+from hil.loop.decision import Tick
 from hil.loop.pace import Pace, Start
 from hil.loop.ticker import ticks_passed
 

@@ -6,10 +6,12 @@ command is cut to its limits; a drive that leaves its limits stops the run.
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
-from drivers.exchange import Command, SpeedCommand
+from drivers.exchange import Command, PositionCommand, SpeedCommand
 from drivers.timebase import Instant
-from hil.loop.context import SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
+from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
+from hil.loop.position_path import PositionPath
 from hil.loop.samples import StateEstimate
 
 
@@ -36,16 +38,38 @@ class SpeedLimits:
     dropouts_consecutive_max: int = 100
 
 
+@dataclass(frozen=True, slots=True)
+class PositionLimits:
+    """What one axis may do that is given positions."""
+
+    rate_max_rad_s: float
+    """Of the set-points."""
+    speed_max_rad_s: float
+    """A reading beyond it stops the run."""
+    acceleration_max_rad_s2: float | None = None
+    """Of the set-points."""
+    dropouts_consecutive_max: int = 100
+
+
+Limits = TorqueLimits | SpeedLimits | PositionLimits
+
+
 class SafetyGuard:
     """Applies the limits of one axis; what it lets through is a command of the quantity that they limit."""
 
-    def __init__(self, limits: TorqueLimits | SpeedLimits, period_s: float) -> None:
+    def __init__(self, limits: Limits, period_s: float) -> None:
+        self._torques = isinstance(limits, TorqueLimits)
         self._speeds = isinstance(limits, SpeedLimits)
-        """Else torques."""
+        self.takes_positions: Final = isinstance(limits, PositionLimits)
+        self._path: PositionPath | None = None
+        self._set_point_max = math.inf
+        slew: float | None = None
         if isinstance(limits, SpeedLimits):
             self._set_point_max, slew = limits.set_point_max_rad_s, limits.acceleration_max_rad_s2
-        else:
+        elif isinstance(limits, TorqueLimits):
             self._set_point_max, slew = limits.torque_max_nm, limits.torque_slew_max_nm_s
+        else:
+            self._path = PositionPath(limits.rate_max_rad_s, limits.acceleration_max_rad_s2, period_s)
         self._step_max = math.inf if slew is None else slew * period_s
         self._speed_max_rad_s = limits.speed_max_rad_s
         self._dropouts_max = limits.dropouts_consecutive_max
@@ -53,24 +77,36 @@ class SafetyGuard:
         """The last one, like its limits in N m or rad/s."""
         self._dropouts = 0
 
+    def start_from(self, position_rad: float) -> None:
+        """Where the shaft is before the first set-point; for an axis that is given positions."""
+        if self._path is not None:
+            self._path.start_from(position_rad)
+
     def demand(self, asked: SetPoint) -> float:
         """A controller's set-point in the unit of the limits. Raises WrongSetPoint for another quantity."""
-        if isinstance(asked, TorqueSetPoint) and not self._speeds:
+        if isinstance(asked, TorqueSetPoint) and self._torques:
             return asked.torque_nm
         if isinstance(asked, SpeedSetPoint) and self._speeds:
             return asked.speed_rad_s
-        takes = "a SpeedSetPoint" if self._speeds else "a TorqueSetPoint"
-        raise WrongSetPoint(f"the controller's output is {asked!r}, this axis takes {takes}")
+        if isinstance(asked, PositionSetPoint) and self.takes_positions:
+            return asked.position_rad
+        takes = "TorqueSetPoint" if self._torques else "SpeedSetPoint" if self._speeds else "PositionSetPoint"
+        raise WrongSetPoint(f"the controller's output is {asked!r}, this axis takes a {takes}")
 
     def command(self, sequence: int, demand: float, effective_at: Instant, expires_at: Instant) -> Command:
-        """What may be sent for a controller's demand, N m or, under :class:`SpeedLimits`, rad/s."""
+        """What may be sent for a controller's demand, N m or, by the limits, rad/s or rad."""
         set_point = self.limit(demand)
+        if self._torques:
+            return Command(sequence, set_point, effective_at, expires_at)
         if self._speeds:
             return SpeedCommand(sequence, set_point, effective_at, expires_at)
-        return Command(sequence, set_point, effective_at, expires_at)
+        return PositionCommand(sequence, set_point, effective_at, expires_at)
 
     def limit(self, demand: float) -> float:
-        """The set-point that may be sent, in the unit of the demand; zero for what is not a number."""
+        """The set-point that may be sent, in the unit of the demand; for what is not a number zero, and of
+        positions the last one."""
+        if self._path is not None:
+            return self._path.towards(demand)
         if math.isnan(demand):
             return 0.0
         low = max(-self._set_point_max, self._set_point - self._step_max)
@@ -93,7 +129,7 @@ class SafetyGuard:
         if reason is not None:
             return reason
         if math.isnan(demand):
-            what = "speed" if self._speeds else "torque"
+            what = "torque" if self._torques else "speed" if self._speeds else "position"
             speed = estimate.velocity_rad_s
             return f"the controller's {what} is not a number (speed estimate {speed} rad/s)"
         return None

@@ -16,7 +16,7 @@ def in_cycle(
 ) -> Context:
     """A cycle of 1 ms of an axis with this estimate."""
     context = Context(PERIOD, ReferenceProfile([]))
-    context.begin(max(1, estimate.sequence), 0.0, reference_rad_s, acts_at, acts_at)
+    context.begin(max(1, estimate.sequence), Instant(0), 0.0, reference_rad_s, acts_at, acts_at)
     context.estimate = estimate
     return context
 

@@ -40,7 +40,9 @@ def drive(
     for number, speed in enumerate(speeds):
         at = (number + 1) * PERIOD
         time_s = number * 1e-3
-        context.begin(number + 1, time_s, profile.value(time_s), Instant(at), Instant(at + PERIOD))
+        context.begin(
+            number + 1, Instant(0), time_s, profile.value(time_s), Instant(at), Instant(at + PERIOD)
+        )
         context.estimate = StateEstimate(0.0, float(speed), 0.0, Instant(at), number + 1)
         answer = controller.output(context)
         assert isinstance(answer, TorqueSetPoint)

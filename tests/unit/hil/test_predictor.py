@@ -45,7 +45,7 @@ def command(at: int, torque_nm: float) -> Command:
 
 def estimate(predictor: Predictor, acts_at: int) -> StateEstimate:
     context = Context(PERIOD, ReferenceProfile([]))
-    context.begin(1, 0.0, 0.0, Instant(acts_at), Instant(acts_at))
+    context.begin(1, Instant(0), 0.0, 0.0, Instant(acts_at), Instant(acts_at))
     return predictor.estimate(context)
 
 
@@ -209,7 +209,7 @@ def test_the_load_is_cancelled_and_a_ramp_fed_forward() -> None:
     predictor.load_nm = 0.6
     ramp = ReferenceProfile([Ramp(0.0, 100.0, 1.0)])
     context = Context(PERIOD, ramp)
-    context.begin(101, 0.1, 10.0, Instant(0), Instant(PERIOD))
+    context.begin(101, Instant(0), 0.1, 10.0, Instant(0), Instant(PERIOD))
     steady = 0.6 + 1.85e-3 * 10.1
     context.estimate = StateEstimate(0.0, 10.1, steady, Instant(0), 1)
     assert asked(controller, context) == pytest.approx(steady + 8e-4 * 100.0, rel=1e-6)

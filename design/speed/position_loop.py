@@ -1,0 +1,152 @@
+"""A position loop over a drive's speed mode: its gain for a delay, and what can be proved of it.
+
+    u = -K theta(t - tau), held for h         v' = omega_s (u - v)         theta' = v
+
+in error coordinates: theta is the error of the position, v that of the speed; omega_s is the
+bandwidth of the drive's closed speed loop, of first order. Positions are sampled every h, and tau passes
+from a sample until its set-point acts; it need be no whole number of periods. In the form of
+:mod:`design.delay.speed_loop`, x = [v, theta], so :mod:`design.sampled` certifies it as it does a speed loop.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from design.delay.delay_loop import Array
+from design.delay.speed_loop import SpeedModel
+
+SENSITIVITY_PEAK = 1.4
+"""Of |S|, by which the gain is chosen: within it gain margins are at least 1.4 / 0.4 = 3.5 and phase margins
+2 asin(1 / 2.8) = 42 degrees, and |T| of such a loop stays below 1.1, so a step hardly overshoots."""
+_GRID = 2000
+"""Frequencies up to half the rate: S is flat between two of them, even with a delay of 100 periods."""
+_BISECTIONS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class PositionDesign:
+    """A gain and its margins, exact for the sampled loop without losses."""
+
+    gain_per_s: float
+    sensitivity_peak: float
+    """max |S| over frequency."""
+    complementary_peak: float
+    """max |T|."""
+    gain_margin: float
+    """Times which the gain makes the loop unstable."""
+    delay_margin_s: float
+    """By which the delay may be longer."""
+
+
+def position_model(bandwidth_rad_s: float) -> SpeedModel:
+    """The open loop; its disturbance is a speed, rad/s, at the shaft, its error the position, rad."""
+    return SpeedModel(
+        A=np.array([[-bandwidth_rad_s, 0.0], [1.0, 0.0]]),
+        B1=np.array([bandwidth_rad_s, 0.0]),
+        B2=np.array([0.0, 1.0]),
+        C=np.array([0.0, 1.0]),
+        state_scale=np.array([bandwidth_rad_s, 1.0]),
+    )
+
+
+def feedback(gain_per_s: float) -> Array:
+    """K of u = K x, (2,)."""
+    return np.array([0.0, -gain_per_s])
+
+
+def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> PositionDesign:
+    """The largest gain at which |S| peaks at :data:`SENSITIVITY_PEAK`. Raises ValueError for what is no time.
+
+    ``delay_s``: from sample to actuator, tau.
+    """
+    if not (period_s > 0.0 and delay_s >= 0.0 and bandwidth_rad_s > 0.0):
+        raise ValueError("a period and a bandwidth above 0 and a delay of at least 0 expected")
+    loop = _SampledIntegrator(period_s, delay_s, bandwidth_rad_s)
+    # An integrator with dead time D is unstable from K = pi / 2 D on.
+    low, high = 0.0, math.pi / 2.0 / (delay_s + period_s / 2.0 + 1.0 / bandwidth_rad_s) * 4.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if loop.radius(middle) < 1.0 and loop.peaks(middle)[0] <= SENSITIVITY_PEAK:
+            low = middle
+        else:
+            high = middle
+    sensitivity, complementary = loop.peaks(low)
+    return PositionDesign(low, sensitivity, complementary, _gain_margin(loop, low), _delay_margin(loop, low))
+
+
+def closed_loop(gain_per_s: float, period_s: float, delay_s: float, bandwidth_rad_s: float) -> Array:
+    """One period of the closed loop, (n + 3, n + 3): [v, theta, the last n + 1 samples of theta]."""
+    return _SampledIntegrator(period_s, delay_s, bandwidth_rad_s).step(gain_per_s)
+
+
+class _SampledIntegrator:
+    """theta at the samples out of the set-points, exactly."""
+
+    def __init__(self, period_s: float, delay_s: float, bandwidth_rad_s: float) -> None:
+        self.period_s, self.delay_s, self.bandwidth_rad_s = period_s, delay_s, bandwidth_rad_s
+        self.behind = math.floor(delay_s / period_s + 1e-9)
+        rest_s = max(0.0, delay_s - self.behind * period_s)
+        model = position_model(bandwidth_rad_s)
+        self.transition, whole = _held(model, period_s)
+        _, self._new = _held(model, period_s - rest_s)
+        self._old = whole - self._new
+
+    def radius(self, gain_per_s: float) -> float:
+        """Spectral radius of the closed loop; below 1 it is stable."""
+        return float(np.abs(np.linalg.eigvals(self.step(gain_per_s))).max())
+
+    def step(self, gain_per_s: float) -> Array:
+        """See :func:`closed_loop`."""
+        kept = self.behind + 1
+        step = np.zeros((2 + kept, 2 + kept))
+        step[:2, :2] = self.transition
+        step[2, 1] = 1.0
+        step[3:, 2:-1] = np.eye(kept - 1)
+        # u of the sample n + 1 periods ago acts first, then that of n periods ago
+        step[:2, 1 + kept] -= gain_per_s * self._old
+        step[:2, 1 + self.behind] -= gain_per_s * self._new
+        return step
+
+    def peaks(self, gain_per_s: float) -> tuple[float, float]:
+        """max |S| and max |T| over frequency."""
+        z = np.exp(1j * np.pi * np.arange(1, _GRID + 1) / _GRID)
+        (a, _), (c, d) = self.transition
+        # theta of [v, theta] out of (zI - Phi)^-1 Gamma, Phi lower triangular
+        drive = self._old * z[:, None] ** -(self.behind + 1) + self._new * z[:, None] ** -self.behind
+        speed = drive[:, 0] / (z - a)
+        loop = gain_per_s * (drive[:, 1] + c * speed) / (z - d)
+        return float(np.abs(1.0 / (1.0 + loop)).max()), float(np.abs(loop / (1.0 + loop)).max())
+
+
+def _held(model: SpeedModel, length_s: float) -> tuple[Array, Array]:
+    """Phi (2, 2) and Gamma (2,) of a held input."""
+    block = np.zeros((3, 3))
+    block[:2, :2], block[:2, 2] = model.A, model.B1
+    whole = expm(block * length_s)
+    return whole[:2, :2], whole[:2, 2]
+
+
+def _gain_margin(loop: _SampledIntegrator, gain_per_s: float) -> float:
+    low, high = 1.0, 2.0
+    while loop.radius(high * gain_per_s) < 1.0:
+        low, high = high, 2.0 * high
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if loop.radius(middle * gain_per_s) < 1.0 else (low, middle)
+    return low
+
+
+def _delay_margin(loop: _SampledIntegrator, gain_per_s: float) -> float:
+    def stable(more_s: float) -> bool:
+        longer = _SampledIntegrator(loop.period_s, loop.delay_s + more_s, loop.bandwidth_rad_s)
+        return longer.radius(gain_per_s) < 1.0
+
+    low, high = 0.0, loop.period_s
+    while stable(high):
+        low, high = high, 2.0 * high
+    for _ in range(_BISECTIONS // 2):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low

@@ -1,0 +1,55 @@
+"""One cycle of an axis while it is in the making: its tick, what is asked for, what was done."""
+
+from collections.abc import Sequence
+
+from drivers.exchange import Command, SentCommand
+from drivers.timebase import Instant
+from hil.loop.delay import Fate
+from hil.loop.samples import StateEstimate
+from hil.loop.syncs import SyncMark
+
+
+class Tick:
+    """What all axes of a cycle share."""
+
+    __slots__ = ("due_at", "sequence", "time_s", "woke_at")
+
+    def __init__(self, sequence: int, due_at: Instant, woke_at: Instant | None, time_s: float) -> None:
+        """``woke_at``: None for a tick for which the host was not there; ``time_s``: since the run began."""
+        self.sequence = sequence
+        self.due_at = due_at
+        self.woke_at = woke_at
+        self.time_s = time_s
+
+
+class Decision:
+    """What was done in one cycle, while the fates of its reading and of its command may still be open."""
+
+    __slots__ = (
+        "channels",
+        "command",
+        "compute_ns",
+        "estimate",
+        "fate",
+        "load_torque_nm",
+        "mark",
+        "reference_nm",
+        "reference_rad",
+        "reference_rad_s",
+        "sent",
+        "tick",
+    )
+
+    def __init__(self, tick: Tick, reference_rad_s: float, load_torque_nm: float) -> None:
+        self.tick = tick
+        self.reference_rad_s = reference_rad_s
+        self.reference_rad: float | None = None
+        self.reference_nm: float | None = None
+        self.load_torque_nm = load_torque_nm
+        self.mark: SyncMark | None = None
+        self.estimate: StateEstimate | None = None
+        self.command: Command | None = None
+        self.sent: SentCommand | None = None
+        self.fate: Fate | None = None
+        self.compute_ns: int | None = None
+        self.channels: Sequence[float] = ()
