@@ -1,7 +1,7 @@
 """Loading a bench file and the motor, controller and fault files that it names, with every fault of each."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from hil.configuration.controller_kinds import ControllerFile, ControllerSection
 from hil.configuration.current_controller_file import load_current_controller
 from hil.configuration.drive_file import load_drive_file
 from hil.configuration.motor_file import load_motor
+from hil.configuration.signal_file import load_signal
 from virtual_bus.faults.fault_log import FAULTS_FILE
 from virtual_bus.faults.fault_plan import read_fault_plan
 from virtual_bus.faults.replay import read_recorded
@@ -81,13 +82,18 @@ def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     none is imported for that.
     """
     found = dict(tables)
-    shipped = entry_points(group=ENTRY_POINTS)
-    if "object" not in found and isinstance(found.get("kind"), str) and found["kind"] in shipped.names:
-        found |= {"kind": "python", "object": shipped[found["kind"]].value}
+    if "object" not in found and (shipped := shipped_kinds().get(str(found.get("kind")))) is not None:
+        found |= {"kind": "python", "object": shipped}
     name = found.get("object")
     if isinstance(name, str) and ".py:" in name:
         found["object"] = str(folder / name)
     return found
+
+
+@cache
+def shipped_kinds() -> dict[str, str]:
+    """Kinds of installed packages, and where their classes are. To look through all packages takes 4 ms."""
+    return {each.name: each.value for each in entry_points(group=ENTRY_POINTS)}
 
 
 def with_controllers(config: BenchConfig, asked: Sequence[str]) -> BenchConfig:
@@ -152,10 +158,30 @@ class _Expansion:
         drives = tables.get("drive")
         if isinstance(drives, Mapping):
             tables["drive"] = {name: self._drive(name, drive) for name, drive in drives.items()}
+        references = tables.get("reference")
+        if isinstance(references, Mapping):
+            tables["reference"] = {name: self._entries(name, found) for name, found in references.items()}
         faults = tables.get("faults")
         if isinstance(faults, Mapping):
             tables["faults"] = self._attempt("faults", lambda: self._faults(faults))
         return tables
+
+    def _entries(self, name: str, entries: Any) -> Any:
+        """Of a reference; files are named from here, and read."""
+        if not isinstance(entries, list | tuple):
+            return entries
+        expanded = []
+        for index, entry in enumerate(entries):
+            if (
+                isinstance(entry, Mapping)
+                and entry.get("kind") == "file"
+                and isinstance(entry.get("path"), str)
+            ):
+                path = self._folder / entry["path"]
+                self._attempt(f"reference.{name}[{index}]", partial(load_signal, path))
+                entry = {**entry, "path": str(path)}
+            expanded.append(entry)
+        return expanded
 
     def _drive(self, name: str, drive: Any) -> Any:
         if not isinstance(drive, Mapping):

@@ -11,10 +11,11 @@ from pydantic import Field, PrivateAttr
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.configuration.background import BackgroundTables
-from hil.configuration.config_axis import DriveConfig, LoadStep, Reference
+from hil.configuration.config_axis import DriveConfig, LoadStep
 from hil.configuration.config_files import Section
 from hil.configuration.config_load_machine import LoadMachineConfig
 from hil.configuration.quantities import HeartbeatTimeout
+from hil.configuration.references import Reference
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
 from virtual_bus.hosting.injection import Faults as InjectedFaults
@@ -28,7 +29,7 @@ Rule = Literal["tell", "stop"]
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
-class Bench(Section):
+class BenchSection(Section):
     """``[bench]``"""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="a name of letters, digits, . _ -")
@@ -130,8 +131,23 @@ class VerdictConfig(Section):
     """How long compensator and controller may take in a cycle; judged on a bus in real time alone."""
     torque_rms_nm_max: float | None = Field(default=None, gt=0)
     """Of the commanded torque about its mean while reference and load stay: a limit cycle breaks it."""
+    settling_time_ms_max: float | None = Field(default=None, ge=0)
+    """After a reference step until the speed stays within the band."""
+    overshoot_percent_max: float | None = Field(default=None, ge=0)
+    """Of a reference step."""
+    recovery_time_ms_max: float | None = Field(default=None, ge=0)
+    """After a load step until the speed stays within the band of the reference."""
+    losses_in_a_row_max: float | None = Field(default=None, ge=0)
+    """Cycles in a row of an axis without a usable reading."""
+    position_error_peak_rad_max: float | None = Field(default=None, ge=0)
+    """Of a position reference, at the instant of each reading."""
+    position_error_rms_rad_max: float | None = Field(default=None, ge=0)
+    following_error_peak_rad_max: float | None = Field(default=None, ge=0)
+    """Of a drive in csp: how far it is from the way between its position set-points."""
     settling_ms: int = Field(default=250, ge=0, le=3_600_000)
-    """After a reference step the speed error is not counted for so long."""
+    """After a reference step speed and position errors are not counted for so long."""
+    settling_band_percent: float = Field(default=2.0, gt=0, le=100)
+    """Of a step, and after a load step of the reference: within it the speed has settled."""
 
     @property
     def settling(self) -> Duration:
@@ -141,7 +157,7 @@ class VerdictConfig(Section):
     @property
     def limits(self) -> VerdictLimits:
         """The limits alone."""
-        return VerdictLimits(**self.model_dump(exclude={"settling_ms"}))
+        return VerdictLimits(**self.model_dump(exclude={"settling_ms", "settling_band_percent"}))
 
 
 class RecordingConfig(Section):
@@ -176,7 +192,7 @@ class Faults(Section):
 class BenchConfig(Section):
     """A whole bench file, checked; paths are resolved and what they name is loaded."""
 
-    bench: Bench = Field(description="the table [bench] with name and duration_s")
+    bench: BenchSection = Field(description="the table [bench] with name and duration_s")
     bus: Bus = Bus()
     host: Host = Host()
     loop: LoopConfig = LoopConfig()
@@ -211,6 +227,11 @@ class BenchConfig(Section):
     def load_machine_axis(self) -> str | None:
         """On whose shaft the load machine is; None: there is none."""
         return None if self.load_machine is None else self.load_machine.axis or self.axes[0]
+
+    def coherent(self, axis: str) -> bool:
+        """Whether the position travels with the speed of its own SYNC, before it: where positions are
+        commanded or closed over, if it comes with every SYNC."""
+        return self.drive[axis].mode != "cst" and self.loop.position_every_cycles == 1
 
     def axes_on(self, segment: str | None) -> tuple[str, ...]:
         """The axes whose drives are on a segment; None: the first one."""

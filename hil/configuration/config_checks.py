@@ -5,15 +5,18 @@ from collections.abc import Iterator, Sequence
 
 from drivers.canopen.frame_pump import SYNC
 from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.pdo_plans import torque_plan
+from drivers.cia402.bench_modes import BENCH_MODES
+from drivers.cia402.pdo_plans import mode_plan
 from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import DriveConfig, SineReference, peak_speed_rpm
+from hil.configuration.config_axis import DriveConfig
 from hil.configuration.controller_kinds import StampCompensator
+from hil.configuration.mode_checks import Fault, mode_faults, reference_faults
 from hil.configuration.motor_file import speed_max_rpm
+from hil.configuration.references import SineReference
 
 FRAME_BITS_WITHOUT_DATA = 47
 """Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
@@ -37,10 +40,6 @@ def cross_faults(config: BenchConfig, source: str) -> list[BadInput]:
     except BadInput as error:
         errors.append(error)
     return errors
-
-
-Fault = tuple[str, object, str, str]
-"""key, value found, what was expected, remedy."""
 
 
 def _nodes(config: BenchConfig) -> Iterator[Fault]:
@@ -131,10 +130,12 @@ def _bus(config: BenchConfig) -> Iterator[Fault]:
 def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:
     every, by_event = config.loop.position_every_cycles, config.loop.command_readback == "event"
     plans = [
-        torque_plan(
+        mode_plan(
             config.drive[axis].node,
+            BENCH_MODES[config.drive[axis].mode],
             device_stamp=True,
             position_every_cycles=every,
+            coherent=config.coherent(axis),
             demand_changes=by_event,
         )
         for axis in axes
@@ -254,11 +255,7 @@ def _order(key: str, times_s: list[float], duration_s: float) -> Iterator[Fault]
 
 
 def _demands(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fault]:
-    peak = peak_speed_rpm(config.reference.get(axis, ()))
-    limit = drive.limits.speed_max_rpm
-    if peak >= limit:
-        expected = f"less than drive.{axis}.limits.speed_max_rpm = {limit:g}"
-        yield f"reference.{axis}", peak, expected, "the bench would stop the drive there"
+    yield from reference_faults(axis, drive, config)
     fastest_hz = NS_PER_S / (2 * config.loop.period)
     for index, segment in enumerate(config.reference.get(axis, ())):
         if isinstance(segment, SineReference) and segment.frequency_hz > fastest_hz:
@@ -272,4 +269,15 @@ def _demands(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fau
             yield f"load.{axis}[{index}].torque_nm", step.torque_nm, expected, "no command could hold it"
 
 
-_CHECKS = (_nodes, _segments, _times, _postponed, _bus, _background, _limits, _profiles, _load_machine)
+_CHECKS = (
+    _nodes,
+    _segments,
+    _times,
+    _postponed,
+    _bus,
+    _background,
+    _limits,
+    _profiles,
+    _load_machine,
+    mode_faults,
+)

@@ -3,11 +3,13 @@
 A new kind is its class in ``hil/control``, its section here, and its place in the union at the end.
 """
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from drivers.timebase import NS_PER_US, Duration
+from design.speed.position_loop import PositionDesign, design_position
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.drive_file import LoopOfDrive
 from hil.configuration.hinf_section import HinfSection
@@ -17,6 +19,7 @@ from hil.configuration.speed_controller_file import Certificate, MadeFor
 from hil.control.compensation import Arrival, Stamp
 from hil.control.controllers import Pid, PidGains, StateFeedback
 from hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_controller
+from hil.control.positions import PositionLoop, SetPointStream
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Compensator, Controller
 
@@ -103,6 +106,49 @@ class StateFeedbackController(Section):
         )
 
 
+class SpeedLoopOfDrive(Section):
+    """``made_for`` of a position loop: over what it is closed."""
+
+    delay_us: int = Field(ge=0, description="from sample to actuator, us; hil measure tells it")
+    speed_bandwidth_hz: float = Field(gt=0, le=5e3, description="of the drive's closed speed loop, Hz")
+
+    def design(self, period: Duration) -> PositionDesign:
+        """The position loop. Raises Infeasible from ``design``, never here: a delay is bounded above."""
+        bandwidth_rad_s = math.tau * self.speed_bandwidth_hz
+        return design_position(period / NS_PER_S, self.delay_us / 1e6, bandwidth_rad_s)
+
+
+class PositionController(Section):
+    """omega_set = K (theta* - theta) + F omega*, speed set-points out of the position error; for csv."""
+
+    kind: Literal["position"]
+    gain_per_s: float | None = Field(default=None, gt=0, le=1e5, description="K, 1/s")
+    """If absent: designed for ``made_for`` (:mod:`design.speed.position_loop`)."""
+    feedforward: float = Field(default=1.0, ge=0, le=2)
+    """F: of the reference's own speed."""
+    made_for: SpeedLoopOfDrive = Field(description="a table with delay_us and speed_bandwidth_hz")
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis."""
+        gain_per_s = self.gain_per_s
+        if gain_per_s is None:
+            gain_per_s = self.made_for.design(setup.period).gain_per_s
+        # A held set-point stands for its middle; a first-order loop comes after by its time constant.
+        lag_s = 1.0 / (math.tau * self.made_for.speed_bandwidth_hz)
+        lead = Duration(setup.period // 2 + round(lag_s * NS_PER_S))
+        return PositionLoop(gain_per_s, self.feedforward, lead)
+
+
+class StreamController(Section):
+    """The reference itself as set-points: positions in csp, speeds in csv, torques in cst."""
+
+    kind: Literal["stream"]
+
+    def build(self, setup: Setup) -> Controller:
+        """The controller of an axis."""
+        return SetPointStream(setup.given, setup.period)
+
+
 class OwnCode(Section):
     """A class of one's own: ``object`` names it, ``parameters`` are its constructor's."""
 
@@ -134,7 +180,13 @@ CompensatorSection = Annotated[
     ArrivalCompensator | StampCompensator | OwnCompensator, Field(discriminator="kind")
 ]
 ControllerSection = Annotated[
-    PidController | StateFeedbackController | PredictorController | HinfSection | OwnController,
+    PidController
+    | StateFeedbackController
+    | PredictorController
+    | HinfSection
+    | PositionController
+    | StreamController
+    | OwnController,
     Field(discriminator="kind"),
 ]
 

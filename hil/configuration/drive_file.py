@@ -32,6 +32,7 @@ class Scale(Section):
     position_rad: float | None = Field(default=None, gt=0, le=1e6)
     """rad of the motor shaft per position unit."""
     velocity_rad_s: float | None = Field(default=None, gt=0, le=1e6)
+    acceleration_rad_s2: float | None = Field(default=None, gt=0, le=1e9)
     rated_torque_nm: float | None = Field(default=None, gt=0, le=1e6)
 
 
@@ -52,6 +53,13 @@ class SetObject(Section):
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
 
 
+class StopOfDrive(Section):
+    """``[stop]``: how the drive stops, where its quick stop ramp cannot be had."""
+
+    option: Literal[1, 2, 3] = 2
+    """605Ah and 605Eh: the slow down ramp, the quick stop ramp, or the limit of current."""
+
+
 class LoopOfDrive(Section):
     """``current_loop``: torque demand to torque, measured by commissioning or assumed by a PID's rule."""
 
@@ -68,6 +76,7 @@ class DriveFile(Section):
     scale: Scale = Scale()
     signs: Signs = Signs()
     object: Annotated[tuple[SetObject, ...], Field(strict=False)] = ()
+    stop: StopOfDrive = StopOfDrive()
     current_loop: LoopOfDrive | None = None
     """Absent: the drive has no torque mode, in which it could be measured."""
     limits: dict[str, Any] = Field(default_factory=dict)

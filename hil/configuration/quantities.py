@@ -35,6 +35,8 @@ CoulombFriction = Annotated[float, Field(ge=0.0, le=1e5), Usual(0.0, 100.0)]
 """N m"""
 Torque = Annotated[float, Field(ge=1e-6, le=1e7), Usual(1e-3, 2e4)]
 """N m, of a rating or a limit"""
+Angle = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""rad, from where a run begins"""
 SignedTorque = Annotated[float, Field(ge=-1e7, le=1e7)]
 """N m"""
 Speed = Annotated[float, Field(ge=1e-3, le=1e6), Usual(1.0, 1e5)]

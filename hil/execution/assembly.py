@@ -4,11 +4,15 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.exchange import Drive
+from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Duration, duration_s
 from drivers.wire.adapters import BusSpec
 from hil.configuration.config import BenchConfig
-from hil.configuration.config_axis import RampReference, Reference, StepReference
+from hil.configuration.config_axis import DriveConfig
+from hil.configuration.mode_checks import GIVEN, quantity_of
+from hil.configuration.references import FileReference
 from hil.control.setup import Setup
 from hil.execution.world import SegmentPlan, World, WorldPlan
 from hil.loop.axis import Axis, AxisParts
@@ -18,9 +22,9 @@ from hil.loop.command_meter import CommandMeter
 from hil.loop.delay import DelayMeter
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
-from hil.loop.safety import SafetyGuard, TorqueLimits
+from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LevelStep, LoadProfile, Ramp, ReferenceProfile, Segment, Sine
+from hil.loop.scenario import LoadProfile, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
@@ -35,8 +39,9 @@ FRAME_BITS_BARE = 44
 PATIENCE_SIMULATED_S = 10.0
 """How long a call of one's own code may take in simulated time, s: more than a solver takes for a step. On a
 bus in real time a drive stops by itself when it misses the host, which is then the limit."""
-COMMAND_FRAME = Frame(0x201, bytes(4))
-"""As long as a command can be told to be before its data are known."""
+COMMAND_FRAMES = {mode: Frame(0x201, bytes(4 if mode == "cst" else 6)) for mode in BENCH_MODES}
+"""By mode; as long as a command can be told to be before its data are known: 6071h has 16 bits, 60FFh and
+607Ah have 32."""
 
 
 def loop_timing(config: BenchConfig) -> LoopTiming:
@@ -52,7 +57,7 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
         settle=Duration(config.loop.deadline + config.loop.period),
         actuation=Actuation(config.loop.actuation),
         sync_latency=_own_sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
-        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAMES["cst"]), bitrate),
     )
 
 
@@ -75,9 +80,9 @@ def shortest_transit(data_bytes: int, bitrate: int) -> Duration:
     return bits_duration(FRAME_BITS_BARE + 8 * data_bytes, bitrate)
 
 
-def command_duration(bitrate: int) -> Duration:
-    """How long a command keeps an idle segment of that bit rate, with the intermission after it."""
-    return bits_duration(frame_bits(COMMAND_FRAME) + INTERMISSION_BITS, bitrate)
+def command_duration(bitrate: int, mode: str) -> Duration:
+    """How long a command in a mode keeps an idle segment of that bit rate, with the intermission after it."""
+    return bits_duration(frame_bits(COMMAND_FRAMES[mode]) + INTERMISSION_BITS, bitrate)
 
 
 def world_plan(config: BenchConfig, spec: BusSpec, paced: bool, seed: int, log: FaultLog | None) -> WorldPlan:
@@ -107,17 +112,33 @@ def _segment_plans(config: BenchConfig) -> tuple[SegmentPlan, ...]:
     )
 
 
-def speed_profile(segments: tuple[Reference, ...]) -> ReferenceProfile:
-    """The reference of one axis in rad/s."""
-    return ReferenceProfile([_segment(segment) for segment in segments])
+def reference_profile(config: BenchConfig, axis: str) -> ReferenceProfile:
+    """The reference of one axis, in SI units."""
+    entries = config.reference.get(axis, ())
+    return ReferenceProfile([entry.segment() for entry in entries], quantity_of(config, axis))
 
 
-def _segment(segment: Reference) -> Segment:
-    if isinstance(segment, StepReference):
-        return LevelStep(segment.at_s, segment.speed_rad_s)
-    if isinstance(segment, RampReference):
-        return Ramp(segment.at_s, segment.speed_rad_s, segment.over_s)
-    return Sine(segment.at_s, segment.amplitude_rad_s, segment.frequency_hz)
+def _guard(config: BenchConfig, axis: str, period_s: float) -> SafetyGuard:
+    """The host limits of one axis, of the quantity that its drive is given."""
+    drive = config.drive[axis]
+    limits = drive.limits
+    found: Limits
+    if drive.mode == "cst":
+        found = TorqueLimits(
+            torque_max_nm=limits.torque_max_nm,
+            speed_max_rad_s=limits.speed_max_rad_s,
+            torque_slew_max_nm_s=limits.torque_slew_max_nm_s,
+            dropouts_consecutive_max=limits.dropouts_consecutive_max,
+        )
+    else:
+        kind = SpeedLimits if drive.mode == "csv" else PositionLimits
+        found = kind(
+            limits.set_speed_rpm * RAD_S_PER_RPM,
+            limits.speed_max_rad_s,
+            limits.set_acceleration_max_rad_s2,
+            limits.dropouts_consecutive_max,
+        )
+    return SafetyGuard(found, period_s)
 
 
 def setup_of(config: BenchConfig, name: str, *, real_time: bool) -> Setup:
@@ -132,6 +153,7 @@ def setup_of(config: BenchConfig, name: str, *, real_time: bool) -> Setup:
         drive.limits.speed_max_rad_s,
         patience_s,
         config.source or "bench",
+        GIVEN[drive.mode],
     )
 
 
@@ -161,22 +183,17 @@ def axis(
     if timing.actuation is Actuation.ON_ARRIVAL:
         # The commands of a cycle go out one after the other, in the order of the axes.
         earlier = [other for other in config.axes[:number] if config.drive[other].segment == wanted.segment]
-        later = own.command_latency - timing.command_latency
-        later += len(earlier) * command_duration(config.bitrate_of(name))
+        bitrate = config.bitrate_of(name)
+        later = bits_duration(frame_bits(COMMAND_FRAMES[wanted.mode]), bitrate) - timing.command_latency
+        later += sum(command_duration(bitrate, config.drive[other].mode) for other in earlier)
     transit = shortest_transit(reading_bytes, config.bitrate_of(name))
-    limits = TorqueLimits(
-        torque_max_nm=wanted.limits.torque_max_nm,
-        speed_max_rad_s=wanted.limits.speed_max_rad_s,
-        torque_slew_max_nm_s=wanted.limits.torque_slew_max_nm_s,
-        dropouts_consecutive_max=wanted.limits.dropouts_consecutive_max,
-    )
     parts = AxisParts(
         name=name,
         drive=drive,
         controller=controller,
         compensator=compensator,
-        guard=SafetyGuard(limits, period_s),
-        reference=speed_profile(config.reference.get(name, ())),
+        guard=_guard(config, name, period_s),
+        reference=reference_profile(config, name),
         load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
         load_machine=load_machine,
         syncs=syncs,
@@ -199,10 +216,20 @@ def review_plan(config: BenchConfig, certified: Mapping[str, CertifiedPlan], rea
             drive.limits.torque_max_nm / drive.motor.parameters.inertia_kg_m2,
             drive.motor.parameters.rated_torque_nm,
             certified.get(name),
+            drive.limits.torque_max_nm,
+            drive.limits.speed_max_rpm * RAD_S_PER_RPM,
+            quantity_of(config, name).value,
+            drive.mode,
         )
         for name, drive in sorted(config.drive.items())
     )
-    return ReviewPlan(axes, _limits(config, certified.values(), real_time), config.verdict.settling)
+    return ReviewPlan(
+        axes,
+        _limits(config, certified.values(), real_time),
+        config.verdict.settling,
+        config.verdict.settling_band_percent,
+        config.loop.period,
+    )
 
 
 def recording_plan(
@@ -241,14 +268,28 @@ def recording_plan(
 
 
 def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:
-    """What is shown beside the verdict; ``bus``: of the run."""
-    first = config.drive[config.axes[0]]
-    return {
-        "motor": first.motor.motor.name,
-        "controller": first.controller.kind,
-        "compensator": first.compensator.kind,
-        "bus": bus,
+    """What is shown beside the verdict; ``bus``: of the run. What differs by axis is told of each."""
+    drives = {axis: config.drive[axis] for axis in config.axes}
+    found: dict[str, dict[str, str]] = {
+        "motor": {axis: drive.motor.motor.name for axis, drive in drives.items()},
+        "controller": {axis: drive.controller.kind for axis, drive in drives.items()},
+        "compensator": {axis: drive.compensator.kind for axis, drive in drives.items()},
+        "current loops": {axis: _current_loops(drive) for axis, drive in drives.items()},
     }
+    return {"bus": bus, **{key: _by_axis(told) for key, told in found.items() if any(told.values())}}
+
+
+def _current_loops(drive: DriveConfig) -> str:
+    """Of a simulated drive, where they are not its PI loops."""
+    loops = drive.current_control
+    own = {"q": loops.controller, "d": loops.controller_d}
+    return ", ".join(f"{axis} {each.kind}" for axis, each in own.items() if each is not None)
+
+
+def _by_axis(told: Mapping[str, str]) -> str:
+    if len(set(told.values())) == 1:
+        return next(iter(told.values()))
+    return ", ".join(f"{axis} {text or '-'}" for axis, text in told.items())
 
 
 def _limits(config: BenchConfig, certified: Collection[CertifiedPlan], real_time: bool) -> VerdictLimits:
@@ -270,6 +311,9 @@ def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
         for segment in config.reference.get(axis, ()):
             text = f"{axis}: reference {segment.describe()}"
             planned.append(PlannedSetPoint(duration_s(segment.at_s), number, text))
+            if isinstance(segment, FileReference):
+                text = f"{axis}: reference of {Path(segment.path).name} ends"
+                planned.append(PlannedSetPoint(duration_s(segment.ends_s), number, text))
         for step in config.load.get(axis, ()):
             text = f"{axis}: load torque {step.torque_nm:g} N m"
             planned.append(PlannedSetPoint(duration_s(step.at_s), number, text))

@@ -281,7 +281,7 @@ class _Run:
             self._say(f"{drive.name}: node {drive.node_id} is {identity}")
             self._recorder.identity(self._world.clock.now(), drive.name, str(identity))
             if (sheet := self._sheets.get(drive.name)) is not None:
-                for note in identity_notes(identity, sheet, drive.node_id):
+                for note in identity_notes(identity, sheet):
                     self._say(f"{drive.name}: {note}", "WARN")
             self._stop.check()
         self._enter("configuring")

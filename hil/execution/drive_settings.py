@@ -3,11 +3,13 @@
 import math
 from pathlib import Path
 
+from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.profile import QuickStopOption
 from drivers.cia402.scaling import ScaleOverride
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary, load_dictionary
-from drivers.sheets.fitness import assess
+from drivers.sheets.identity import told_identity
 from drivers.timebase import NS_PER_MS
 from hil.configuration.config import BenchConfig, Host
 from hil.loop.loop import Actuation, LoopTiming
@@ -30,6 +32,8 @@ def drive_settings(
     limits, commissioned = wanted.limits, wanted.commissioned
     return DriveSettings(
         sync_period_ns=timing.period,
+        mode=BENCH_MODES[wanted.mode],
+        coherent=config.coherent(axis),
         synchronous_command=timing.actuation is Actuation.ON_SYNC,
         position_every_cycles=config.loop.position_every_cycles,
         demand_changes=config.loop.command_readback == "event",
@@ -41,6 +45,7 @@ def drive_settings(
         torque_max_nm=limits.torque_max_nm,
         speed_max_rad_s=limits.speed_max_rad_s,
         quick_stop_deceleration_rad_s2=limits.quick_stop_deceleration_rad_s2,
+        quick_stop_option=QuickStopOption(2 if commissioned is None else commissioned.stop.option),
         capability=None if sheet is None else capability_of(sheet),
         unwatched=wanted.unwatched,
         scale=ScaleOverride() if commissioned is None else commissioned.override,
@@ -55,16 +60,10 @@ def _command_timeout_ms(dropouts_max: int, host: Host, timing: LoopTiming) -> in
     return min(host.heartbeat_timeout_ms, max(host.heartbeat_ms, blind_ms))
 
 
-def identity_notes(identity: Identity, sheet: LoadedDictionary, node_id: int) -> list[str]:
+def identity_notes(identity: Identity, sheet: LoadedDictionary) -> list[str]:
     """Where the drive that answers is another one than the sheet is for; what is not told does not differ."""
-    told = assess(sheet, node_id).identity
-    pairs = (
-        ("vendor", told.vendor, identity.vendor),
-        ("product", told.product, identity.product),
-        ("revision", told.revision, identity.revision),
-    )
+    told = told_identity(sheet.dictionary)
     return [
         f"the data sheet is for {name} {of_sheet:08X}h, the drive is {of_drive:08X}h"
-        for name, of_sheet, of_drive in pairs
-        if of_sheet and of_drive and of_sheet != of_drive
+        for name, of_sheet, of_drive in told.strangers(identity.vendor, identity.product, identity.revision)
     ]

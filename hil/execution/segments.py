@@ -15,7 +15,7 @@ from drivers.exchange import Master
 from drivers.timebase import Clock, Duration, Instant
 from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
-from hil.execution.assembly import COMMAND_FRAME, SYNC_FRAME, sync_latency
+from hil.execution.assembly import COMMAND_FRAMES, SYNC_FRAME, sync_latency
 from hil.execution.sync_source import SyncSource
 from hil.execution.world import FurtherSegment, World
 from hil.loop.loop import Actuation, LoopTiming
@@ -32,7 +32,7 @@ def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration)
         settle=settle,
         actuation=Actuation.ON_ARRIVAL,
         sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate_bit_s),
-        command_latency=bits_duration(frame_bits(COMMAND_FRAME), bitrate_bit_s),
+        command_latency=bits_duration(frame_bits(COMMAND_FRAMES["cst"]), bitrate_bit_s),
     )
 
 

@@ -156,7 +156,7 @@ class Subject:
             meter=DelayMeter(Duration(HORIZON * period), HORIZON),
             commands=CommandMeter(HORIZON, syncs),
         )
-        later = Duration(number * command_duration(request.bitrate_bit_s))
+        later = Duration(number * command_duration(request.bitrate_bit_s, "cst"))
         return Axis(number, parts, period, self._record, later)
 
     def _record(self, record: CycleRecord) -> None:

@@ -11,20 +11,15 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.pdo_planner import PlanWish, plan_pdos
-from drivers.cia402.pdo_plans import torque_plan
-from drivers.cia402.profile import Mode, State
+from drivers.cia402.profile import State
 from drivers.errors import BenchError
-from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
-from hil.execution.drive_settings import data_sheets
 from hil.rows.records import ROW_DTYPE, Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import EVENTS_FILE
 from hil.testing.history import AxisHistory, Stretch
-from hil.testing.wire import Intended, Wire, intended_frames, read_wire
+from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
@@ -283,23 +278,6 @@ class Run:
         ]
         found += [(at_s, state.value) for at_s, state in self.axis(axis).states() if state is not None]
         return sorted(found)
-
-
-def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
-    """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
-    sheets, every = data_sheets(config), config.loop.position_every_cycles
-    on_sync = config.loop.actuation == "on_sync"
-    by_event = config.loop.command_readback == "event"
-    wish = PlanWish(Mode.CYCLIC_SYNCHRONOUS_TORQUE, on_sync, every)
-    plans = {}
-    for name, drive in config.drive.items():
-        if name in sheets:
-            plans[name] = plan_pdos(capability_of(sheets[name]), drive.node, wish).plan
-        else:
-            plans[name] = torque_plan(
-                drive.node, device_stamp=True, position_every_cycles=every, demand_changes=by_event
-            )
-    return plans
 
 
 def _stayed(history: AxisHistory, state: State) -> None:

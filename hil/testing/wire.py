@@ -13,8 +13,14 @@ from struct import Struct
 from typing import NamedTuple
 
 from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_planner import PlanWish, plan_pdos
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.sheets.capability import capability_of
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
+from hil.configuration.config import BenchConfig
+from hil.execution.drive_settings import data_sheets
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import DIRECTIONS_FILE, FRAMES_FILE
@@ -240,3 +246,26 @@ def _controlword_in(frame: SeenFrame, node: int, codecs: dict[int, tuple[Struct,
     if is_write and frame.data[1:4] == Object.CONTROLWORD.to_bytes(2, "little") + b"\0":
         return int.from_bytes(frame.data[4:6], "little")
     return None
+
+
+def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
+    """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
+    sheets, every = data_sheets(config), config.loop.position_every_cycles
+    on_sync = config.loop.actuation == "on_sync"
+    by_event = config.loop.command_readback == "event"
+    plans = {}
+    for name, drive in config.drive.items():
+        mode, coherent = BENCH_MODES[drive.mode], config.coherent(name)
+        if name in sheets:
+            wish = PlanWish(mode, on_sync, every, coherent=coherent)
+            plans[name] = plan_pdos(capability_of(sheets[name]), drive.node, wish).plan
+        else:
+            plans[name] = mode_plan(
+                drive.node,
+                mode,
+                device_stamp=True,
+                position_every_cycles=every,
+                coherent=coherent,
+                demand_changes=by_event,
+            )
+    return plans

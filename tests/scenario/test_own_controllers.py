@@ -6,6 +6,7 @@ The code imports ``hil`` alone, as that of a user does.
 import json
 import re
 import threading
+import tomllib
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import BadInput
 from hil.cli import app
-from hil.configuration.bench_file import load_bench
+from hil.configuration.bench_file import load_bench, shipped_kinds
 from hil.control.own_code import OwnCodeFailed
 from hil.loop.context import WrongSetPoint
 from hil.rows.records_file import RECORDS_FILE, read_metadata
@@ -218,10 +219,22 @@ def test_a_package_brings_a_kind_by_its_entry_point(
     monkeypatch.setattr(
         "hil.configuration.bench_file.entry_points", lambda group: EntryPoints([point]).select(group=group)
     )
+    monkeypatch.setattr("hil.configuration.bench_file.shipped_kinds", shipped_kinds.__wrapped__)
     controller = {"kind": "their_pi", "parameters": {"gain": 0.06}}
     run = servo_bench(BENCH, {**SHORT, "drive.axis1.controller": controller})
     assert run.summary.verdict.completed
     assert run.axis().channel("integral_nm").any()
+
+
+def test_the_class_and_the_table_of_the_docs_run_as_printed(servo_bench: BenchRunner, tmp_path: Path) -> None:
+    text = (EXAMPLES.parent / "docs" / "control.md").read_text(encoding="utf-8")
+    source, table = re.findall(r"```(?:python|toml)\n(.*?)```", text, re.DOTALL)[:2]
+    (tmp_path / "proportional.py").write_text(source)
+    section = tomllib.loads(table)["drive"]["axis1"]["controller"]
+    section["object"] = f"{tmp_path}/{section['object']}"
+    run = servo_bench(BENCH, {**SHORT, "drive.axis1.controller": section})
+    assert run.summary.verdict.completed
+    assert run.axis().torque_nm.max() == pytest.approx(0.03 * 300.0 * np.pi / 30.0, rel=0.01)
 
 
 OBSERVER = """

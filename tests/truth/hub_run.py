@@ -14,7 +14,7 @@ from hil.configuration.config import BenchConfig
 from hil.rows.records import ROW_DTYPE
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.testing.hosted import DriveProcess
-from hil.testing.run import pdo_plans
+from hil.testing.wire import pdo_plans
 from tests.scenario.processes import RUN_TIMEOUT_S, start_run
 from tests.truth.command_judge import CommandJudgement, judge_commands
 from tests.truth.hub_listener import heard, listening

@@ -11,10 +11,10 @@ from drivers.errors import MISSING, BadInput
 from drivers.wire.adapters import BITRATES_BIT_S
 from hil.configuration.bench_file import bench_from, load_bench, load_faults
 from hil.configuration.config import BenchConfig, BitRate
-from hil.configuration.config_axis import peak_speed_rpm
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
 from hil.configuration.controller_kinds import PidController
 from hil.configuration.motor_file import LING2012
+from hil.configuration.references import peak_level
 from hil.terminal.exit_status import error_text
 
 ROOT = Path(__file__).parents[3]
@@ -92,7 +92,7 @@ def test_ling2012_example() -> None:
     )
     assert config.host.heartbeat_ms == 50
     assert config.fault_plan is not None
-    assert peak_speed_rpm(config.reference["axis1"]) == 1500.0
+    assert peak_level(config.reference["axis1"]) == 1500.0
 
 
 def test_every_fault_example_loads() -> None:

@@ -9,7 +9,7 @@ from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.bench_file import load_bench
 from hil.execution.assembly import loop_timing
 from hil.execution.drive_settings import drive_settings, identity_notes
-from tests.unit.drivers.eds_maker import NODE, four_pdos, sheet
+from tests.unit.drivers.eds_maker import four_pdos, sheet
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ling2012.toml"
 MADE = Identity("made", 0x123, 7, 0, 0, 0x20192)
@@ -24,7 +24,7 @@ MADE = Identity("made", 0x123, 7, 0, 0, 0x20192)
     ],
 )
 def test_another_drive_than_the_sheets_is_told(vendor: int, notes: list[str]) -> None:
-    assert identity_notes(MADE._replace(vendor=vendor), sheet(four_pdos()), NODE) == notes
+    assert identity_notes(MADE._replace(vendor=vendor), sheet(four_pdos())) == notes
 
 
 @pytest.mark.parametrize(

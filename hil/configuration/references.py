@@ -1,0 +1,206 @@
+"""``[[reference.NAME]]`` of a bench file: what is asked of an axis, a speed, a position or a torque.
+
+Every entry has one of the keys ``speed_rpm``, ``position_rad`` and ``torque_nm``, or of a sine's amplitudes,
+and all entries of an axis have the same. A position counts from where the shaft is when the run begins.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.rotation import RAD_S_PER_RPM
+from hil.configuration.config_files import Section
+from hil.configuration.quantities import (
+    Angle,
+    Frequency,
+    SignedSpeed,
+    SignedTorque,
+    Speed,
+    TimeConstant,
+    Torque,
+)
+from hil.configuration.signal_file import Signal, load_signal
+from hil.loop.scenario import LevelStep, Quantity, Ramp, Segment, Sine, Table
+
+_KEYS = {
+    Quantity.SPEED: ("speed_rpm", "amplitude_rpm"),
+    Quantity.POSITION: ("position_rad", "amplitude_rad"),
+    Quantity.TORQUE: ("torque_nm", "amplitude_nm"),
+}
+UNITS = {Quantity.SPEED: "r/min", Quantity.POSITION: "rad", Quantity.TORQUE: "N m"}
+"""As they are told to a reader."""
+
+
+class _Entry(Section):
+    """One entry: a kind, an instant, and a level in one of three quantities."""
+
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+
+    @property
+    def told(self) -> list[tuple[Quantity, str]]:
+        """The quantities that it is given in, with their keys; a usable one has one."""
+        return [
+            (quantity, key)
+            for quantity, keys in _KEYS.items()
+            for key in keys
+            if getattr(self, key, None) is not None
+        ]
+
+    @property
+    def keys(self) -> list[str]:
+        """Those of which it must have one."""
+        return [key for keys in _KEYS.values() for key in keys if key in type(self).model_fields]
+
+    @property
+    def quantity(self) -> Quantity:
+        """Of the key that it has."""
+        return self.told[0][0]
+
+    @property
+    def level(self) -> float:
+        """What the file says, in the unit of its key."""
+        value: float = getattr(self, self.told[0][1])
+        return value
+
+    @property
+    def level_si(self) -> float:
+        """In rad/s, rad or N m."""
+        return self.level * RAD_S_PER_RPM if self.quantity is Quantity.SPEED else self.level
+
+    @property
+    def level_text(self) -> str:
+        """With its unit, for the events of a run."""
+        return f"{self.level:g} {UNITS[self.quantity]}"
+
+
+class StepReference(_Entry):
+    """From ``at_s`` on: this level."""
+
+    kind: Literal["step"]
+    speed_rpm: SignedSpeed | None = Field(default=None, description="the speed to go to, r/min")
+    position_rad: Angle | None = Field(default=None, description="the position to go to, rad")
+    torque_nm: SignedTorque | None = Field(default=None, description="the torque to go to, N m")
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"step to {self.level_text}"
+
+    def segment(self) -> Segment:
+        """As the loop has it."""
+        return LevelStep(self.at_s, self.level_si)
+
+
+class RampReference(_Entry):
+    """From ``at_s`` on: to this level at a constant rate within ``over_s``, then stay."""
+
+    kind: Literal["ramp"]
+    speed_rpm: SignedSpeed | None = Field(default=None, description="the speed to go to, r/min")
+    position_rad: Angle | None = Field(default=None, description="the position to go to, rad")
+    torque_nm: SignedTorque | None = Field(default=None, description="the torque to go to, N m")
+    over_s: TimeConstant = Field(description="how long the ramp takes, s")
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"ramp to {self.level_text} over {self.over_s:g} s"
+
+    def segment(self) -> Segment:
+        """As the loop has it."""
+        return Ramp(self.at_s, self.level_si, self.over_s)
+
+
+class SineReference(_Entry):
+    """From ``at_s`` on: swing about the level of that moment."""
+
+    kind: Literal["sine"]
+    amplitude_rpm: Speed | None = Field(default=None, description="the amplitude of the swing, r/min")
+    amplitude_rad: Angle | None = Field(default=None, description="the amplitude of the swing, rad")
+    amplitude_nm: Torque | None = Field(default=None, description="the amplitude of the swing, N m")
+    frequency_hz: Frequency = Field(description="the frequency of the swing, Hz")
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"sine of {self.level_text} at {self.frequency_hz:g} Hz"
+
+    def segment(self) -> Segment:
+        """As the loop has it."""
+        return Sine(self.at_s, self.level_si, self.frequency_hz)
+
+
+class FileReference(_Entry):
+    """From ``at_s`` on: what a file says, whose time 0 lies there (:mod:`hil.configuration.signal_file`)."""
+
+    kind: Literal["file"]
+    at_s: float = Field(default=0.0, ge=0, description="the time since the run began, s")
+    path: str = Field(description="a CSV or Parquet file with time_s and, say, speed_rpm")
+    between: Literal["interpolated", "held"] = "interpolated"
+    """What is asked for between two rows."""
+
+    @property
+    def signal(self) -> Signal:
+        """What the file holds. Raises BadInput."""
+        return load_signal(Path(self.path))
+
+    @property
+    def told(self) -> list[tuple[Quantity, str]]:
+        """That of its column."""
+        return [(self.signal.quantity, "path")]
+
+    @property
+    def level(self) -> float:
+        """The largest magnitude, in the unit of the other entries."""
+        return self.signal.peak * self._per_unit
+
+    @property
+    def rate(self) -> float:
+        """The largest change per second, likewise; what is held jumps, which is none."""
+        return 0.0 if self.between == "held" else self.signal.rate * self._per_unit
+
+    @property
+    def ends_s(self) -> float:
+        """When its last row comes, s."""
+        return self.at_s + self.signal.times_s[-1]
+
+    @property
+    def _per_unit(self) -> float:
+        return 1.0 / RAD_S_PER_RPM if self.quantity is Quantity.SPEED else 1.0
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"{self.quantity.value} of {Path(self.path).name}, {len(self.signal.times_s)} points"
+
+    def segment(self) -> Segment:
+        """As the loop has it."""
+        signal = self.signal
+        return Table(self.at_s, signal.times_s, signal.levels, self.between == "held")
+
+
+Reference = Annotated[
+    StepReference | RampReference | SineReference | FileReference, Field(discriminator="kind")
+]
+
+
+def peak_level(profile: tuple[Reference, ...]) -> float:
+    """The largest magnitude that ``profile`` can ask for, in the unit of the file."""
+    peak = level = 0.0
+    for entry in profile:
+        level = level + entry.level if isinstance(entry, SineReference) else abs(entry.level)
+        peak = max(peak, level)
+    return peak
+
+
+def peak_rate(profile: tuple[Reference, ...]) -> float:
+    """The largest magnitude of its change per second, in the unit of the file; a step has none."""
+    peak = before = swing = 0.0
+    for entry in profile:
+        if isinstance(entry, SineReference):
+            swing += entry.level
+            peak = max(peak, math.tau * entry.frequency_hz * entry.level)
+            continue
+        if isinstance(entry, RampReference):
+            peak = max(peak, (abs(entry.level - before) + swing) / entry.over_s)
+        elif isinstance(entry, FileReference):
+            peak = max(peak, entry.rate)
+        before, swing = entry.level, 0.0
+    return peak
