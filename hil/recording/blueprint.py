@@ -1,107 +1,299 @@
-"""How the Rerun viewer lays a run out: states, plots of each axis, verdict, delay histogram, events."""
+"""How the Rerun viewer lays a run out: lanes of states, plots of each axis, verdict, delay histogram, events.
+
+Pages are tabs: an overview that opens on the whole run, with an independent time axis of an absolute range
+for each view (an axis that is linked opens on the viewer's own window of 60 s); for several axes one of all
+of them first, then one of each; the timing; what controllers tell; and the same plots with linked axes.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import rerun.blueprint as rrb
 
-from drivers.rotation import RPM_PER_RAD_S
+from hil.recording.lanes import STATE_ROOT
+from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, TIMELINE, torque_scale
 from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.summary import Summary
 
-TIMELINE = "run_time"
-STATE_ROOT, VERDICT, HISTOGRAM, EVENTS = "/state", "/verdict", "/delay_histogram", "/events"
+VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
 SUMMARY = "/summary"
 """The object of summary.json, as text; in no view."""
-_STATES_SHARE, _LANE_SHARE, _STATES_SHARE_MAX = 0.055, 0.04, 0.5
-"""Of the height of a window of 1080 lines, so that each lane is seen whole."""
+OVERVIEW_PAGE, TIMING_PAGE, CONTROLLER_PAGE, ZOOM_PAGE = "Overview", "Timing", "Controller", "Zoom"
+SPEED_PAGE = "Speed"
+"""Of axes whose reference is one of the position, which is seen first."""
+LIVE_WINDOW_S: Final = 20.0
+"""What is seen of a run that goes on: a step and what follows, and single cycles still."""
+MARKS_MAX: Final = 30
+"""More dropouts would bury the line; their lane shows all of them."""
+
+# Of a window of 1920 x 1080, in its pixels, as the viewer draws them
+_COLUMN_PX: Final = 980
+"""Height of the column of lanes and plots."""
+_STATES_PX, _LANE_PX, _STATES_PX_MAX = 72, 40, 490
+"""Title and axis of the lanes, each lane, and what lanes may take at most."""
+_PLOT_PX: Final = 58
+"""Title and time axis of a plot."""
+_TICK_PX: Final = 26
+"""The viewer writes no labels closer than this; a plot without any but 0 begins at another x."""
+_TICKS_MAX: Final = 8.0
+"""More would take the room of the other plots."""
+GUTTER: Final = 31 / 988
+"""Of the width of a plot, for the labels at its left, which the lanes do not have."""
+
+Range = tuple[float, float]
 
 
-def layout(plan: RecordingPlan, summary: Summary | None = None, delay_least_us: float = 0.0) -> rrb.Blueprint:
-    """The layout while the run goes on, or with ranges that fit the figures once they are known.
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """What the pages of a run that has ended are laid out by."""
 
-    ``delay_least_us``: below 0 where a drive's clock was wrong; it is to be seen.
-    """
-    names = [axis.name for axis in plan.review.axes]
-    delay_range = _delay_range(plan, summary, delay_least_us)
-    plots = [_axis_plots(name, summary, delay_range, name in plan.channels) for name in names]
-    # One lane for each axis' drive and link, one for the phase, one for the host
-    lanes = 2 * len(names) + 2
-    states_share = min(_STATES_SHARE + _LANE_SHARE * lanes, _STATES_SHARE_MAX)
-    states = rrb.StateTimelineView(
-        origin=STATE_ROOT, name="States", time_view=rrb.TimeAxis(link="LinkToGlobal")
-    )
-    left = rrb.Vertical(
-        states,
-        plots[0] if len(plots) == 1 else rrb.Tabs(*plots),
-        row_shares=[states_share, 1.0 - states_share],
-    )
-    columns = rrb.archetypes.TextLogColumns(
-        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
-    )
-    right = rrb.Vertical(
-        rrb.TextDocumentView(origin=VERDICT, name="Verdict"),
-        rrb.BarChartView(
-            origin=HISTOGRAM,
-            name="Delay histogram: readings over us",
-            plot_legend=rrb.PlotLegend(visible=False),
-        ),
-        rrb.TextLogView(origin=EVENTS, name="Events", columns=columns),
-        row_shares=[4.9, 2.0, 2.6],
-    )
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[7, 3]),
-        rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, play_state="following" if summary is None else "paused"
-        ),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    begin_s: float
+    end_s: float
+    """What is shown, run time."""
+    tracks: Mapping[str, str] = field(default_factory=dict)
+    """Entities of all lanes, and of which axis each is; empty: of none."""
+    enveloped: bool = False
+    """There are envelopes; a short run has no more rows than they would have."""
+    ranges: Mapping[str, Range] = field(default_factory=dict)
+    """Of the values, by axis and plot: "axis1/speed"."""
+    remarks: Mapping[str, str] = field(default_factory=dict)
+    """By axis and plot, what its title says beside."""
+    few_marks: frozenset[str] = frozenset()
+    """Axes whose dropouts are marked on the line."""
 
 
-def _axis_plots(
-    name: str, summary: Summary | None, delay_range: tuple[float, float] | None, has_channels: bool
-) -> rrb.Vertical:
-    own = [_plot(f"/{name}/controller", "Told by the controller")] if has_channels else []
-    return rrb.Vertical(
-        _plot(f"/{name}/speed", "Speed [rpm]"),
-        _plot(f"/{name}/error", "Speed error [rpm]", _error_range(summary), legend=False),
-        _plot(f"/{name}/torque", "Torque [N m]"),
-        _plot(f"/{name}/delay", "Delay of the readings [us]", delay_range),
-        rrb.Horizontal(
-            _plot(f"/{name}/commands", "Commands, from hand-over [us]"),
-            _plot(f"/{name}/clock", "Clock offset since the start, with its bounds [us]", legend=False),
-            *own,
-        ),
-        row_shares=[2.0, 1.1, 1.3, 1.4, 1.4],
-        name=name,
-    )
+class Pages:
+    """The layout of one run; live without ``whole``."""
+
+    def __init__(self, plan: RecordingPlan, whole: Whole | None) -> None:
+        self._plan = plan
+        self._whole = whole
+        self._axes = [axis.name for axis in plan.review.axes]
+        self._positions = [axis.name for axis in plan.review.axes if axis.quantity == "position"]
+        self._units = {axis.name: torque_scale(axis)[1] for axis in plan.review.axes}
+
+    def blueprint(self) -> rrb.Blueprint:
+        """All of it."""
+        running = self._whole is None
+        left = rrb.Tabs(*self._pages(), active_tab=0)
+        return rrb.Blueprint(
+            rrb.Horizontal(left, self._right(), column_shares=[7, 3]),
+            rrb.TimePanel(
+                state="collapsed", timeline=TIMELINE, play_state="following" if running else "paused"
+            ),
+            rrb.BlueprintPanel(state="hidden"),
+            rrb.SelectionPanel(state="hidden"),
+            auto_views=False,
+            auto_layout=False,
+        )
+
+    def _pages(self) -> Iterable[rrb.Container | rrb.View]:
+        several = len(self._axes) > 1
+        if several:
+            yield self._all_axes()
+            for name in self._axes:
+                yield self._axis_page(name, name, linked=False)
+        else:
+            yield self._axis_page(self._axes[0], OVERVIEW_PAGE, linked=False)
+        yield self._of_each(TIMING_PAGE, [self._timing(name) for name in self._axes])
+        if self._positions:
+            speeds = [rrb.Vertical(*self._speed(name, False, False), name=name) for name in self._positions]
+            yield self._of_each(SPEED_PAGE, speeds)
+        telling = [name for name in self._axes if name in self._plan.channels]
+        if telling:
+            yield self._of_each(CONTROLLER_PAGE, [self._controller(name) for name in telling])
+        if self._whole is not None:
+            zooms = [self._axis_page(name, name, linked=True) for name in self._axes]
+            yield self._of_each(ZOOM_PAGE, zooms)
+
+    def _of_each(self, page: str, parts: Sequence[rrb.Container]) -> rrb.Container:
+        """One page, with a tab for each axis where there are several."""
+        if len(parts) > 1:
+            return rrb.Tabs(*parts, name=page)
+        parts[0].name = page
+        return parts[0]
+
+    def _axis_page(self, name: str, title: str, linked: bool) -> rrb.Vertical:
+        marks = self._whole is None or linked or name in self._whole.few_marks
+        plots = [
+            *(self._position(name, linked) if name in self._positions else self._speed(name, linked, marks)),
+            self._plot(name, "torque", f"Torque [{self._units[name]}]", linked),
+            self._plot(
+                name,
+                "delay",
+                "Delay of the readings [us]",
+                linked,
+                ["delay/uncertain", *(["delay/dropped"] if marks else [])],
+            ),
+        ]
+        own = [track for track, axis in self._tracks() if axis in ("", name)]
+        return self._with_lanes(own, plots, [name], title, linked)
+
+    def _speed(self, name: str, linked: bool, marks: bool) -> tuple[rrb.View, rrb.View]:
+        return (
+            self._plot(name, "speed", "Speed [r/min]", linked, ["speed/dropped"] if marks else []),
+            self._plot(name, "error", "Speed error [r/min]", linked),
+        )
+
+    def _position(self, name: str, linked: bool) -> tuple[rrb.View, rrb.View]:
+        return (
+            self._plot(name, "position", "Position [rad]", linked),
+            self._plot(name, "position_error", "Position error [rad]", linked),
+        )
+
+    def _all_axes(self) -> rrb.Vertical:
+        """Of each plot one with all axes in it."""
+        plots = [
+            self._together("speed/measured", "Speed of all axes [r/min]", "speed/reference"),
+            self._together("error/error", "Speed errors [r/min]"),
+            self._together("torque/measured", f"Torques [{', '.join(sorted(set(self._units.values())))}]"),
+            self._together("delay/delay", "Delays of the readings [us]"),
+        ]
+        lanes = [track for track, _ in self._tracks() if not track.endswith("_drive")]
+        return self._with_lanes(lanes, plots, self._axes, OVERVIEW_PAGE, linked=False)
+
+    def _with_lanes(
+        self, lanes: list[str], plots: Sequence[rrb.View], axes: Sequence[str], title: str, linked: bool
+    ) -> rrb.Vertical:
+        """Speed, error, torque and delay of ``axes`` below their lanes."""
+        states = rrb.StateTimelineView(
+            origin="/",
+            contents=[f"+ {lane}" for lane in lanes] or [f"{STATE_ROOT}/**"],
+            name="States",
+            time_view=self._time_axis(linked, GUTTER),
+        )
+        states_px = min(_STATES_PX + _LANE_PX * max(len(lanes), 3), _STATES_PX_MAX)
+        needed = [
+            _PLOT_PX + _TICK_PX * _ticks(self._widest(plot, axes))
+            for plot in ("speed", "error", "torque", "delay")
+        ]
+        spare = max(0.0, _COLUMN_PX - states_px - sum(needed))
+        # the speed is what is looked at first
+        heights = [each + spare * part for each, part in zip(needed, (0.7, 0.1, 0.1, 0.1), strict=True)]
+        return rrb.Vertical(states, *plots, row_shares=[states_px, *heights], name=title)
+
+    def _widest(self, plot: str, axes: Sequence[str]) -> Range | None:
+        """The range of a plot that several axes share."""
+        ranges = [found for name in axes if (found := self._range(f"{name}/{plot}"))]
+        return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
+
+    def _timing(self, name: str) -> rrb.Vertical:
+        return rrb.Vertical(
+            self._plot(name, "delay", "Delay of the readings [us]", False, ["delay/uncertain"]),
+            self._plot(name, "commands", "Commands, from hand-over [us]", False, ["commands/lost"]),
+            self._plot(name, "clock", "Clock offset since the start, with its bounds [us]", False),
+            row_shares=[1, 1, 1],
+            name=name,
+        )
+
+    def _controller(self, name: str) -> rrb.Vertical:
+        plots = [
+            self._view(f"/{name}", [f"{self._root(False)}/{name}/controller/{channel}"], channel, False)
+            for channel in self._plan.channels[name]
+        ]
+        return rrb.Vertical(*plots, name=name)
+
+    def _plot(
+        self, name: str, plot: str, title: str, linked: bool, marks: Sequence[str] = ()
+    ) -> rrb.TimeSeriesView:
+        """``marks``: which points are shown beside the lines."""
+        root = self._root(linked)
+        lines = [f"{root}/{name}/{each.path}" for each in SERIES if each.path.startswith(f"{plot}/")]
+        contents = [*lines, f"{LIMITS}/{name}/{plot}/**", *(f"/{name}/{mark}" for mark in marks)]
+        remark = "" if self._whole is None else self._whole.remarks.get(f"{name}/{plot}", "")
+        return self._view(f"/{name}", contents, title + remark, linked, self._range(f"{name}/{plot}"))
+
+    def _together(self, path: str, title: str, *beside: str) -> rrb.TimeSeriesView:
+        """``path`` of all axes in the colours of the axes; ``beside``: other series, in their own."""
+        root = self._root(False)
+        style = next(each for each in SERIES if each.path == path)
+        overrides = {
+            f"{root}/{name}/{path}": style.styled(AXIS_COLORS[place % len(AXIS_COLORS)], name).visualizer()
+            for place, name in enumerate(self._axes)
+        }
+        contents = [f"{root}/{name}/{each}" for name in self._axes for each in (*beside, path)]
+        low_high = self._widest(path.partition("/")[0], self._axes)
+        return self._view("/", contents, title, False, low_high, overrides)
+
+    def _view(
+        self,
+        origin: str,
+        contents: Sequence[str],
+        title: str,
+        linked: bool,
+        low_high: Range | None = None,
+        overrides: dict[Any, Any] | None = None,
+    ) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin=origin,
+            contents=[f"+ {path}" for path in contents],
+            name=title,
+            axis_x=self._time_axis(linked),
+            axis_y=None if low_high is None else rrb.ScalarAxis(range=low_high),
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+            overrides=overrides,
+            time_ranges=rrb.VisibleTimeRange(
+                TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
+            ),
+        )
+
+    def _time_axis(self, linked: bool, gutter: float = 0.0) -> rrb.TimeAxis:
+        """``gutter``: so much more at the left, of the width."""
+        if linked:
+            return rrb.TimeAxis(link="LinkToGlobal")
+        boundary = rrb.TimeRangeBoundary
+        if self._whole is None:
+            window = rrb.TimeRange(
+                boundary.cursor_relative(seconds=-LIVE_WINDOW_S), boundary.cursor_relative()
+            )
+        else:
+            begin_s, end_s = self._whole.begin_s, self._whole.end_s
+            begin_s -= gutter * (end_s - begin_s)
+            window = rrb.TimeRange(boundary.absolute(seconds=begin_s), boundary.absolute(seconds=end_s))
+        return rrb.TimeAxis(link="Independent", view_range=window)
+
+    def _root(self, linked: bool) -> str:
+        return "" if linked or self._whole is None or not self._whole.enveloped else OVERVIEW
+
+    def _range(self, plot: str) -> Range | None:
+        return None if self._whole is None else self._whole.ranges.get(plot)
+
+    def _tracks(self) -> list[tuple[str, str]]:
+        return [] if self._whole is None else sorted(self._whole.tracks.items())
+
+    def _right(self) -> rrb.Vertical:
+        columns = rrb.archetypes.TextLogColumns(
+            timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
+        )
+        histograms = [
+            rrb.BarChartView(
+                origin=f"{HISTOGRAM}/{name}",
+                name=f"{name}: readings over delay [us]" + self._deadline_remark(name),
+                plot_legend=rrb.PlotLegend(visible=False),
+            )
+            for name in self._axes
+        ]
+        return rrb.Vertical(
+            rrb.TextDocumentView(origin=VERDICT, name="Verdict"),
+            histograms[0] if len(histograms) == 1 else rrb.Tabs(*histograms),
+            rrb.TextLogView(origin=EVENTS, name="Events", columns=columns),
+            row_shares=[5.6, 1.7, 2.7],
+        )
+
+    def _deadline_remark(self, name: str) -> str:
+        return "" if self._whole is None else self._whole.remarks.get(f"{name}/histogram", "")
 
 
-def _plot(
-    origin: str, name: str, y_range: tuple[float, float] | None = None, legend: bool = True
-) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=origin,
-        name=name,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=None if y_range is None else rrb.ScalarAxis(range=y_range),
-        plot_legend=rrb.PlotLegend(visible=legend, corner=rrb.Corner2D.LeftTop),
-        time_ranges=rrb.VisibleTimeRange(
-            TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite()
-        ),
-    )
+def layout(plan: RecordingPlan, whole: Whole | None = None) -> rrb.Blueprint:
+    """The layout while the run goes on, or of the whole of it."""
+    return Pages(plan, whole).blueprint()
 
 
-def _error_range(summary: Summary | None) -> tuple[float, float] | None:
-    """Wide enough for the error that counts, so that a step's first instant does not flatten the rest."""
-    peak = summary.speed_error.peak_rad_s if summary is not None else None
-    if not peak:
-        return None
-    return -2.5 * peak * RPM_PER_RAD_S, 2.5 * peak * RPM_PER_RAD_S
-
-
-def _delay_range(plan: RecordingPlan, summary: Summary | None, least_us: float) -> tuple[float, float] | None:
-    if summary is None:
-        return None
-    top = 1.15 * max(plan.deadline / 1_000, summary.delay_us.max or 0.0)
-    return min(-0.08 * top, 1.15 * least_us), top
+def _ticks(low_high: Range | None) -> float:
+    """How many steps of the power of ten that its largest value has a range is high."""
+    if low_high is None:
+        return 2.0
+    largest = max(map(abs, low_high))
+    ticks = (low_high[1] - low_high[0]) / 10.0 ** math.floor(math.log10(largest))
+    return min(ticks, _TICKS_MAX)

@@ -18,8 +18,8 @@ from hil.recording.candump import candump_lines, direction_lines
 from hil.recording.run_metadata import run_metadata
 from hil.recording.tail import FRAMES_TAIL_FILE, TAIL_FILE, Tail
 from hil.recording.telemetry import RERUN_FILE, Telemetry
-from hil.reviewing.histogram import TimeHistogram
 from hil.reviewing.network_meter import NetworkKeeper
+from hil.reviewing.review import Review
 from hil.rows.event_lines import event_json
 from hil.rows.frame_order import FrameOrder
 from hil.rows.recording_plan import RecordingPlan
@@ -260,10 +260,10 @@ class RerunKeeper:
 
     name = RERUN_FILE
 
-    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, delay: TimeHistogram) -> None:
+    def __init__(self, plan: RecordingPlan, folder: Path, recording_id: str, review: Review) -> None:
         self._telemetry = Telemetry(plan, recording_id, rr.FileSink(folder / RERUN_FILE))
         self._blocks = RowBlocks()
-        self._delay = delay
+        self._review = review
         self._show_at_end = folder / RERUN_FILE if plan.view and not plan.real_time else None
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
@@ -277,10 +277,9 @@ class RerunKeeper:
 
     def finish(self, summary: Summary) -> None:
         self._send_block()
-        self._telemetry.show_histogram(self._delay)
-        self._telemetry.finish(summary)
+        self._telemetry.finish(summary, self._review)
         if self._show_at_end is not None:
-            _start_viewer(str(self._show_at_end))
+            start_viewer(str(self._show_at_end))
 
     def _send_block(self) -> None:
         block = self._blocks.take()
@@ -293,29 +292,28 @@ class LiveKeeper:
 
     name = LIVE_VIEW
 
-    def __init__(self, plan: RecordingPlan, recording_id: str, delay: TimeHistogram) -> None:
+    def __init__(self, plan: RecordingPlan, recording_id: str, review: Review) -> None:
         sink = rr.GrpcServerSink(bind_ip=_LOOPBACK, port=_free_port(), server_memory_limit=_LIVE_MEMORY)
-        self._telemetry = Telemetry(plan, recording_id, sink)
-        self._delay = delay
-        _start_viewer("--connect", sink.uri)
+        self._telemetry = Telemetry(plan, recording_id, sink, live=True)
+        self._review = review
+        start_viewer("--connect", sink.uri)
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
         self._telemetry.take_events(events)
         self._telemetry.take_rows(rows)
 
     def flush(self) -> None:
-        self._telemetry.show_histogram(self._delay)
+        self._telemetry.show_running(self._review)
         self._telemetry.flush()
 
     def finish(self, summary: Summary) -> None:
-        self._telemetry.show_histogram(self._delay)
-        self._telemetry.finish(summary)
+        self._telemetry.finish(summary, self._review)
 
 
-def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
+def open_keepers(plan: RecordingPlan, review: Review) -> list[Keeper]:
     """Everything that the plan asks for; nothing without a folder.
 
-    ``delay``: the review's, shown as the histogram.
+    ``review``: of the run, for its pages.
     """
     if plan.folder is None:
         return []
@@ -330,13 +328,13 @@ def open_keepers(plan: RecordingPlan, delay: TimeHistogram) -> list[Keeper]:
     if plan.period_us:
         keepers.append(NetworkKeeper(plan.folder, plan.period_us, len(plan.review.axes)))
     # last, so that on a full disk what is kept for the end is not Rerun's
-    keepers.append(RerunKeeper(plan, plan.folder, recording_id, delay))
+    keepers.append(RerunKeeper(plan, plan.folder, recording_id, review))
     if plan.view and plan.real_time:
-        keepers.append(LiveKeeper(plan, recording_id, delay))
+        keepers.append(LiveKeeper(plan, recording_id, review))
     return keepers
 
 
-def _start_viewer(*arguments: str) -> None:
+def start_viewer(*arguments: str) -> None:
     """Start the viewer as a process that outlives this one."""
     subprocess.Popen(
         python_command("rerun_cli", "--port", "auto", "--bind", _LOOPBACK, *arguments),

@@ -71,7 +71,7 @@ class Logger:
         self._review = Review(plan.review)
         self._faults: list[str] = []
         self._reserve = None if plan.folder is None else Reserve(plan.folder)
-        self._keepers: list[Keeper] = open_keepers(plan, self._review.delay)
+        self._keepers: list[Keeper] = open_keepers(plan, self._review)
         self._given_up: list[Keeper] = []
         """Kept alive: a stream of Rerun's whose file cannot be written waits for ever when it is let go."""
         self._zero = RunZero(plan.started_at)

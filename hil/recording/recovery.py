@@ -117,7 +117,7 @@ def recover(
     if network is not None:
         network.finish(summed_up())
     try:
-        write_rerun_anew(plan, summed_up(), review.delay)
+        write_rerun_anew(plan, summed_up(), review)
     except OSError as error:
         told.append(f"{RERUN_FILE} has no verdict and may lack the last seconds: {error}")
     reserve.close()

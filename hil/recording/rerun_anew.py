@@ -14,7 +14,7 @@ from drivers.errors import BadInput
 from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.recording.telemetry import RERUN_FILE, Telemetry
-from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.review import Review
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
@@ -28,7 +28,7 @@ ROOM_BYTES: Final = 4 << 20
 INSTANT_MAX: Final = 1 << 62
 
 
-def write_rerun_anew(plan: RecordingPlan, summary: Summary, delay: TimeHistogram) -> None:
+def write_rerun_anew(plan: RecordingPlan, summary: Summary, review: Review) -> None:
     """Put it in the place of the one that is there; all files beside it are whole.
 
     It is not begun on a disk that it could fill: Rerun would wait there for ever. Error: OSError.
@@ -40,14 +40,14 @@ def write_rerun_anew(plan: RecordingPlan, summary: Summary, delay: TimeHistogram
         raise OSError(f"less than {needed >> 20} MB are free")
     part = folder / f"{RERUN_FILE}.part"
     try:
-        _write(folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, delay)
+        _write(folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, review)
         part.replace(folder / RERUN_FILE)
     except OSError:
         part.unlink(missing_ok=True)
         raise
 
 
-def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHistogram) -> None:
+def _write(folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
     """As a logger sends it: what was before the first cycle, the cycles, what came after."""
     telemetry.metadata = read_metadata(folder / RECORDS_FILE)
     told = [*_told(folder / EVENTS_FILE, _event), *_told(folder / LOAD_FILE, _load)]
@@ -55,8 +55,7 @@ def _write(folder: Path, telemetry: Telemetry, summary: Summary, delay: TimeHist
     for rows in read_records(folder / RECORDS_FILE):
         telemetry.take_rows(rows)
     telemetry.take_events([event for event in told if event.at > 0])
-    telemetry.show_histogram(delay)
-    telemetry.finish(summary)
+    telemetry.finish(summary, review)
 
 
 def _told(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]:

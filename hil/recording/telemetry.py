@@ -7,75 +7,61 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 import json
 import math
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from drivers.cia402.profile import State
-from drivers.rotation import RPM_PER_RAD_S
-from drivers.timebase import NS_PER_US, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.loop.samples import CommandFate
-from hil.recording.blueprint import EVENTS, HISTOGRAM, STATE_ROOT, SUMMARY, TIMELINE, VERDICT, layout
-from hil.recording.run_metadata import run_metadata
-from hil.recording.verdict_text import verdict_markdown
-from hil.reviewing.histogram import TimeHistogram
-from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import COMMAND_FATES, FATE_SAMPLE, NOTHING, Rows
-from hil.rows.row_states import (
-    HOST_IN_TIME,
-    HOST_MISSED,
-    LINK_DEGRADED,
-    LINK_DOWN,
-    LINK_OK,
-    DriveStates,
-    HostStates,
-    LabelChange,
-    LinkStates,
+from hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
+from hil.recording.lanes import (
+    FaultWindows,
+    cause_label,
+    error_limit_rpm,
+    lane_colors,
+    track_path,
+    verdict_lane,
 )
+from hil.recording.page_series import (
+    CORAL,
+    LIMIT_SERIES,
+    LIMITS,
+    MARKS,
+    OVERVIEW,
+    SERIES,
+    TIMELINE,
+    YELLOW,
+    Marks,
+    Series,
+    channel_series,
+    torque_scale,
+)
+from hil.recording.row_series import first_offset_ns, lines_of, marks_of
+from hil.recording.run_metadata import run_metadata
+from hil.recording.verdict_text import running_markdown, verdict_markdown
+from hil.recording.whole_figures import WholeFigures, in_view
+from hil.reviewing.envelope import BUCKETS, CodeLane, Envelope
+from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.review import Review
+from hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, Rows
+from hil.rows.row_states import DriveStates, HostStates, LabelChange, LinkStates
 from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import LimitResult
 
-_GREY, _BLUE, _RED, _ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
-_GREEN, _VIOLET, _YELLOW, _CORAL = (112, 224, 128), (200, 160, 255), (255, 214, 92), (255, 122, 66)
-_CHANNEL_COLORS = (_BLUE, _GREEN, _VIOLET, _YELLOW, _CORAL, _GREY)
-_STATE_COLORS = {
-    State.NOT_READY: 0x50555CFF,
-    State.SWITCH_ON_DISABLED: 0x50555CFF,
-    State.READY: 0x8A6D1FFF,
-    State.SWITCHED_ON: 0xB8860BFF,
-    State.OPERATION_ENABLED: 0x2E7D32FF,
-    State.QUICK_STOP: 0xC2571AFF,
-    State.FAULT_REACTION: 0xB3202AFF,
-    State.FAULT: 0x8B1520FF,
-}
-_HOST_COLORS = {HOST_IN_TIME: 0x1E6B35FF, HOST_MISSED: 0xB3202AFF}
-_LINK_COLORS = {LINK_OK: 0x1E6B35FF, LINK_DEGRADED: 0xA67C1BFF, LINK_DOWN: 0xB3202AFF}
-_PHASE_COLORS = {
-    "Connecting": 0x3F4650FF,
-    "Configuring": 0x4A4F7AFF,
-    "Enabling": 0x6A4FA0FF,
-    "Calibrating": 0x1C6F7AFF,
-    "Running": 0x1F5FA8FF,
-    "Stopping": 0x5A5F66FF,
-    "Stopped": 0x3F4650FF,
-}
-"""Phases that a run goes through; any other gets a colour of the viewer's choice."""
 _LOST = COMMAND_FATES.index(CommandFate.LOST)
-_SPANNING = (
-    "speed/reference",
-    "error/error",
-    "torque/measured",
-    "delay/deadline",
-    "commands/on_bus",
-    "clock/offset",
-)
-"""One series of each plot of an axis."""
 _BARS_MAX = 44
 _LATEST = 2**62
 _FLUSH_MAX_S = 10.0
+_EVENT_COLUMNS = 56
+"""A longer text goes on in the next line: so much a list at the right of a screen of 1920 shows."""
+_BEFORE_MAX = 0.1
+"""Of the run: more of what was before the first cycle is not shown on opening."""
 _APPLICATION = "servobench"
 RERUN_FILE = "run.rrd"
 _PROPERTIES = "run"
@@ -84,9 +70,17 @@ _PROPERTIES = "run"
 class Telemetry:
     """One recording stream of one run: into the file, or to a live viewer."""
 
-    def __init__(self, plan: RecordingPlan, recording_id: str, sink: rr.FileSink | rr.GrpcServerSink) -> None:
-        """Error: OSError if the sink cannot be opened."""
+    def __init__(
+        self,
+        plan: RecordingPlan,
+        recording_id: str,
+        sink: rr.FileSink | rr.GrpcServerSink,
+        *,
+        live: bool = False,
+    ) -> None:
+        """``live``: a viewer follows; there are no envelopes. Error: OSError if the sink cannot be opened."""
         self._plan = plan
+        self._live = live
         self._stream = rr.RecordingStream(_APPLICATION, recording_id=recording_id)
         try:
             self._stream.set_sinks(sink)
@@ -96,21 +90,27 @@ class Telemetry:
         self._stream.send_blueprint(layout(plan))
         self.metadata: Mapping[str, str] = {}
         """What is said of the run in place of what the plan and this machine say of it, if anything is."""
+        self._told: Mapping[str, str] = {}
         self._origin: int | None = None
         self._held: list[RunEvent] = []
         self._first_at, self._last_at = _LATEST, -_LATEST
-        self._delay_least_us = 0.0
+        self._last_cycle = 0
         self._axes = [axis.name for axis in plan.review.axes]
+        self._scales = [torque_scale(axis)[0] for axis in plan.review.axes]
         self._drives = [DriveStates() for _ in self._axes]
         self._links = [LinkStates() for _ in self._axes]
+        self._dropouts = [CodeLane() for _ in self._axes]
         self._host = HostStates()
+        self._missed = False
+        self._faults = FaultWindows()
         self._offset_origin_ns: list[int | None] = [None] * len(self._axes)
         """Of each axis' clock: its offset in the first row that has one."""
         self._labels: dict[str, str] = {}
-        self._tracks: dict[str, str] = {}
-        self._load_paths: set[str] = set()
-        self._name_series()
-        self._name_tracks()
+        self._tracks: set[str] = set()
+        self._styled: set[str] = set()
+        self._envelopes: dict[str, Envelope] = {}
+        self._rows = 0
+        self._marks = dict.fromkeys(self._axes, 0)
         self._show_verdict(None)
 
     def take_events(self, events: Sequence[RunEvent]) -> None:
@@ -136,20 +136,40 @@ class Telemetry:
             if mine.size:
                 self._show_axis(number, name, mine)
 
-    def show_histogram(self, delay: TimeHistogram) -> None:
-        """The delays so far; the last bar holds all that lies beyond it."""
-        p99, largest = delay.quantile_ns(0.99), delay.largest_ns
-        if p99 is None or largest is None:
-            return
-        width = _round_width(min(float(largest), 2.0 * p99) / _BARS_MAX)
-        count = min(_BARS_MAX, largest // width + 1)
-        bars = rr.BarChart(
-            delay.bars(width, count),
-            abscissa=(np.arange(count) + 0.5) * width / NS_PER_US,
-            widths=np.full(count, width / NS_PER_US),
-            color=_YELLOW,
+    def show_histograms(self, delays: Sequence[TimeHistogram]) -> None:
+        """The delays so far, by axis; the last bar holds all that lies beyond it."""
+        for name, delay in zip(self._axes, delays, strict=True):
+            p99, largest = delay.quantile_ns(0.99), delay.largest_ns
+            if p99 is None or largest is None:
+                continue
+            width = _round_width(min(float(largest), 2.0 * p99) / _BARS_MAX)
+            count = min(_BARS_MAX, largest // width + 1)
+            counts = delay.bars(width, count)
+            bars = rr.BarChart(
+                counts,
+                abscissa=(np.arange(count) + 0.5) * width / NS_PER_US,
+                widths=np.full(count, width / NS_PER_US),
+                color=YELLOW,
+            )
+            self._stream.log(f"{HISTOGRAM}/{name}/delay", bars, static=True)
+            if in_view(self._plan.deadline, float(largest)):
+                self._mark_deadline(name, int(counts.max()), width)
+
+    def _mark_deadline(self, name: str, height: int, width: int) -> None:
+        """A thin bar as high as the highest."""
+        line = rr.BarChart(
+            np.array([height]),
+            abscissa=np.array([self._plan.deadline / NS_PER_US]),
+            widths=np.array([0.3 * width / NS_PER_US]),
+            color=CORAL,
         )
-        self._stream.log(HISTOGRAM, bars, static=True)
+        self._stream.log(f"{HISTOGRAM}/{name}/deadline", line, static=True)
+
+    def show_running(self, review: Review) -> None:
+        """What the run has come to so far."""
+        self.show_histograms(review.delays)
+        text = running_markdown(self._plan, review.figures(), self._told)
+        self._stream.log(VERDICT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def flush(self) -> None:
         """Error: OSError if what was sent cannot be written; a full disk shows only here."""
@@ -158,18 +178,72 @@ class Telemetry:
         except (RuntimeError, ValueError) as error:
             raise OSError(f"the telemetry cannot be written: {error}") from error
 
-    def finish(self, summary: Summary) -> None:
-        """Verdict and final layout; ends the stream. Error: OSError as of ``flush``."""
+    def finish(self, summary: Summary, review: Review) -> None:
+        """Envelopes, limits, verdict and final layout; ends the stream. Error: OSError as of ``flush``."""
         if self._origin is None:
             self._start_at(self._held[0].at if self._held else 0)
+        self.show_histograms(review.delays)
+        whole = None
         if self._last_at >= self._first_at:
             self._show_event(_end_event(Instant(self._last_at), summary))
-            # A margin, so that the last state is wide enough for its label
-            self._extend_plots_to(self._last_at + (self._last_at - self._first_at) // 20)
+            enveloped = self._show_envelopes()
+            self._show_end_lanes(review)
+            figures = WholeFigures(self._plan, self._envelopes, review, self._marks)
+            self._show_limits(figures)
+            whole = self._whole(figures, enveloped)
         self._show_verdict(summary)
-        self._stream.send_blueprint(layout(self._plan, summary, self._delay_least_us))
+        self._stream.send_blueprint(layout(self._plan, whole))
         self.flush()
         self._stream.disconnect()
+
+    def _whole(self, figures: WholeFigures, enveloped: bool) -> Whole:
+        assert self._origin is not None
+        begin, end = self._first_at - self._origin, self._last_at - self._origin
+        begin = max(begin, -int(_BEFORE_MAX * end)) if end > 0 else begin
+        margin = (end - begin) // 50
+        return Whole(
+            begin_s=(begin - margin) / NS_PER_S,
+            end_s=(end + margin) / NS_PER_S,
+            tracks={
+                track_path(track, self._axes): next(
+                    (name for name in self._axes if track.rpartition(" ")[0] == name), ""
+                )
+                for track in self._tracks
+                if not track.endswith(" link") and (track != "host" or self._missed)
+            },
+            enveloped=enveloped,
+            ranges=figures.ranges(),
+            remarks=figures.remarks(),
+            few_marks=frozenset(name for name, count in self._marks.items() if count <= MARKS_MAX),
+        )
+
+    def _show_envelopes(self) -> bool:
+        """Whether there are any: a run with fewer rows than they would have is shown as it is."""
+        if self._live or self._rows <= 2 * BUCKETS:
+            return False
+        for path, envelope in self._envelopes.items():
+            self._send(OVERVIEW + path, *envelope.points())
+        return True
+
+    def _show_end_lanes(self, review: Review) -> None:
+        """What is known at the end only: dropouts by cause, what was judged, and when faults were at work."""
+        first = self._origin or 0
+        for number, name in enumerate(self._axes):
+            causes = self._dropouts[number].changes()
+            if any(code for _, code in causes):
+                changes = [LabelChange(at, cause_label(code)) for at, code in causes]
+                self._show_changes(f"{name} dropouts", [*changes, LabelChange(self._last_cycle, QUIET)])
+            if causes:
+                meter = review.errors[number]
+                limit = error_limit_rpm(meter, self._plan.review.limits)
+                self._show_changes(f"{name} verdict", verdict_lane(meter, limit, first, self._last_cycle))
+        for track, changes in self._faults.lanes(self._first_at, self._last_at).items():
+            self._show_changes(track, changes)
+
+    def _show_limits(self, figures: WholeFigures) -> None:
+        first = self._origin or 0
+        for path, points in figures.limit_lines(first, max(self._last_cycle, first)).items():
+            self._send(LIMITS + path, *points)
 
     def _start_at(self, origin: int) -> None:
         self._origin = origin
@@ -177,18 +251,11 @@ class Telemetry:
         drives = {event.axis: event.text for event in held if isinstance(event, IdentityEvent)}
         told: dict[str, Any] = {**(self.metadata or run_metadata(self._plan, Instant(origin), drives))}
         self._stream.send_property(_PROPERTIES, rr.AnyValues(**told))
+        self._told = told
         self.take_events(held)
-        if held:
-            self._extend_plots_to(held[0].at)
 
     def _note_instants(self, first_at: int, last_at: int) -> None:
         self._first_at, self._last_at = min(self._first_at, first_at), max(self._last_at, last_at)
-
-    def _extend_plots_to(self, instant: int) -> None:
-        """A point without a value in each plot, so that they all span what the states span."""
-        for name in self._axes:
-            for series in _SPANNING:
-                self._plot(f"/{name}/{series}", np.array([instant]), np.array([math.nan]))
 
     def _times(self, instants: NDArray[np.int64]) -> list[rr.TimeColumn]:
         assert self._origin is not None
@@ -196,87 +263,78 @@ class Telemetry:
 
     def _show_event(self, event: RunEvent) -> None:
         if isinstance(event, TextEvent):
+            # an entry shows one line alone
+            lines = wrap(event.text, _EVENT_COLUMNS, subsequent_indent="    ") or [""]
             self._stream.send_columns(
                 EVENTS,
-                self._times(np.array([event.at])),
-                rr.TextLog.columns(text=[event.text], level=[event.level]),
+                self._times(np.full(len(lines), event.at)),
+                rr.TextLog.columns(text=lines, level=[event.level] * len(lines)),
             )
         elif isinstance(event, StateEvent):
-            self._show_changes(event.track, [LabelChange(event.at, event.label)])
+            if event.track.startswith(INJECTED_TRACK):
+                self._faults.take(event.track, event.label, event.at)
+            else:
+                self._show_changes(event.track, [LabelChange(event.at, event.label)])
         elif isinstance(event, LoadEvent):
             self._show_load(event)
 
     def _show_load(self, event: LoadEvent) -> None:
-        path = f"/{event.axis}/torque/brake"
-        if path not in self._load_paths:
-            self._load_paths.add(path)
-            self._line(path, ["load measured"], [_ORANGE], width=1.4)
-        self._plot(path, np.array([event.at]), np.array([event.torque_nm]))
+        scale = self._scales[self._axes.index(event.axis)] if event.axis in self._axes else 1.0
+        self._plot(f"/{event.axis}/torque/brake", np.array([event.at]), np.array([scale * event.torque_nm]))
 
     def _show_axis(self, number: int, name: str, rows: Rows) -> None:
         self._show_changes(f"{name} drive", self._drives[number].changes(rows))
         self._show_changes(f"{name} link", self._links[number].changes(rows))
+        self._dropouts[number].add(rows["due_at"], rows["fate"])
         if number == 0:
             # A cycle without SYNC is one of all axes.
             self._show_changes("host", self._host.changes(rows))
+            self._missed |= bool((rows["fate"] == FATE_MISSED).any())
         due_at = rows["due_at"]
-        read = rows[rows["fate"] == FATE_SAMPLE]
-        dropped = rows[rows["fate"] != FATE_SAMPLE]
-        came = rows[rows["delay_ns"] != NOTHING]
-        error = read["reference_rad_s"] - read["velocity_rad_s"]
-        self._plot(f"/{name}/speed/reference", due_at, rows["reference_rad_s"] * RPM_PER_RAD_S)
-        self._plot(f"/{name}/speed/measured", read["due_at"], read["velocity_rad_s"] * RPM_PER_RAD_S)
-        self._plot(
-            f"/{name}/speed/dropped", dropped["due_at"], dropped["estimate_velocity_rad_s"] * RPM_PER_RAD_S
-        )
-        self._plot(f"/{name}/error/error", read["due_at"], error * RPM_PER_RAD_S)
-        torques = np.stack((rows["command_torque_nm"], rows["load_torque_nm"]), axis=1)
-        self._plot(f"/{name}/torque/command", due_at, torques)
-        self._plot(f"/{name}/torque/measured", read["due_at"], read["torque_nm"])
-        delay_us = came["delay_ns"] / NS_PER_US
-        self._delay_least_us = min(self._delay_least_us, float(delay_us.min(initial=0.0)))
-        self._plot(f"/{name}/delay/delay", came["due_at"], delay_us)
-        ends = due_at[[0, -1]]
-        self._plot(f"/{name}/delay/deadline", ends, np.full(2, self._plan.deadline / NS_PER_US))
-        self._plot(f"/{name}/delay/dropped", dropped["due_at"], np.zeros(dropped.size))
-        doubtful = rows[rows["certain"] == 0]
-        at_us = np.where(doubtful["delay_ns"] == NOTHING, 0, doubtful["delay_ns"]) / NS_PER_US
-        self._plot(f"/{name}/delay/uncertain", doubtful["due_at"], at_us)
-        self._show_commands(name, rows)
-        self._show_clock(number, name, rows)
+        self._last_cycle = max(self._last_cycle, int(due_at[-1]))
+        if self._offset_origin_ns[number] is None:
+            self._offset_origin_ns[number] = first_offset_ns(rows)
+        positions = self._plan.review.axes[number].quantity == "position"
+        lines = lines_of(rows, self._scales[number], self._offset_origin_ns[number], positions)
+        for path, times, values in lines:
+            self._plot(f"/{name}/{path}", times, values)
+        for path, times, values in marks_of(rows):
+            self._mark(f"/{name}/{path}", times, values)
+        self._marks[name] += int((rows["fate"] != FATE_SAMPLE).sum())
+        if self._live:
+            ends = due_at[[0, -1]]
+            self._send(f"{LIMITS}/{name}/delay/deadline", ends, np.full(2, self._plan.deadline / NS_PER_US))
         for place, channel in enumerate(self._plan.channels.get(name, ())):
             self._plot(f"/{name}/controller/{channel}", due_at, rows[f"channel_{place}"])
-
-    def _show_commands(self, name: str, rows: Rows) -> None:
-        """From handing a command over until it was on the bus, and until it acted at the latest."""
-        for series, instant in (("on_bus", "command_on_bus_at"), ("acting", "command_acts_by")):
-            known = rows[rows[instant] != NOTHING]
-            way_us = (known[instant] - known["command_handed_at"]) / NS_PER_US
-            self._plot(f"/{name}/commands/{series}", known["due_at"], way_us)
-        computed = rows[rows["compute_ns"] != NOTHING]
-        compute_us = computed["compute_ns"] / NS_PER_US
-        self._plot(f"/{name}/commands/computing", computed["due_at"], compute_us)
-        lost = rows[rows["command_fate"] == _LOST]
-        self._plot(f"/{name}/commands/lost", lost["due_at"], np.zeros(lost.size))
-
-    def _show_clock(self, number: int, name: str, rows: Rows) -> None:
-        """The offset of the drive's clock since the run began, and between what bounds it is known."""
-        told = rows[rows["clock_offset_ns"] != NOTHING]
-        if not told.size:
-            return
-        origin_ns = self._offset_origin_ns[number]
-        if origin_ns is None:
-            origin_ns = self._offset_origin_ns[number] = int(told["clock_offset_ns"][0])
-        offset_us = (told["clock_offset_ns"] - origin_ns) / NS_PER_US
-        error_us = told["clock_error_ns"] / NS_PER_US
-        self._plot(f"/{name}/clock/offset", told["due_at"], offset_us)
-        bounds_us = np.stack((offset_us - error_us, offset_us + error_us), axis=1)
-        self._plot(f"/{name}/clock/bounds", told["due_at"], bounds_us)
+        if number == 0:
+            self._rows += rows.size
 
     def _plot(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """One wide column; values: (n,) or (n, series)."""
+        """Rows of a line: one wide column, and its envelope; values: (n,)."""
+        if not due_at.size:
+            return
+        self._send(path, due_at, values)
+        if not self._live:
+            self._envelopes.setdefault(path, Envelope()).add(due_at, values)
+
+    def _mark(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Points beside the lines."""
         if due_at.size:
-            self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
+            self._send(path, due_at, values)
+
+    def _send(self, path: str, due_at: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        if path not in self._styled:
+            self._styled.add(path)
+            self._stream.log(path, self._style(path), static=True)
+        self._stream.send_columns(path, self._times(due_at), rr.Scalars.columns(scalars=values))
+
+    def _style(self, path: str) -> rr.SeriesLines | rr.SeriesPoints:
+        """By the part below the axis."""
+        parts = path.removeprefix(OVERVIEW).removeprefix(LIMITS).split("/")
+        below = "/".join(parts[2:])
+        channels = channel_series(self._plan.channels.get(parts[1], ()))
+        known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *channels)
+        return next(each for each in known if each.path == below).styled()
 
     def _show_changes(self, track: str, changes: Sequence[LabelChange]) -> None:
         kept: list[LabelChange] = []
@@ -285,81 +343,25 @@ class Telemetry:
             if self._labels.get(track) != label:
                 self._labels[track] = label
                 kept.append(LabelChange(at, label))
-        if kept:
-            times = np.array([change.at for change in kept])
-            states = rr.StateChange.columns(state=[change.label for change in kept])
-            self._stream.send_columns(self._track_path(track), self._times(times), states)
-
-    def _track_path(self, track: str) -> str:
-        """Tracks are laid out by name, so each gets a number by its order of appearance."""
+        if not kept:
+            return
+        path = track_path(track, self._axes)
         if track not in self._tracks:
-            self._tracks[track] = f"{STATE_ROOT}/{len(self._tracks) + 1}_{track.replace(' ', '_')}"
-        return self._tracks[track]
-
-    def _name_tracks(self) -> None:
-        drive = {state.value.capitalize(): color for state, color in _STATE_COLORS.items()}
-        for name in self._axes:
-            self._color_track(f"{name} drive", drive)
-        self._color_track("phase", _PHASE_COLORS)
-        for name in self._axes:
-            self._color_track(f"{name} link", _LINK_COLORS)
-        self._color_track("host", _HOST_COLORS)
-
-    def _color_track(self, track: str, colors: dict[str, int]) -> None:
-        values = list(colors)
-        styled = rr.StateConfiguration(
-            values=values, labels=values, colors=np.array(list(colors.values()), np.uint32)
-        )
-        self._stream.log(self._track_path(track), styled, static=True)
-
-    def _name_series(self) -> None:
-        shapes = rr.components.MarkerShape
-        cross, down, diamond = shapes.Cross, shapes.Down, shapes.Diamond
-        for name in self._axes:
-            self._line(f"/{name}/speed/reference", ["reference"], [_GREY])
-            self._line(f"/{name}/speed/measured", ["measured"], [_BLUE], width=1.6)
-            self._marks(f"/{name}/speed/dropped", "dropout", down)
-            self._line(f"/{name}/error/error", ["reference - measured"], [_ORANGE])
-            self._line(f"/{name}/torque/command", ["command", "load"], [_GREY, _VIOLET])
-            self._line(f"/{name}/torque/measured", ["measured"], [_GREEN], width=1.4)
-            self._line(f"/{name}/delay/delay", ["delay"], [_YELLOW])
-            self._line(f"/{name}/delay/deadline", ["deadline"], [_CORAL])
-            self._marks(f"/{name}/delay/dropped", "dropout", cross)
-            self._marks(f"/{name}/delay/uncertain", "uncertain", diamond, _VIOLET)
-            self._line(f"/{name}/commands/on_bus", ["on the bus"], [_BLUE])
-            self._line(f"/{name}/commands/acting", ["acting, at the latest"], [_GREEN])
-            self._line(f"/{name}/commands/computing", ["computing"], [_ORANGE])
-            self._marks(f"/{name}/commands/lost", "lost", cross)
-            self._line(f"/{name}/clock/bounds", ["at least", "at most"], [_GREY, _GREY])
-            self._line(f"/{name}/clock/offset", ["offset"], [_VIOLET])
-            for place, channel in enumerate(self._plan.channels.get(name, ())):
-                color = _CHANNEL_COLORS[place % len(_CHANNEL_COLORS)]
-                self._line(f"/{name}/controller/{channel}", [channel], [color])
-
-    def _line(
-        self, path: str, names: list[str], colors: list[tuple[int, int, int]], width: float = 1.0
-    ) -> None:
-        series = rr.SeriesLines(
-            names=names,
-            colors=colors,
-            widths=[width] * len(names),
-            # The default averages neighbours where there are more points than pixels, and hides the peaks.
-            aggregation_policy="MinMax",
-        )
-        self._stream.log(path, series, static=True)
-
-    def _marks(
-        self,
-        path: str,
-        name: str,
-        marker: rr.components.MarkerShape,
-        color: tuple[int, int, int] = _RED,
-    ) -> None:
-        series = rr.SeriesPoints(names=name, colors=color, markers=marker, marker_sizes=3.0)
-        self._stream.log(path, series, static=True)
+            self._tracks.add(track)
+            if colors := lane_colors(track, self._axes):
+                values = list(colors)
+                styled = rr.StateConfiguration(
+                    values=values,
+                    labels=[" " if value == QUIET else value for value in values],
+                    colors=np.array(list(colors.values()), np.uint32),
+                )
+                self._stream.log(path, styled, static=True)
+        times = np.array([change.at for change in kept])
+        states = rr.StateChange.columns(state=[change.label for change in kept])
+        self._stream.send_columns(path, self._times(times), states)
 
     def _show_verdict(self, summary: Summary | None) -> None:
-        text = verdict_markdown(self._plan, summary)
+        text = verdict_markdown(self._plan, summary, self._told)
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._stream.log(VERDICT, page, static=True)
         if summary is not None:

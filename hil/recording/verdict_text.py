@@ -1,32 +1,82 @@
 """The verdict of a run as a page of Markdown."""
 
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+from drivers.timebase import NS_PER_S
+from hil.recording.run_metadata import FIRST_CYCLE_EPOCH
 from hil.rows.recording_plan import RecordingPlan
-from hil.verdict.summary import Percentiles, Summary, metric_title
-from hil.verdict.summary_text import certificate_lines, timing_lines
+from hil.verdict.summary import Figures, Percentiles, Summary, metric_title
+from hil.verdict.summary_text import certificate_rows, timing_lines
 from hil.verdict.verdict import Check, LimitResult, verdict_title
 
 
-def verdict_markdown(plan: RecordingPlan, summary: Summary | None) -> str:
-    """What the reader of a recording sees first; without a summary the run still goes on."""
+def verdict_markdown(
+    plan: RecordingPlan, summary: Summary | None, metadata: Mapping[str, str] | None = None
+) -> str:
+    """What the reader of a recording sees first; without a summary the run still goes on.
+
+    ``metadata``: of the run, as far as it is known (:mod:`hil.recording.run_metadata`).
+    """
     if summary is None:
-        return f"# {plan.name} · running\n\n{_notes(plan)}\n"
+        return f"# {plan.name} · running\n\n{_origin(plan, metadata or {})}\n"
     verdict = summary.verdict
-    parts = [f"# {plan.name} · {verdict_title(verdict)}"]
+    parts = [f"# {plan.name} · {verdict_title(verdict)}", _origin(plan, metadata or {})]
     if verdict.findings:
         parts.append("\n".join(f"- {finding.outcome}: **{finding.text}**" for finding in verdict.findings))
     if verdict.limits:
-        parts.append(
-            "\n".join(["| limit | value | at most | |", "|:--|--:|--:|:--|", *map(_limit, verdict.limits)])
-        )
+        head = ["| limit | value | at most | | worst |", "|:--|--:|--:|:--|:--|"]
+        parts.append("\n".join([*head, *map(_limit, verdict.limits)]))
+    if certified := certificate_rows(summary.certificates):
+        head = ["| certificate | certified | seen |", "|:--|--:|--:|"]
+        parts.append("\n".join([*head, *(f"| {' | '.join(row)} |" for row in certified)]))
     parts.append("\n".join(["| figure | value |", "|:--|:--|", *_figures(plan, summary)]))
-    parts.append(_notes(plan))
     return "\n\n".join(parts) + "\n"
+
+
+def running_markdown(plan: RecordingPlan, figures: Figures, metadata: Mapping[str, str]) -> str:
+    """While the run goes on: the figures so far."""
+    lost, error, steps = figures.dropouts, figures.speed_error, figures.step_response
+    shares = (
+        ("cycles", str(figures.cycles)),
+        ("delay p50 / p99 / max", _times(figures.delay_us)),
+        ("lateness p50 / p99 / max", _times(figures.lateness_us)),
+        ("dropouts", f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"),
+        ("dropouts in a row", str(figures.losses_in_a_row)),
+        ("speed error, peak", _measured(error.peak_percent, " %")),
+        ("overshoot", _measured(steps.overshoot_percent, " %")),
+        ("settling", _measured(steps.settling_time_ms, " ms")),
+    )
+    rows = [f"| {title} | {value} |" for title, value in shares]
+    head = ["| figure so far | value |", "|:--|:--|"]
+    return (
+        "\n\n".join([f"# {plan.name} · running", _origin(plan, metadata), "\n".join([*head, *rows])]) + "\n"
+    )
 
 
 def _limit(check: Check) -> str:
     value = "none" if check.value is None else f"{check.value:.4g}"
-    result = "**broken**" if check.result is LimitResult.BROKEN else check.result.value
-    return f"| {metric_title(check.metric)} | {value} | {check.limit:g} | {result} |"
+    result = "**BROKEN**" if check.result is LimitResult.BROKEN else check.result.value
+    at = "" if check.at_ns is None else f" at {check.at_ns / NS_PER_S:.3f} s"
+    return f"| {metric_title(check.metric)} | {value} | {check.limit:g} | {result} | {check.axis}{at} |"
+
+
+def _origin(plan: RecordingPlan, metadata: Mapping[str, str]) -> str:
+    """Who ran what, when, and with which version."""
+    told = {"bus": plan.bus, **plan.notes, "seed": str(plan.seed)}
+    for axis, drive in json.loads(metadata.get("drives", "{}")).items():
+        told[f"drive of {axis}"] = drive
+    if epoch := metadata.get(FIRST_CYCLE_EPOCH):
+        real = metadata.get("time") == "real"
+        began = datetime.fromtimestamp(int(epoch) / NS_PER_S, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        told["first cycle"] = began if real else "in simulated time"
+    if host := json.loads(metadata.get("host", "{}")):
+        told["host"] = f"{host['name']}, {host['system']}, Python {host['python']}"
+    version = " ".join(filter(None, (metadata.get("servobench"), metadata.get("commit", "")[:12])))
+    if version:
+        told["servobench"] = version
+    return " · ".join(f"{key} `{value}`" for key, value in told.items())
 
 
 def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
@@ -41,7 +91,6 @@ def _figures(plan: RecordingPlan, summary: Summary) -> list[str]:
         f"| computing time p50 / p99 / max | {_times(summary.compute_us)} |",
         *(f"| {title} | {line} |" for title, line in timing_lines(summary.timing).items()),
         *_swing(summary),
-        *(f"| {title} | {line} |" for title, line in certificate_lines(summary.certificates).items()),
         f"| bus load | {_measured(summary.bus_load_percent, ' %')} |",
         f"| times real time | {_measured(summary.realtime_factor)} |",
         *_load(summary),
@@ -75,8 +124,3 @@ def _measured(value: float | None, unit: str = "") -> str:
 def _times(times: Percentiles) -> str:
     values = (times.p50, times.p99, times.max)
     return " / ".join("none" if value is None else f"{value:.0f}" for value in values) + " us"
-
-
-def _notes(plan: RecordingPlan) -> str:
-    notes = {"bus": plan.bus, "seed": str(plan.seed), **plan.notes}
-    return " · ".join(f"{key} `{value}`" for key, value in notes.items())

@@ -49,7 +49,6 @@ class Review:
     """
 
     def __init__(self, plan: ReviewPlan) -> None:
-        self.delay = TimeHistogram()
         self.delays = [TimeHistogram() for _ in plan.axes]
         """Of the readings of each axis."""
         self._lateness = TimeHistogram()
@@ -93,7 +92,6 @@ class Review:
             self._count(axis, mine)
             delay = mine["delay_ns"]
             self.delays[axis].add(delay[delay != NOTHING])
-            self.delay.add(delay[delay != NOTHING])
             if self._axes[axis].quantity == "speed":
                 meter.add(mine)
                 self._steps[axis].add(mine)

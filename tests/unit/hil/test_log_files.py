@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.recording.log_files import FramesKeeper, LiveKeeper, RowBlocks, open_keepers
-from hil.reviewing.histogram import TimeHistogram
+from hil.reviewing.review import Review
 from hil.rows.records import ROW_DTYPE
 from hil.rows.side_rows import FRAME, FRAME_DTYPE
 from hil.verdict.summary import Figures, Summary, summarise
@@ -46,7 +46,8 @@ def summary_of(figures: Figures = FIGURES) -> Summary:
 def test_the_live_view_is_served_on_the_loopback_and_needs_no_viewer(
     tmp_path: Path, viewers: list[list[str]]
 ) -> None:
-    keeper = LiveKeeper(plan_for(tmp_path, real_time=True), "a-recording", TimeHistogram())
+    plan = plan_for(tmp_path, real_time=True)
+    keeper = LiveKeeper(plan, "a-recording", Review(plan.review))
     (command,) = viewers
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     uri = command[command.index("--connect") + 1]
@@ -64,7 +65,7 @@ def test_only_a_viewed_real_time_run_is_served_live(
     tmp_path: Path, viewers: list[list[str]], view: bool, real_time: bool, live: int
 ) -> None:
     plan = replace(plan_for(tmp_path, real_time), view=view)
-    keepers = open_keepers(plan, TimeHistogram())
+    keepers = open_keepers(plan, Review(plan.review))
     assert sum(isinstance(keeper, LiveKeeper) for keeper in keepers) == live == len(viewers)
     for keeper in keepers:
         keeper.finish(summary_of())

@@ -14,7 +14,9 @@ from hil.verdict.summary import (
     DropoutCounts,
     Figures,
     Percentiles,
+    PositionError,
     SpeedError,
+    StepResponse,
     Summary,
     metric_title,
     summarise,
@@ -35,6 +37,9 @@ FIGURES = Figures(
     compute_us=Percentiles(20.0, 30.0, 45.0),
     digest="00",
     torque_rms_nm=0.5,
+    step_response=StepResponse(120.0, 8.0, 40.0),
+    losses_in_a_row=3,
+    position_error=PositionError(0.3, 0.2, 0.4),
 )
 VALUES = {
     "speed_error_peak_percent_max": 5.0,
@@ -47,6 +52,13 @@ VALUES = {
     "lateness_us_max": 12.0,
     "compute_us_max": 45.0,
     "torque_rms_nm_max": 0.5,
+    "settling_time_ms_max": 120.0,
+    "overshoot_percent_max": 8.0,
+    "recovery_time_ms_max": 40.0,
+    "losses_in_a_row_max": 3.0,
+    "position_error_peak_rad_max": 0.3,
+    "position_error_rms_rad_max": 0.2,
+    "following_error_peak_rad_max": 0.4,
 }
 
 
@@ -89,6 +101,9 @@ def test_json_has_the_promised_keys() -> None:
         "digest",
         "drives",
         "torque_rms_nm",
+        "step_response",
+        "losses_in_a_row",
+        "position_error",
     ]
     assert list(found["dropouts"]) == ["lost", "late", "stale", "missed"]
     assert list(found["delay_us"]) == list(found["lateness_us"]) == ["p50", "p99", "max"]
@@ -182,7 +197,7 @@ def test_the_page_tells_result_limits_and_notes(plan: RecordingPlan) -> None:
     page = verdict_markdown(plan, summary_with())
     assert page.startswith("# synthetic · NOT PASSED")
     assert "- not passed: **delay_p99_us_max = 800, found 900**" in page
-    assert "| delay p99 [us] | 900 | 800 | **broken** |" in page
+    assert "| delay p99 [us] | 900 | 800 | **BROKEN** |" in page
     assert "| dropouts [%] | 4 | 10 | kept |" in page
     assert "8 of 400 (2.0 %): 3 lost, 2 late, 1 stale, 2 missed" in page
     assert "controller `pid`" in page

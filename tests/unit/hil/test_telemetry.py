@@ -12,12 +12,14 @@ from rerun.chunk import RrdReader
 from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from hil.loop.samples import CommandFate
 from hil.recording.telemetry import Telemetry, _round_width
+from hil.reviewing.envelope import BUCKETS
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, RecordingPlan, ReviewPlan
 from hil.rows.records import COMMAND_FATES, FATE_MISSED, FATE_SAMPLE, NOTHING, Rows
 from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, TextEvent
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
+from hil.verdict.verdict import VerdictLimits
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -45,9 +47,8 @@ def write_run(plan: RecordingPlan, rows: Rows, events: tuple[RunEvent, ...] = EV
     for block in np.array_split(rows, 2):
         telemetry.take_rows(block)
         telemetry.flush()
-    telemetry.show_histogram(review.delay)
     outcome = whole_outcome(review.figures().cycles)
-    telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1))
+    telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1), review)
     return path
 
 
@@ -113,12 +114,12 @@ def test_every_dropout_is_marked_in_both_plots(recording: Path, rows: Rows) -> N
 
 
 def test_torque_and_delay(recording: Path, rows: Rows) -> None:
-    _, torque = numbers(recording, "/axis1/torque/command")
-    np.testing.assert_array_equal(torque[:, 0], rows["command_torque_nm"])
-    np.testing.assert_array_equal(torque[:, 1], rows["load_torque_nm"])
+    _, torque_mnm = numbers(recording, "/axis1/torque/command")
+    np.testing.assert_allclose(torque_mnm, 1e3 * rows["command_torque_nm"])
+    np.testing.assert_allclose(numbers(recording, "/axis1/torque/load")[1], 1e3 * rows["load_torque_nm"])
     _, delay = numbers(recording, "/axis1/delay/delay")
     np.testing.assert_allclose(delay, rows["delay_ns"][rows["delay_ns"] >= 0] / NS_PER_US)
-    times, deadline = numbers(recording, "/axis1/delay/deadline")
+    times, deadline = numbers(recording, "/limits/axis1/delay/deadline")
     assert set(deadline.tolist()) == {2_000.0}
     assert (times[0], times[-1]) == (0, (CYCLES - 1) * NS_PER_MS)
 
@@ -154,25 +155,25 @@ def test_the_clock_is_shown_from_where_it_began_with_its_bounds(tmp_path: Path, 
     times, offset = numbers(path, "/axis1/clock/offset")
     np.testing.assert_array_equal(times, told["due_at"][1:] - ORIGIN)
     np.testing.assert_allclose(offset, 0.5 * np.arange(39))
-    _, bounds = numbers(path, "/axis1/clock/bounds")
-    np.testing.assert_allclose(bounds, np.stack((offset - 1.2, offset + 1.2), axis=1))
+    np.testing.assert_allclose(numbers(path, "/axis1/clock/lower")[1], offset - 1.2)
+    np.testing.assert_allclose(numbers(path, "/axis1/clock/upper")[1], offset + 1.2)
 
 
 def test_cycles_without_sync_have_a_lane_of_their_own(tmp_path: Path) -> None:
     rows = plain_rows(6, fate=[0, 0, FATE_MISSED, FATE_MISSED, 0, 0])
     path = write_run(plan_for(tmp_path), rows, events=())
-    times, states = columns(path, "/state/4_host", "StateChange:state")
+    times, states = columns(path, "/state/6_host", "StateChange:state")
     assert states == [["In time"], ["MISSED"], ["In time"]]
     assert times.tolist() == [0, 2 * NS_PER_MS, 4 * NS_PER_MS]
 
 
 def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
-    times, states = columns(recording, "/state/1_axis1_drive", "StateChange:state")
+    times, states = columns(recording, "/state/2_axis1_drive", "StateChange:state")
     assert states == [["Switched on"], ["Operation enabled"]]
     assert times[0] == -5 * NS_PER_MS
     assert 0 < times[1] < NS_PER_MS, "when the statusword came, not when the cycle was due"
-    assert columns(recording, "/state/2_phase", "StateChange:state")[1] == [["Load step"]]
-    link = [state for (state,) in columns(recording, "/state/3_axis1_link", "StateChange:state")[1]]
+    assert columns(recording, "/state/3_phase", "StateChange:state")[1] == [["Load step"]]
+    link = [state for (state,) in columns(recording, "/state/4_axis1_link", "StateChange:state")[1]]
     assert link[0] == "OK"
     assert "DOWN" in link
 
@@ -199,7 +200,7 @@ def test_the_whole_summary_is_in_the_recording(recording: Path, rows: Rows) -> N
 
 
 def test_the_histogram_holds_every_reading_that_came(recording: Path, rows: Rows) -> None:
-    _, ((values,),) = columns(recording, "/delay_histogram", "BarChart:values")
+    _, ((values,),) = columns(recording, "/delay_histogram/axis1/delay", "BarChart:values")
     assert isinstance(values, dict)
     assert sum(values["buffer"]) == (rows["delay_ns"] >= 0).sum()
 
@@ -213,12 +214,13 @@ def test_the_recording_carries_its_layout(recording: Path) -> None:
         for chunk in reader.stream(store=store)
         for name in _view_names(chunk.to_record_batch())
     }
-    assert {"States", "Speed [rpm]", "Speed error [rpm]", "Torque [N m]", "Verdict", "Events"} <= names
+    assert {"States", "Speed [r/min]", "Speed error [r/min]", "Torque [mN m]", "Verdict", "Events"} <= names
     assert {
         "Commands, from hand-over [us]",
         "Clock offset since the start, with its bounds [us]",
     } <= names
-    assert {"Delay of the readings [us]", "Delay histogram: readings over us"} <= names
+    delays = {"Delay of the readings [us] · deadline 2000", "axis1: readings over delay [us], deadline 2000"}
+    assert delays <= names
 
 
 def _view_names(batch: object) -> list[str]:
@@ -226,6 +228,85 @@ def _view_names(batch: object) -> list[str]:
     if column not in batch.schema.names:  # type: ignore[attr-defined]
         return []
     return [name for names in batch.column(column).to_pylist() for name in names or []]  # type: ignore[attr-defined]
+
+
+def test_the_overview_opens_on_the_whole_run(recording: Path) -> None:
+    """Not on the viewer's own window of a minute: each of its views has the range of the run."""
+    found = [
+        (low, high) for low, high in _time_ranges(recording) if low <= 0 and high >= (CYCLES - 1) * NS_PER_MS
+    ]
+    assert len(found) >= 5
+    assert all(high - low < 1.2 * CYCLES * NS_PER_MS for low, high in found)
+
+
+def _time_ranges(path: Path) -> list[tuple[int, int]]:
+    """Absolute ones, ns, of all views of the last layout."""
+    reader = RrdReader(path)
+    found = []
+    for store in reader.blueprints():
+        for chunk in reader.stream(store=store):
+            batch = chunk.to_record_batch()
+            if "TimeAxis:view_range" in batch.schema.names:
+                for (window,) in batch.column("TimeAxis:view_range").to_pylist():
+                    found.append((window["start"], window["end"]))
+    return [window for window in found if all(isinstance(end, int) for end in window)]
+
+
+def test_a_long_run_has_an_envelope_beside_its_rows(tmp_path: Path) -> None:
+    reference = np.zeros(20_000)
+    reference[11_111] = 7.0
+    path = write_run(plan_for(tmp_path), plain_rows(20_000, reference=reference), events=())
+    times, shown = numbers(path, "/overview/axis1/speed/reference")
+    assert times.size <= 2 * (BUCKETS + 1)
+    assert times[shown != 0.0].tolist() == [11_111 * NS_PER_MS]
+    assert numbers(path, "/axis1/speed/reference")[0].size == 20_000
+
+
+def test_dropouts_have_a_lane_by_cause(tmp_path: Path) -> None:
+    rows = plain_rows(8, fate=[0, 1, 1, 0, 2, 3, 0, FATE_MISSED])
+    path = write_run(plan_for(tmp_path), rows, events=())
+    _, states = columns(path, "/state/5_axis1_dropouts", "StateChange:state")
+    assert [state for (state,) in states] == ["-", "Lost", "-", "Late", "Stale", "-", "Missed", "-"]
+
+
+def test_the_lane_of_the_verdict_is_red_where_the_limit_is_broken(tmp_path: Path) -> None:
+    plan = plan_for(tmp_path)
+    limits = VerdictLimits(speed_error_peak_percent_max=5.0)
+    plan = replace(plan, review=replace(plan.review, limits=limits))
+    reference, velocity = np.full(1_000, 100.0), np.full(1_000, 100.0)
+    reference[:100] = velocity[:100] = 0.0
+    velocity[600:650] = 94.0
+    rows = plain_rows(1_000, reference=reference, velocity=velocity)
+    path = write_run(plan, rows, events=())
+    times, states = columns(path, "/state/1_axis1_verdict", "StateChange:state")
+    assert [state for (state,) in states] == ["Kept", "Settling", "Kept", "BEYOND", "Kept", "-"]
+    np.testing.assert_allclose(times / NS_PER_MS, [0, 100, 350, 600, 650, 999], atol=2)
+    # the limit is drawn where it holds: not while the speed settles
+    times, most = numbers(path, "/limits/axis1/error/most")
+    assert set(np.round(most, 6)) == {round(5.0 * RPM, 6)}
+    assert (times / NS_PER_MS).tolist() == [0, 100, 350, 999]
+
+
+def test_an_injected_fault_has_a_lane(tmp_path: Path) -> None:
+    track = "injected loss: drive to host"
+    events = (
+        StateEvent(Instant(2 * NS_PER_MS), track, "active"),
+        StateEvent(Instant(5 * NS_PER_MS), track, "-"),
+    )
+    path = write_run(plan_for(tmp_path), plain_rows(9), events=events)
+    times, states = columns(path, "/state/7_injected_loss", "StateChange:state")
+    assert [state for (state,) in states] == ["-", "Injected", "-"]
+    assert (times / NS_PER_MS).tolist() == [0, 2, 5]
+
+
+def test_a_long_event_goes_on_in_the_next_line(tmp_path: Path) -> None:
+    text = (
+        "axis1: the drive has stopped by itself: EMCY 8612h, position limit, with everything it said before"
+    )
+    path = write_run(plan_for(tmp_path), plain_rows(3), (TextEvent(Instant(0), "CRITICAL", text),))
+    lines = [str(line) for (line,) in columns(path, "/events", "TextLog:text")[1]]
+    assert max(map(len, lines)) <= 56
+    assert text in " ".join(line.strip() for line in lines)
 
 
 def test_two_axes_have_plots_of_their_own(tmp_path: Path) -> None:
@@ -237,7 +318,7 @@ def test_two_axes_have_plots_of_their_own(tmp_path: Path) -> None:
     for number, name in enumerate(("left", "right")):
         mine = rows[rows["axis"] == number]
         np.testing.assert_array_equal(
-            numbers(path, f"/{name}/torque/command")[1][:, 0], mine["command_torque_nm"]
+            numbers(path, f"/{name}/torque/command")[1], 1e3 * mine["command_torque_nm"]
         )
 
 
@@ -245,7 +326,9 @@ def test_a_run_without_a_cycle_still_shows_its_events(tmp_path: Path) -> None:
     path = write_run(plan_for(tmp_path), rows_of([]), events=EVENTS[:2])
     texts = columns(path, "/events", "TextLog:text")[1]
     why = "dropouts_percent_max = 10, and nothing was measured"
-    assert texts == [["set up"], [f"run ended: not measured, 0 of 1 limits kept; {why}"]]
+    assert [text[0] for text in texts[:1]] == ["set up"]
+    told = " ".join(str(text[0]).strip() for text in texts[1:])
+    assert told == f"run ended: not measured, 0 of 1 limits kept; {why}"
 
 
 @pytest.mark.parametrize(
@@ -257,7 +340,7 @@ def test_bars_have_round_widths(width: int, expected: int) -> None:
 
 def test_a_histogram_of_nothing_is_not_shown(tmp_path: Path) -> None:
     path = write_run(plan_for(tmp_path), rows_of([]))
-    assert columns(path, "/delay_histogram", "BarChart:values")[1] == []
+    assert columns(path, "/delay_histogram/axis1/delay", "BarChart:values")[1] == []
 
 
 def test_a_sink_that_cannot_be_opened_is_an_os_error(tmp_path: Path) -> None:

@@ -1,0 +1,171 @@
+"""The lanes of states above the plots: which there are, in which order, and in which colours."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from drivers.cia402.profile import State
+from drivers.rotation import RPM_PER_RAD_S
+from hil.reviewing.envelope import CodeLane
+from hil.reviewing.speed_error import SpeedErrorMeter
+from hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from hil.rows.records import CAUSES
+from hil.rows.row_states import (
+    HOST_IN_TIME,
+    HOST_MISSED,
+    LINK_DEGRADED,
+    LINK_DOWN,
+    LINK_OK,
+    LabelChange,
+)
+from hil.verdict.verdict import VerdictLimits
+
+STATE_ROOT: Final = "/state"
+_VERDICT, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(1, 9)
+"""The order of the lanes: Rerun lays them out by their paths."""
+SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
+_WINDOWS_MAX: Final = 100
+"""Of more settling windows nothing is seen: the viewer writes the number of states into the lane."""
+_WIDTH_LEAST: Final = 400
+"""A fault is drawn at least such a part of the run wide, to be seen."""
+
+_DARK, _DIM, _GREEN, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1E6B35FF, 0xB3202AFF, 0xA67C1BFF
+_DRIVE_COLORS: Final = {
+    State.NOT_READY: 0x50555CFF,
+    State.SWITCH_ON_DISABLED: 0x50555CFF,
+    State.READY: 0x8A6D1FFF,
+    State.SWITCHED_ON: 0xB8860BFF,
+    State.OPERATION_ENABLED: 0x2E7D32FF,
+    State.QUICK_STOP: 0xC2571AFF,
+    State.FAULT_REACTION: _RED,
+    State.FAULT: 0x8B1520FF,
+}
+_PHASE_COLORS: Final = {
+    "Connecting": _DIM,
+    "Configuring": 0x4A4F7AFF,
+    "Enabling": 0x6A4FA0FF,
+    "Calibrating": 0x1C6F7AFF,
+    "Running": 0x1F5FA8FF,
+    "Stopping": 0x5A5F66FF,
+    "Stopped": _DIM,
+}
+"""Phases that a run goes through; any other gets a colour of the viewer's choice."""
+_CAUSE_COLORS: Final = dict(
+    zip(
+        (cause.value.capitalize() for cause in CAUSES),
+        (_RED, 0xC2571AFF, 0x8A6D1FFF, 0x7A3FA0FF),
+        strict=True,
+    )
+)
+
+
+def track_path(track: str, axes: Sequence[str]) -> str:
+    """The entity of a lane."""
+    return f"{STATE_ROOT}/{_place(track, axes)}_{''.join(c if c.isalnum() else '_' for c in track)}"
+
+
+def _place(track: str, axes: Sequence[str]) -> int:
+    kinds = {"verdict": _VERDICT, "drive": _DRIVE, "link": _LINK, "dropouts": _DROPOUTS}
+    axis, _, kind = track.rpartition(" ")
+    if axis in axes and kind in kinds:
+        return kinds[kind]
+    if track.startswith(INJECTED_TRACK):
+        return _INJECTED
+    return {"phase": _PHASE, "host": _HOST}.get(track, _OTHER)
+
+
+def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
+    """By label; empty: the viewer chooses."""
+    place = _place(track, axes)
+    if place == _INJECTED:
+        return {QUIET: _DARK, "Injected": _AMBER}
+    return {
+        _VERDICT: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GREEN, BEYOND: _RED},
+        _DRIVE: {
+            **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},
+            "Unknown": _DARK,
+        },
+        _PHASE: _PHASE_COLORS,
+        _LINK: {LINK_OK: _GREEN, LINK_DEGRADED: _AMBER, LINK_DOWN: _RED},
+        _DROPOUTS: {QUIET: _DARK, **_CAUSE_COLORS},
+        _HOST: {HOST_IN_TIME: _GREEN, HOST_MISSED: _RED},
+    }.get(place, {})
+
+
+def cause_label(code: int) -> str:
+    """``code``: the fate of a row."""
+    return CAUSES[code - 1].value.capitalize() if code else QUIET
+
+
+class FaultWindows:
+    """When each injected fault was at work, by what the events say."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, int] = {}
+        self._windows: dict[str, list[tuple[int, int]]] = {}
+
+    def take(self, track: str, label: str, at: int) -> None:
+        """``track``: one that begins with INJECTED_TRACK."""
+        if label != QUIET:
+            self._open.setdefault(track, at)
+        elif track in self._open:
+            kind = track.removeprefix(INJECTED_TRACK).partition(": ")[0]
+            self._windows.setdefault(kind, []).append((self._open.pop(track), at))
+
+    def lanes(self, first: int, last: int) -> dict[str, list[LabelChange]]:
+        """By track: one for each kind, with all places together, from ``first`` to ``last``."""
+        for track in list(self._open):
+            self.take(track, QUIET, last)
+        least = (last - first) // _WIDTH_LEAST
+        return {
+            INJECTED_TRACK + kind: _lane([(start, max(end, start + least)) for start, end in windows], first)
+            for kind, windows in sorted(self._windows.items())
+        }
+
+
+def _lane(windows: Iterable[tuple[int, int]], first: int) -> list[LabelChange]:
+    """One lane of windows that may overlap."""
+    changes = [LabelChange(first, QUIET)]
+    until = -math.inf
+    for start, end in sorted(windows):
+        if start > until:
+            if until > -math.inf:
+                changes.append(LabelChange(int(until), QUIET))
+            changes.append(LabelChange(start, "Injected"))
+        until = max(until, end)
+    if until > -math.inf:
+        changes.append(LabelChange(int(until), QUIET))
+    return changes
+
+
+def error_limit_rpm(meter: SpeedErrorMeter, limits: VerdictLimits) -> float | None:
+    """How large the speed error that counts may be, r/min; None: nobody says."""
+    percent = limits.speed_error_peak_percent_max
+    return None if percent is None else percent / 100.0 * meter.reference_peak * RPM_PER_RAD_S
+
+
+def verdict_lane(meter: SpeedErrorMeter, limit_rpm: float | None, begin: int, end: int) -> list[LabelChange]:
+    """From when on the speed error of an axis was kept, beyond its limit, or not counted.
+
+    ``begin``, ``end``: its first and its last cycle.
+    """
+    judged = [(begin, NOT_JUDGED if limit_rpm is None else KEPT)]
+    if limit_rpm is not None:
+        times, error = meter.counted.points()
+        lane = CodeLane()
+        lane.add(times, (error * RPM_PER_RAD_S > limit_rpm).astype(np.int64))
+        judged += [(at, BEYOND if code else KEPT) for at, code in lane.changes()]
+    starts = [at for at, _ in judged]
+    marks = [(at, label) for at, label in judged if not any(a <= at < b for a, b in meter.settling)]
+    if len(meter.settling) > _WINDOWS_MAX:
+        return [*(LabelChange(at, label) for at, label in judged), LabelChange(end, QUIET)]
+    for start, stop in meter.settling:
+        marks.append((start, SETTLING))
+        if stop < end:
+            marks.append((stop, judged[bisect_right(starts, stop) - 1][1]))
+    return [LabelChange(at, label) for at, label in sorted(marks, key=lambda mark: mark[0])] + [
+        LabelChange(end, QUIET)
+    ]

@@ -1,0 +1,112 @@
+"""What is drawn of an axis: entity, name, colour and unit of each series."""
+
+from typing import Final, NamedTuple
+
+import rerun as rr
+
+from hil.rows.recording_plan import AxisPlan
+
+Color = tuple[int, int, int]
+GREY, BLUE, RED, ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
+GREEN, VIOLET, YELLOW, CORAL = (112, 224, 128), (200, 160, 255), (255, 214, 92), (255, 122, 66)
+CHANNEL_COLORS: Final = (BLUE, GREEN, VIOLET, YELLOW, CORAL, GREY)
+AXIS_COLORS: Final = (BLUE, GREEN, ORANGE, VIOLET, YELLOW, CORAL)
+"""Of the axes, where all are drawn in one plot."""
+
+TIMELINE: Final = "run_time"
+OVERVIEW: Final = "/overview"
+"""Below it the envelopes, by the paths of the full rows."""
+LIMITS: Final = "/limits"
+"""Below it what the signals are held against, by axis and plot."""
+MILLI_RATED_MAX_NM: Final = 20.0
+"""Up to this rated torque it is drawn in mN m, the unit of 6076h: its ticks are then as long as those of a
+speed in r/min and a delay in us, and the plots begin at one x."""
+
+
+class Series(NamedTuple):
+    """One line of one plot."""
+
+    path: str
+    """Below the axis."""
+    name: str
+    color: Color
+    width: float = 1.0
+    steps: bool = False
+    """It holds from one point to the next."""
+
+    def styled(self, color: Color | None = None, name: str = "") -> rr.SeriesLines:
+        """As Rerun is told; ``color``, ``name``: in place of its own."""
+        modes = rr.components.InterpolationMode
+        return rr.SeriesLines(
+            names=name or self.name,
+            colors=color or self.color,
+            widths=self.width,
+            # The default averages neighbours where there are more points than pixels, and hides the peaks.
+            aggregation_policy="MinMax",
+            interpolation_mode=modes.StepAfter if self.steps else modes.Linear,
+        )
+
+
+class Marks(NamedTuple):
+    """Points of one plot."""
+
+    path: str
+    name: str
+    marker: rr.components.MarkerShape
+    color: Color = RED
+
+    def styled(self) -> rr.SeriesPoints:
+        """As Rerun is told."""
+        return rr.SeriesPoints(names=self.name, colors=self.color, markers=self.marker, marker_sizes=3.0)
+
+
+_SHAPES = rr.components.MarkerShape
+SERIES: Final = (
+    Series("speed/reference", "reference", GREY),
+    Series("speed/estimate", "estimate", VIOLET),
+    Series("speed/measured", "measured", BLUE, 1.6),
+    Series("error/error", "reference - measured", ORANGE),
+    Series("position/reference", "reference", GREY),
+    Series("position/measured", "measured", BLUE, 1.6),
+    Series("position_error/error", "reference - measured", ORANGE),
+    Series("torque/command", "command", GREY),
+    Series("torque/load", "load", VIOLET, steps=True),
+    Series("torque/measured", "measured", GREEN, 1.4),
+    Series("torque/brake", "load measured", ORANGE, 1.4),
+    Series("delay/delay", "delay", YELLOW),
+    Series("commands/on_bus", "on the bus", BLUE),
+    Series("commands/acting", "acting, at the latest", GREEN),
+    Series("commands/computing", "computing", ORANGE),
+    Series("clock/lower", "at least", GREY),
+    Series("clock/upper", "at most", GREY),
+    Series("clock/offset", "offset", VIOLET),
+)
+MARKS: Final = (
+    Marks("speed/dropped", "dropout", _SHAPES.Down),
+    Marks("delay/dropped", "dropout", _SHAPES.Cross),
+    Marks("delay/uncertain", "uncertain", _SHAPES.Diamond, VIOLET),
+    Marks("commands/lost", "lost", _SHAPES.Cross),
+)
+LIMIT_SERIES: Final = (
+    Series("speed/most", "limit of the drive", CORAL),
+    Series("speed/least", "limit of the drive", CORAL),
+    Series("error/most", "limit", CORAL),
+    Series("error/least", "limit", CORAL),
+    Series("torque/most", "limit of the command", CORAL),
+    Series("torque/least", "limit of the command", CORAL),
+    Series("delay/deadline", "deadline", CORAL),
+)
+
+
+def channel_series(names: tuple[str, ...]) -> tuple[Series, ...]:
+    """Of what a controller tells."""
+    colors = CHANNEL_COLORS
+    return tuple(
+        Series(f"controller/{name}", name, colors[place % len(colors)]) for place, name in enumerate(names)
+    )
+
+
+def torque_scale(axis: AxisPlan) -> tuple[float, str]:
+    """By what a torque in N m is multiplied to be drawn, and the unit that it has then."""
+    rated = axis.rated_torque_nm
+    return (1e3, "mN m") if rated is None or rated <= MILLI_RATED_MAX_NM else (1.0, "N m")

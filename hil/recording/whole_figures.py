@@ -1,0 +1,166 @@
+"""By what the pages of a run that has ended are scaled, and what its signals are held against."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from drivers.rotation import RPM_PER_RAD_S
+from drivers.timebase import NS_PER_US
+from hil.recording.lanes import error_limit_rpm
+from hil.recording.page_series import torque_scale
+from hil.reviewing.envelope import Envelope, Points
+from hil.reviewing.review import Review
+from hil.rows.recording_plan import AxisPlan, RecordingPlan
+
+_WORTH_SHOWING: Final = 4.0
+"""A limit so many times the signal, or farther, would flatten it: the title names it then."""
+_COUNTED_SHARE: Final = 0.98
+"""Of the error that counts: what a fault of a few cycles does beyond it does not flatten the rest."""
+_NEARLY_REACHED: Final = 1.2
+"""A limit of the drive that is farther from its signal is said in the title alone."""
+_DRAWN: Final = {
+    "speed": ("speed/measured", "speed/reference"),
+    "torque": ("torque/measured", "torque/command", "torque/load", "torque/brake"),
+}
+_MANTISSA_MAX: Final = 5.0
+_MARGIN: Final = 1.15
+
+
+def in_view(limit: float, signal: float) -> bool:
+    """Whether a limit is shown beside a signal that reaches to ``signal``."""
+    return limit <= _WORTH_SHOWING * signal
+
+
+class WholeFigures:
+    """Of one run."""
+
+    def __init__(
+        self,
+        plan: RecordingPlan,
+        envelopes: Mapping[str, Envelope],
+        review: Review,
+        marks: Mapping[str, int],
+    ) -> None:
+        """``envelopes``: by the path of the series. ``marks``: dropouts by axis."""
+        self._plan = plan
+        self._envelopes = envelopes
+        self._marks = marks
+        self._axes = plan.review.axes
+        self._error_limits = {
+            axis.name: error_limit_rpm(meter, plan.review.limits)
+            for axis, meter in zip(plan.review.axes, review.errors, strict=True)
+        }
+        self._meters = dict(zip((axis.name for axis in plan.review.axes), review.errors, strict=True))
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Of the values, by axis and plot; what is not here is as wide as its data."""
+        found = {}
+        for axis in self._axes:
+            for plot, low_high in (
+                ("speed", self._data_range(axis.name, *_DRAWN["speed"])),
+                ("error", self._error_range(axis.name)),
+                ("torque", self._data_range(axis.name, *_DRAWN["torque"])),
+                ("delay", self._delay_range(axis.name)),
+            ):
+                if low_high is not None and low_high[0] < low_high[1]:
+                    found[f"{axis.name}/{plot}"] = low_high
+        return found
+
+    def remarks(self) -> dict[str, str]:
+        """What the titles of plots say of limits that are not in the picture, by axis and plot."""
+        found = {}
+        for axis in self._axes:
+            limit = self._error_limits[axis.name]
+            if limit is not None:
+                found[f"{axis.name}/error"] = f" · limit ±{limit:.3g}"
+            deadline_us = self._plan.deadline / NS_PER_US
+            for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
+                if most is not None:
+                    found[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
+            found[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
+            found[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
+        return found
+
+    def limit_lines(self, begin: int, end: int) -> dict[str, Points]:
+        """By the path of the line, instants and values; those that are in the picture."""
+        found: dict[str, Points] = {}
+        ends = np.array([begin, end])
+        for axis in self._axes:
+            name = axis.name
+            if in_view(self._plan.deadline / NS_PER_US, self._reach(name, "delay/delay")):
+                found[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
+            limit = self._error_limits[name]
+            if limit is not None and in_view(limit, self._error_reach(name)):
+                times, scale = self._outside_settling(name, begin, end)
+                found[f"/{name}/error/most"] = times, limit * scale
+                found[f"/{name}/error/least"] = times, -limit * scale
+            for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
+                if most is not None and most <= _NEARLY_REACHED * self._reach(name, *_DRAWN[plot]):
+                    found[f"/{name}/{plot}/most"] = ends, np.full(2, most)
+                    found[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
+        return found
+
+    def _outside_settling(self, name: str, begin: int, end: int) -> Points:
+        """Ends of the stretches in which the error counts, and 1 there; no number in between."""
+        times, scale = [begin], [1.0]
+        for start, stop in self._meters[name].settling:
+            times += [start, start + 1, min(stop, end)]
+            scale += [1.0, np.nan, 1.0]
+        return np.array([*times, end]), np.array([*scale, 1.0])
+
+    def _reach(self, name: str, *paths: str) -> float:
+        """The largest by size."""
+        return max((abs(value) for value in self._ends(name, *paths)), default=0.0)
+
+    def _ends(self, name: str, *paths: str) -> Iterator[float]:
+        for path in paths:
+            envelope = self._envelopes.get(f"/{name}/{path}")
+            if envelope is not None and (ends := envelope.ends()) is not None:
+                yield from ends
+
+    def _data_range(self, name: str, *paths: str) -> tuple[float, float] | None:
+        values = list(self._ends(name, *paths))
+        if not values:
+            return None
+        low, high = min(values), max(values)
+        return low - (_MARGIN - 1) * (high - low), high + (_MARGIN - 1) * (high - low)
+
+    def _error_reach(self, name: str) -> float:
+        """The peak of the error that counts, but no more than some times what nearly all of it keeps."""
+        counted = self._meters[name].counted
+        peak, most = counted.largest(), counted.largest(_COUNTED_SHARE)
+        if peak is None or most is None:
+            return 0.0
+        return min(peak, _WORTH_SHOWING * most or peak) * RPM_PER_RAD_S
+
+    def _error_range(self, name: str) -> tuple[float, float] | None:
+        """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
+        reach, limit = self._error_reach(name), self._error_limits[name]
+        if limit is not None and in_view(limit, reach):
+            reach = max(reach, limit)
+        if not reach:
+            return None
+        most = 1.3 * reach
+        decade = 10.0 ** math.floor(math.log10(most))
+        if most > _MANTISSA_MAX * decade:  # more ticks of the smaller power of ten find no room
+            most = 1.05 * 10.0 * decade
+        return -most, most
+
+    def _torque_limit(self, axis: AxisPlan) -> float | None:
+        return None if axis.torque_max_nm is None else axis.torque_max_nm * torque_scale(axis)[0]
+
+    def _speed_limit(self, axis: AxisPlan) -> float | None:
+        return None if axis.speed_max_rad_s is None else axis.speed_max_rad_s * RPM_PER_RAD_S
+
+    def _delay_range(self, name: str) -> tuple[float, float] | None:
+        """From 0, or from where a drive's clock was wrong, with the deadline, if that is near."""
+        values = list(self._ends(name, "delay/delay"))
+        if not values:
+            return None
+        deadline_us, top = self._plan.deadline / NS_PER_US, max(values)
+        if in_view(deadline_us, top):
+            top = max(top, deadline_us)
+        least = min(values)
+        return min(-0.08 * top, _MARGIN * least), _MARGIN * top
