@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -15,11 +14,11 @@ from design.speed.speed_robustness import noise_gain
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import LING2012
-from hil.execution import bench
+from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
+from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
-from tests.truth.tapped_run import RowsRecorder
 from virtual_bus.drive.firmware import FirmwareParameters
 
 PERIOD_S = 0.001
@@ -77,16 +76,22 @@ def torque_rms_nm(motor: dict[str, Any], gain: list[float], **simulation: float)
 
 def run(config: BenchConfig) -> Rows:
     """Every row of a run on the simulated bus, in this process."""
-    recorders: list[RowsRecorder] = []
+    recorders: list[MemoryRecorder] = []
 
-    def start_recording(plan: RecordingPlan) -> RowsRecorder:
-        recorders.append(RowsRecorder(plan))
+    def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+        recorders.append(MemoryRecorder(plan, keep_rows=True))
         return recorders[-1]
 
-    with patch.object(bench, "start_recording", start_recording):
-        bench.run_bench(
-            config, bus_spec=None, time=None, seed=None, record=None, view=False, progress=no_progress
-        )
+    run_bench(
+        config,
+        bus_spec=None,
+        time=None,
+        seed=None,
+        record=None,
+        view=False,
+        progress=no_progress,
+        recording=in_memory,
+    )
     return recorders[0].rows()
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
@@ -15,9 +15,9 @@ from hil.execution import bench, world
 from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
 from hil.machine.progress import no_progress
+from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import Rows
-from tests.truth.tapped_run import RowsRecorder
 from virtual_bus.drive.motor_kernel import D_LOAD, S_SPEED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.timeline import Timeline
@@ -50,11 +50,11 @@ class ShaftRun:
 
 def run_watched(config: BenchConfig, load_at_s: float, load_nm: float) -> ShaftRun:
     """Run ``config``, of one axis, in simulated time; ``load_at_s``: since power-on, on no grid."""
-    recorders: list[RowsRecorder] = []
+    recorders: list[MemoryRecorder] = []
     seen: list[tuple[Instant, float]] = []
 
-    def start_recording(plan: RecordingPlan) -> RowsRecorder:
-        recorders.append(RowsRecorder(replace(plan)))
+    def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+        recorders.append(MemoryRecorder(plan, keep_rows=True))
         return recorders[-1]
 
     @contextmanager
@@ -67,11 +67,17 @@ def run_watched(config: BenchConfig, load_at_s: float, load_nm: float) -> ShaftR
             timeline.post(Instant(round(load_at_s * NS_PER_S)), lambda _: _load(servo, load_nm))
             yield made
 
-    with (
-        patch.object(bench, "open_world", open_world),
-        patch.object(bench, "start_recording", start_recording),
-    ):
-        run_bench(config, bus_spec=None, time=None, seed=None, record=None, view=False, progress=no_progress)
+    with patch.object(bench, "open_world", open_world):
+        run_bench(
+            config,
+            bus_spec=None,
+            time=None,
+            seed=None,
+            record=None,
+            view=False,
+            progress=no_progress,
+            recording=in_memory,
+        )
     times, speeds = zip(*seen, strict=True)
     return ShaftRun(recorders[0].rows(), np.array(times) / NS_PER_S, np.array(speeds), load_at_s)
 

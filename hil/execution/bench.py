@@ -46,8 +46,10 @@ from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.recording.fault_report import write_fault_report
-from hil.recording.recorder import Recorder, start_recording
+from hil.recording.recorder_choice import recorder_of
+from hil.recording.run_recorder import RunRecorder
 from hil.recording.watch import RecordingWatch
+from hil.rows.recording_plan import RecordingPlan
 from hil.verdict.summary import Summary
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_log import FaultLog
@@ -71,6 +73,7 @@ def run_bench(
     allow_uncertified: bool = False,
     privileged: bool = True,
     stop: StopRequest | None = None,
+    recording: Callable[[RecordingPlan], RunRecorder] = recorder_of,
     concluded: Callable[[Summary], None] = lambda _summary: None,
 ) -> Summary:
     """Run a bench and review it; from any thread.
@@ -80,10 +83,9 @@ def run_bench(
     caller puts in place of the file's. ``network``: file of one measured before. That network, the run's own
     and the drives must be what the controllers were made for, unless ``allow_uncertified``. ``privileged``:
     ask the kernel for real-time priority and locked memory on a bus in real time. ``stop``: by which a caller
-    ends the run from outside, as a stop signal does that comes to the main thread.
+    ends the run, as a stop signal does that comes to the main thread. ``recording``: starts a recorder.
     Raises BadInput before anything moves, PeerFault if bus or drive failed, RecordingFailed if the recording
-    did; in every case the drives are brought to rest and the recording is closed first. ``concluded`` is
-    given the summary then, also of a run that ends in an error.
+    did; the drives are brought to rest first, and ``concluded`` is given the summary, also of such a run.
     """
     controllers = controllers or {}
     _check_axes(config, controllers)
@@ -105,7 +107,7 @@ def run_bench(
             with_kept_sources(config, code), world, folder, seed, str(spec), view, certified
         )
         plan = replace(plan, channels=channels_of(code), sources=sources_text(code))
-        recorder = start_recording(plan)
+        recorder = recording(plan)
         if folder is not None:
             keep_sources(code, folder)
         if log is not None:
@@ -116,7 +118,7 @@ def run_bench(
             run = _Run(
                 config, world, recorder, conclusion, asked, progress, code, replaced, worse, devices, sheets
             )
-        with timing_conditions(world.real_time and privileged) as refused:
+        with timing_conditions(world.real_time, privileged) as refused:
             try:
                 return run.to_the_end(refused, concluded)
             except PeerFault as error:
@@ -129,8 +131,8 @@ def _check_axes(config: BenchConfig, controllers: Mapping[str, Controller]) -> N
     """Raises BadInput for a controller of an axis that is not there: the bench's own would run instead."""
     for name in controllers:
         if name not in config.axes:
-            source = config.source or "bench"
-            raise BadInput(source, "controllers", name, f"one of the bench's axes: {', '.join(config.axes)}")
+            expected = f"one of the bench's axes: {', '.join(config.axes)}"
+            raise BadInput(config.source or "bench", "controllers", name, expected)
 
 
 class _Run:
@@ -140,7 +142,7 @@ class _Run:
         self,
         config: BenchConfig,
         world: World,
-        recorder: Recorder,
+        recorder: RunRecorder,
         conclusion: Conclusion,
         stop: StopRequest,
         progress: Progress,

@@ -14,7 +14,7 @@ from drivers.timebase import Instant
 from hil.configuration.config import BenchConfig
 from hil.load.instrument import InstrumentLoadMachine, Wait, instrument_line
 from hil.loop.axis_roles import LoadMachine
-from hil.recording.recorder import Recorder
+from hil.recording.run_recorder import RunRecorder
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_objects import LOAD_MACHINE
 
@@ -72,7 +72,7 @@ class LoadMachines:
         self,
         config: BenchConfig,
         network: CanopenNetwork,
-        recorder: Recorder,
+        recorder: RunRecorder,
         servos: Sequence[SimulatedServo],
     ) -> None:
         """``servos``: the drives simulated in this process, in the order of the axes; empty if elsewhere."""

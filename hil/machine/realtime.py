@@ -19,9 +19,8 @@ _PR_SET_TIMERSLACK = 29
 
 @contextmanager
 def quiet_garbage_collector() -> Iterator[None]:
-    """No collection inside: one takes up to 25 ms, and the loop makes no cyclic garbage."""
+    """No collection inside: one takes up to 100 ms, and the loop makes no cyclic garbage."""
     was_enabled = gc.isenabled()
-    gc.collect()
     gc.disable()
     try:
         yield
@@ -46,6 +45,7 @@ def realtime_process() -> Iterator[tuple[str, ...]]:
     except PermissionError:
         refused.append("SCHED_FIFO (raise the limit rtprio)")
     try:
+        gc.collect()
         with quiet_garbage_collector():
             yield tuple(refused)
     finally:
@@ -55,15 +55,17 @@ def realtime_process() -> Iterator[tuple[str, ...]]:
 
 
 @contextmanager
-def timing_conditions(privileged: bool) -> Iterator[tuple[str, ...]]:
-    """What the kernel refused, if ``privileged``; otherwise nothing is asked of it.
+def timing_conditions(real_time: bool, privileged: bool = True) -> Iterator[tuple[str, ...]]:
+    """What the kernel refused, if ``privileged``; otherwise, and in simulated time, nothing is asked of it.
 
-    To be entered before any drive is told to listen for the host's heartbeat: to lock a large memory takes
-    up to a second.
+    To be entered before any drive is told to listen for the host's heartbeat: to lock a large memory, and to
+    collect what garbage there is, takes up to a second.
     """
-    if privileged:
+    if real_time and privileged:
         with realtime_process() as refused:
             yield refused
-    else:
-        with quiet_garbage_collector():
-            yield ()
+        return
+    if real_time:
+        gc.collect()
+    with quiet_garbage_collector():
+        yield ()

@@ -6,13 +6,13 @@ power-on of the drive, which in simulated time is the beginning. Entries wait un
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Instant
 from hil.recording.append_file import AppendFile
-from hil.recording.ring import RingReader
 from hil.rows.records import Rows
 from hil.rows.run_zero import RunZero
 from hil.rows.side_rows import RunEvent
@@ -32,10 +32,18 @@ assert BLOCK_DTYPE.itemsize == BLOCK.size
 _SINCE_POWER_ON = frozenset({KIND_CODES["late"], KIND_CODES["boot"]})
 
 
+class BlockSource(Protocol):
+    """A ring of blocks, or what stands for it."""
+
+    def drain(self) -> NDArray[np.void]:
+        """What came since the last call: (n,) of BLOCK_DTYPE."""
+        ...
+
+
 class FaultEntries:
     """The entries of a run in run time, as its ring brings them."""
 
-    def __init__(self, blocks: RingReader, started_at: Instant) -> None:
+    def __init__(self, blocks: BlockSource, started_at: Instant) -> None:
         """``started_at``: when the drives were switched on."""
         self.fresh: list[FaultEntry] = []
         """Those of the last :meth:`take`."""

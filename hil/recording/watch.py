@@ -6,7 +6,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.timebase import NS_PER_MS, Instant, MonotonicClock
 from hil.machine.progress import Progress
 from hil.recording.logger_process import RecordingFailed
-from hil.recording.recorder import Recorder
+from hil.recording.run_recorder import RunRecorder
 from virtual_bus.timeline import SimulatedClock
 
 _POLL_NS = NS_PER_MS
@@ -16,7 +16,7 @@ class RecordingWatch:
     """Ends a run that is not recorded any more, or lets it go on if that was asked for."""
 
     def __init__(
-        self, recorder: Recorder, goes_on: bool, progress: Progress, say: Callable[[str, str], None]
+        self, recorder: RunRecorder, goes_on: bool, progress: Progress, say: Callable[[str, str], None]
     ) -> None:
         """``goes_on``: a run goes on unrecorded. ``say``: takes a text for the reader and its level."""
         self._recorder = recorder

@@ -10,19 +10,24 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
 from drivers.cia402.profile import State
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_S
 from hil.configuration.config import BenchConfig
-from hil.rows.records import ROW_DTYPE, Rows
-from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
+from hil.recording.memory_recorder import MemoryRecorder
+from hil.rows.event_lines import event_json
+from hil.rows.records import Rows
+from hil.rows.records_file import RECORDS_FILE, read_table, rows_of_table
 from hil.rows.run_files import EVENTS_FILE
+from hil.rows.side_rows import BeginEvent, StateEvent, TextEvent
 from hil.testing.history import AxisHistory, Stretch
 from hil.testing.wire import Intended, Wire, intended_frames, pdo_plans, read_wire
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
-from hil.verdict.verdict import VerdictKind
+from hil.verdict.verdict import RunVerdict, VerdictKind
 
 _TRACK = "drive"
 
@@ -40,29 +45,56 @@ def _claim(method: Callable[Concatenate["Run", P], R]) -> Callable[Concatenate["
         try:
             return method(run, *given, **named)
         except AssertionError as error:
-            place = f"\nrecording: {run.folder}"
+            place = run.place
             raise AssertionError(str(error).removesuffix(place) + place) from None
 
     return told
 
 
 class Run:
-    """One recorded run."""
+    """One run, as its recording or the memory of this process has it."""
 
-    def __init__(self, config: BenchConfig, folder: Path, error: BenchError | None = None) -> None:
+    def __init__(
+        self,
+        config: BenchConfig,
+        kept: Path | MemoryRecorder,
+        error: BenchError | None = None,
+        summary: Summary | None = None,
+    ) -> None:
+        """``kept``: the folder of its recording, or the recorder that kept its rows; then with its
+        ``summary``."""
         self.config = config
-        self.folder = folder
-        """Its recording."""
         self.error = error
         """What ended it, for a run that was to end so."""
+        self._kept = kept
+        self._summary = summary
 
     # ---- what there is to look at ---------------------------------------------------------------------
 
+    @property
+    def folder(self) -> Path:
+        """Its recording. Raises ValueError where none was asked for."""
+        if isinstance(self._kept, Path):
+            return self._kept
+        raise ValueError("this run was not recorded; run it with record=DIR")
+
+    @property
+    def place(self) -> str:
+        """For a message: where to look."""
+        return f"\nrecording: {self._kept if isinstance(self._kept, Path) else 'none was asked for'}"
+
     @cached_property
     def summary(self) -> Summary:
-        """What ``hil run --json`` prints."""
+        """Figures and verdict: what ``hil run --json`` prints."""
+        if self._summary is not None:
+            return self._summary
         found = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
         return from_plain(Summary, found)
+
+    @property
+    def verdict(self) -> RunVerdict:
+        """What it came to, see docs/verdict.md."""
+        return self.summary.verdict
 
     @property
     def digest(self) -> str:
@@ -70,35 +102,57 @@ class Run:
         return self.summary.digest
 
     @cached_property
+    def table(self) -> pa.Table:
+        """Every planned cycle of every axis, by column: ``records.arrow``, with units and codes as metadata
+        of the fields (docs/recording.md). ``table.to_pandas()``, ``polars.from_arrow(table)``."""
+        if isinstance(self._kept, MemoryRecorder):
+            return self._kept.table()
+        return read_table(self._kept / RECORDS_FILE)
+
+    @cached_property
     def rows(self) -> Rows:
-        """(n,) of ROW_DTYPE: the records of all axes as they were recorded, in run time."""
-        return np.concatenate([np.empty(0, ROW_DTYPE), *read_records(self.folder / RECORDS_FILE)])
+        """(n,) of ROW_DTYPE: the same for numpy, NaN or -2**63 for what is not known."""
+        return rows_of_table(self.table)
+
+    def column(self, name: str, axis: str | None = None) -> NDArray[Any]:
+        """(n,) values of a column of docs/recording.md, one for each cycle of an axis.
+
+        Whole numbers are float64 with NaN where some are not known. Raises ValueError.
+        """
+        if name not in self.table.column_names:
+            raise ValueError(f"column {name!r}: there are {', '.join(self.table.column_names)}")
+        mine = self.table.column("axis").to_numpy() == self.config.axes.index(self._axis_name(axis))
+        found: NDArray[Any] = self.table.column(name).to_numpy()[mine]
+        return found
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
-        """The entries of events.jsonl."""
-        lines = (self.folder / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
+        """The entries of events.jsonl; of a run in memory in order of time."""
+        if isinstance(self._kept, MemoryRecorder):
+            events, zero = self._kept.told()
+            shown = [each for each in events if isinstance(each, TextEvent | StateEvent | BeginEvent)]
+            return [event_json(each, zero) for each in shown]
+        lines = (self._kept / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines]
 
     @cached_property
     def wire(self) -> Wire:
-        """Every frame that the bench sent or received, from connecting to the drives to their release."""
+        """Every frame that the bench sent or received, from connecting to the drives to their release.
+
+        Raises ValueError where none was recorded.
+        """
         return read_wire(self.folder)
 
     def axis(self, name: str | None = None) -> AxisHistory:
         """One axis, cycle by cycle; ``name`` may be left out if there is only one."""
-        axes = self.config.axes
-        if name is None and len(axes) == 1:
-            name = axes[0]
-        if name not in axes:
-            raise ValueError(f"axis {name!r}: say one of {', '.join(axes)}")
-        mine = self.rows[self.rows["axis"] == axes.index(name)]
+        name = self._axis_name(name)
+        mine = self.rows[self.rows["axis"] == self.config.axes.index(name)]
         return AxisHistory(name, mine, lambda: self._channels.get(name, ()))
 
     @cached_property
     def _channels(self) -> dict[str, list[str]]:
         """By axis, what its controller tells of its own."""
-        found: dict[str, list[str]] = json.loads(read_metadata(self.folder / RECORDS_FILE)["channels"])
+        found: dict[str, list[str]] = json.loads(self.table.schema.metadata[b"channels"])
         return found
 
     # ---- what may be claimed --------------------------------------------------------------------------
@@ -255,6 +309,14 @@ class Run:
         self.wire.assert_only(rules, allow)
 
     # ---- inside ---------------------------------------------------------------------------------------
+
+    def _axis_name(self, name: str | None) -> str:
+        axes = self.config.axes
+        if name is None and len(axes) == 1:
+            return axes[0]
+        if name is None or name not in axes:
+            raise ValueError(f"axis {name!r}: say one of {', '.join(axes)}")
+        return name
 
     def _assert_completed(self) -> None:
         __tracebackhide__ = True

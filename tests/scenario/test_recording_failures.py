@@ -89,7 +89,6 @@ def test_a_disk_that_fills_up_leaves_a_verdict_and_whole_files(tmp_path: Path, o
 
 def run_and_kill(
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     killed_in: str,
     on_failure: str = "stop",
     number: signal.Signals = signal.SIGKILL,
@@ -107,7 +106,6 @@ def run_and_kill(
             os.waitid(os.P_PID, started[0].logger_process_id, os.WEXITED | os.WNOWAIT)
             started.append(started[0])
 
-    monkeypatch.setattr(bench_module, "start_recording", start)
     config = load_bench(LING2012)
     recording = config.recording.model_copy(update={"on_failure": on_failure})
     return run_bench(
@@ -119,6 +117,7 @@ def run_and_kill(
         view=False,
         progress=progress,
         privileged=False,
+        recording=start,
     )
 
 
@@ -128,11 +127,9 @@ def summary_in(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("phase", ["connecting", "configuring", "calibrating"])
-def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str
-) -> None:
+def test_a_logger_killed_before_a_drive_is_enabled_lets_none_be_enabled(tmp_path: Path, phase: str) -> None:
     with pytest.raises(RecordingFailed, match="not recorded: the logger was killed by SIGKILL"):
-        run_and_kill(tmp_path, monkeypatch, phase)
+        run_and_kill(tmp_path, phase)
     summary = summary_in(tmp_path / "run")
     assert summary["cycles"] == 0
     assert not summary["verdict"]["passed"]
@@ -174,11 +171,9 @@ def drive_states(folder: Path) -> list[str]:
     return [event["state"] for event in events if event.get("track") == "axis1 drive"]
 
 
-def test_a_logger_killed_in_mid_run_ends_the_run_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_logger_killed_in_mid_run_ends_the_run_at_once(tmp_path: Path) -> None:
     with pytest.raises(RecordingFailed) as caught:
-        run_and_kill(tmp_path, monkeypatch, "running")
+        run_and_kill(tmp_path, "running")
     assert caught.value.exit_status == 5
     summary = summary_in(tmp_path / "run")
     assert 300 < summary["cycles"] <= 300 + 100 + 20
@@ -188,12 +183,10 @@ def test_a_logger_killed_in_mid_run_ends_the_run_at_once(
 
 
 @pytest.mark.parametrize("phase", ["enabling", "stopping", "stopped"])
-def test_a_logger_killed_at_either_end_of_the_run_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str
-) -> None:
+def test_a_logger_killed_at_either_end_of_the_run_is_told(tmp_path: Path, phase: str) -> None:
     recorded = True
     try:
-        recorded = not run_and_kill(tmp_path, monkeypatch, phase).recording_faults
+        recorded = not run_and_kill(tmp_path, phase).recording_faults
     except RecordingFailed:
         recorded = False
     assert not recorded
@@ -203,10 +196,8 @@ def test_a_logger_killed_at_either_end_of_the_run_is_told(
     assert drive_states(tmp_path / "run")[-1] == "switch on disabled"
 
 
-def test_a_run_that_is_to_go_on_unrecorded_loses_no_row_and_has_not_passed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    result = run_and_kill(tmp_path, monkeypatch, "running", "continue")
+def test_a_run_that_is_to_go_on_unrecorded_loses_no_row_and_has_not_passed(tmp_path: Path) -> None:
+    result = run_and_kill(tmp_path, "running", "continue")
     assert result.recording_faults
     assert not result.verdict.passed
     summary = summary_in(tmp_path / "run")

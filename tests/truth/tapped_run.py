@@ -6,19 +6,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
-import numpy as np
-
 from drivers.errors import BenchError
 from drivers.wire.link import BusLink, StampSource
 from hil.configuration.config import BenchConfig
 from hil.execution import bench, world
 from hil.execution.bench import run_bench
 from hil.execution.world import World, WorldPlan
-from hil.loop.samples import CycleRecord
 from hil.machine.progress import no_progress
+from hil.recording.memory_recorder import MemoryRecorder
 from hil.rows.recording_plan import RecordingPlan
-from hil.rows.records import ROW_DTYPE, Rows, row_of
-from tests.memory_recorder import MemoryRecorder
+from hil.rows.records import Rows
 from tests.truth.taps import HostTap, TapLog, tap_drives
 from virtual_bus.drive.servo import SimulatedServo
 
@@ -34,32 +31,13 @@ class TappedRun:
     """The error that ended it before its time; empty if none did."""
 
 
-class RowsRecorder(MemoryRecorder):
-    """Keeps the rows as a recording would have them."""
-
-    def __init__(self, plan: RecordingPlan) -> None:
-        super().__init__(plan.review, plan.seed)
-        self._kept = bytearray()
-
-    def record(self, record: CycleRecord) -> None:
-        self._kept += row_of(record)
-        super().record(record)
-
-    def fault_block(self, length: int, block: bytes) -> None:
-        """The faults are known to the plan; nothing of them is asked."""
-
-    def rows(self) -> Rows:
-        """(n,) of ROW_DTYPE."""
-        return np.frombuffer(bytes(self._kept), ROW_DTYPE)
-
-
 def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) -> TappedRun:
     """Run ``config`` on its simulated bus. ``clock_starts_at_us``: 1013h of every drive at power-on."""
     log = TapLog()
-    recorders: list[RowsRecorder] = []
+    recorders: list[MemoryRecorder] = []
 
-    def start_recording(plan: RecordingPlan) -> RowsRecorder:
-        recorders.append(RowsRecorder(plan))
+    def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+        recorders.append(MemoryRecorder(plan, keep_rows=True))
         return recorders[-1]
 
     @contextmanager
@@ -69,10 +47,7 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
             yield _tapped(made, log)
 
     ended_by = ""
-    with (
-        patch.object(bench, "open_world", open_world),
-        patch.object(bench, "start_recording", start_recording),
-    ):
+    with patch.object(bench, "open_world", open_world):
         try:
             run_bench(
                 config,
@@ -83,6 +58,7 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
                 view=False,
                 progress=no_progress,
                 privileged=False,
+                recording=in_memory,
             )
         except BenchError as error:
             if not recorders:

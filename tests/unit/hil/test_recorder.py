@@ -15,12 +15,12 @@ import pytest
 from drivers.errors import BadInput
 from drivers.record import replaced
 from drivers.timebase import Instant
+from hil.recording.memory_recorder import MemoryRecorder
 from hil.recording.recorder import ROWS_CAPACITY, Recorder, start_recording
 from hil.rows.records_file import read_records
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
-from tests.memory_recorder import MemoryRecorder
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import record_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -30,12 +30,13 @@ CYCLES = 500
 
 def play(recorder: Recorder | MemoryRecorder, cycles: int = CYCLES) -> Summary:
     """A short run, with what a loop would say of it."""
+    tap = recorder.tap()
     recorder.event(Instant(-5), "INFO", "set up")
     recorder.begin(Instant(0))
     for record in synthetic_records(cycles):
         recorder.record(record)
-        recorder.frame("tx", 0x80, b"", False, False, record.due_at)
-        recorder.frame("rx", 0x181, b"\x37\x16", False, False, record.due_at)
+        tap.frame("tx", 0x80, b"", False, False, record.due_at)
+        tap.frame("rx", 0x181, b"\x37\x16", False, False, record.due_at)
     recorder.state(Instant(3), "phase", "stop")
     return recorder.close(whole_outcome(CYCLES))
 
@@ -48,7 +49,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
 
 def test_both_recorders_give_the_same_summary(run: tuple[Path, Summary]) -> None:
     folder, summary = run
-    in_memory = play(MemoryRecorder(plan_for(folder).review, seed=2012))
+    in_memory = play(MemoryRecorder(plan_for(folder)))
     assert summary == replace(in_memory, recording=str(folder))
     assert summary.cycles == CYCLES
     assert summary.verdict.passed
@@ -156,7 +157,7 @@ def test_rows_of_a_killed_logger_are_in_the_files_once_each(tmp_path: Path) -> N
     summary = recorder.close(whole_outcome(2 * CYCLES))
     rows = np.concatenate(list(read_records(tmp_path / "run" / "records.arrow")))
     assert [record_of(row) for row in rows] == records
-    assert summary.digest == play(MemoryRecorder(plan_for(tmp_path).review), 2 * CYCLES).digest
+    assert summary.digest == play(MemoryRecorder(plan_for(tmp_path)), 2 * CYCLES).digest
     assert len((tmp_path / "run" / "frames.log").read_text().splitlines()) == 2 * CYCLES
     assert from_plain(Summary, json.loads((tmp_path / "run" / "summary.json").read_text())) == summary
     assert not (tmp_path / "run" / "records.tail").exists()

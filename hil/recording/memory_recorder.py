@@ -1,0 +1,132 @@
+"""A recorder that keeps no files and starts no process: figures and digest of a run, made in this one."""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.timebase import Instant
+from drivers.wire.frame_port import FrameTap
+from hil.loop.samples import CycleRecord
+from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries
+from hil.recording.run_metadata import run_metadata
+from hil.reviewing.review import Review
+from hil.rows.injected_faults import InjectedFaults
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW, ROW_DTYPE, Rows, row_of
+from hil.rows.run_zero import RunZero
+from hil.rows.set_points import SetPointTeller
+from hil.rows.side_rows import BeginEvent, IdentityEvent, LoadEvent, RunEvent, StateEvent, TextEvent
+from hil.verdict.summary import Summary, summarise
+from hil.verdict.verdict import RunOutcome
+from virtual_bus.faults.fault_log import BLOCK
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_REVIEWED_BYTES = 1024 * ROW.size
+"""A review of so many rows costs little more than one of a single row."""
+
+
+class MemoryRecorder:
+    """As :class:`hil.recording.recorder.Recorder`, without frames: bounded memory, unless rows are kept."""
+
+    def __init__(self, plan: RecordingPlan, *, keep_rows: bool = False) -> None:
+        """``keep_rows``: for :meth:`rows`, :meth:`table` and :meth:`told`."""
+        self.events: list[RunEvent] = []
+        """In the order in which they came to be known."""
+        self._plan, self._keep_rows = plan, keep_rows
+        self._review = Review(plan.review)
+        self._rows = bytearray()
+        self._kept: list[bytes] = []
+        self._blocks = _Blocks()
+        self._zero = RunZero(plan.started_at)
+
+    def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
+        """Frames are dropped."""
+        return FrameTap()
+
+    def begin(self, at: Instant) -> None:
+        """See :class:`hil.recording.recorder.Recorder`, as of the methods below."""
+        self.events.append(BeginEvent(at))
+        self._zero.look(self.events[-1:])
+
+    def record(self, record: CycleRecord) -> None:
+        """One complete cycle of one axis."""
+        self._rows += row_of(record)
+        if len(self._rows) == _REVIEWED_BYTES:
+            self._review_filled()
+
+    def event(self, at: Instant, level: str, text: str) -> None:
+        """Something worth reading."""
+        self.events.append(TextEvent(at, level, text))
+
+    def state(self, at: Instant, track: str, label: str) -> None:
+        """``track`` is in state ``label``."""
+        self.events.append(StateEvent(at, track, label))
+
+    def identity(self, at: Instant, axis: str, text: str) -> None:
+        """Who the drive of an axis is."""
+        self.events.append(IdentityEvent(at, axis, text))
+
+    def load(self, at: Instant, axis: str, torque_nm: float, speed_rad_s: float) -> None:
+        """What a load machine measured."""
+        self.events.append(LoadEvent(at, axis, torque_nm, speed_rad_s))
+
+    def fault_block(self, length: int, block: bytes) -> None:
+        """Entries of injected faults."""
+        if self._keep_rows:
+            self._blocks.packed += BLOCK.pack(length, block)
+
+    def confirm(self, wait: Callable[[], None]) -> None:
+        """Memory holds it."""
+
+    def trouble(self) -> str:
+        """There is none."""
+        return ""
+
+    def close(self, outcome: RunOutcome) -> Summary:
+        """The summary."""
+        self._review_filled()
+        return summarise(self._review.figures(), outcome, self._plan.review.limits, "", self._plan.seed)
+
+    def rows(self) -> Rows:
+        """(n,) of ROW_DTYPE on the bench's clock, in order of recording."""
+        return np.frombuffer(b"".join(self._kept), ROW_DTYPE)
+
+    def table(self) -> "pa.Table":
+        """The same as ``records.arrow`` has it: in run time, with nulls, units and metadata."""
+        from hil.rows.records_file import records_table  # pyarrow, which no loop needs
+
+        drives = {event.axis: event.text for event in self.events if isinstance(event, IdentityEvent)}
+        return records_table(self.rows(), run_metadata(self._plan, self._zero.at, drives), self._zero.at)
+
+    def told(self) -> tuple[list[RunEvent], Instant]:
+        """All that ``events.jsonl`` would tell, in order of time; and the first cycle."""
+        return sorted([*self.events, *self._shown()], key=lambda event: event.at), self._zero.at
+
+    def _shown(self) -> Iterator[RunEvent]:
+        """What nobody says, but rows and entries of the fault log show."""
+        yield from SetPointTeller(self._plan.set_points).take(self.rows(), self._zero.at)
+        injected = InjectedFaults()
+        entries = FaultEntries(self._blocks, self._plan.started_at).take(self._zero, at_end=True)
+        yield from injected.take(entries, self._zero.at)
+        yield from injected.finish()
+
+    def _review_filled(self) -> None:
+        filled = bytes(self._rows)
+        self._rows.clear()
+        self._review.add(np.frombuffer(filled, ROW_DTYPE))
+        self.events += self._review.take_events()
+        if self._keep_rows:
+            self._kept.append(filled)
+
+
+class _Blocks:
+    """In place of a ring of faults."""
+
+    def __init__(self) -> None:
+        self.packed = bytearray()
+
+    def drain(self) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+        return np.frombuffer(bytes(self.packed), BLOCK_DTYPE)
