@@ -14,6 +14,7 @@ from drivers.rotation import RPM_PER_RAD_S
 from hil.commissioning.exercise import Recording
 from hil.commissioning.frequency import FrequencyResponse, StepLag
 from hil.commissioning.identify import Mechanics
+from hil.commissioning.ripple import TorqueByAngle
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,17 @@ def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics
         peak = 3.0 * max(abs(value) for value in line) + 1e-12
         below.set(xlabel="speed, r/min", ylabel="torque less inertia, N m", ylim=(-peak, peak))
         below.legend(frameon=False)
+
+
+def draw_angle(path: Path, found: TorqueByAngle) -> None:
+    """Torque that inertia and friction leave, over the angle, each way."""
+    with _figure(path, 1, 4.5) as (ax,):
+        degrees = np.degrees(found.angle_rad)
+        ax.plot(degrees, found.forward_nm, color=_BLUE, linewidth=1.2, label="forwards")
+        ax.plot(degrees, found.backward_nm, color=_RED, linewidth=1.2, label="backwards")
+        ax.set(xlabel="angle of the shaft, degrees", ylabel="torque less inertia and friction, N m")
+        ax.set(xlim=(0.0, 360.0), title=f"standard error of a point {found.error_nm:.2g} N m")
+        ax.legend(frameon=False)
 
 
 def draw_current(path: Path, current: Array, torque: Array, slope: float, offset: float) -> None:

@@ -9,9 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hil.commissioning.exercise import runs_of, smooth_speed
+from hil.commissioning.exercise import Recording, runs_of, smooth_speed
 from hil.commissioning.frequency import frequency_response, lines_hz, step_lag
-from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
+from hil.commissioning.identify import (
+    Mechanics,
+    NotIdentifiable,
+    identify_mechanics,
+    plain_ratio,
+    ratio_of,
+    slope_error,
+)
+from hil.commissioning.outcome import StepFailed, refuse_losses
+from hil.commissioning.ripple import torque_by_angle
 
 Array = NDArray[Any]
 J, B, T_C, T_0 = 8e-4, 2e-3, 0.05, 0.01
@@ -48,6 +57,97 @@ def test_inertia_and_friction_of_a_known_shaft() -> None:
     assert found.offset_nm == pytest.approx(T_0, rel=0.05)
     assert found.friction_nm(-10.0) == pytest.approx(-(T_C + 10.0 * B), rel=0.02)
     assert found.friction_nm(0.0) == 0.0
+
+
+def shifted(made: tuple[Array, Array, Array], shift_s: float) -> tuple[Array, Array, Array]:
+    """The same motion, seen so much later: with respect to it the torque acted earlier."""
+    time, position, torque = made
+    return time, np.interp(time - shift_s, time, position), torque
+
+
+def test_a_torque_that_is_taken_for_later_than_it_acted_is_no_friction() -> None:
+    records = [shifted(record(direction), 0.3 * PERIOD_S) for direction in (1.0, -1.0)]
+    blind = identify_mechanics(records, 0.1, held_s=0.0)
+    found = identify_mechanics(records, 0.1, held_s=0.0, with_shift=True)
+    assert found.torque_shift_s == pytest.approx(0.3 * PERIOD_S, abs=2e-6)
+    assert found.viscous_friction_nm_s == pytest.approx(B, rel=1e-3)
+    off = abs(found.viscous_friction_nm_s - B)
+    assert abs(blind.viscous_friction_nm_s - B) > 4.0 * off, "or the shift would need no column"
+
+
+def test_a_lost_reading_takes_half_of_each_neighbour() -> None:
+    """Torques of a saw: the mean of the neighbours is exact, the next one alone would be a step off."""
+    time, position, torque = record(1.0)
+    whole = identify_mechanics([record(1.0), record(-1.0)], 0.1, held_s=0.0)
+    kept = np.arange(len(time)) % 20 != 7
+    kept[:25] = kept[-25:] = True
+    part = identify_mechanics(
+        [tuple(each[kept] for each in record(direction)) for direction in (1.0, -1.0)], 0.1, held_s=0.0
+    )
+    assert part.inertia_kg_m2 == pytest.approx(whole.inertia_kg_m2, rel=2e-3)
+    assert len(position) == len(torque)
+
+
+def ripple(seed: int) -> list[tuple[Array, Array, Array]]:
+    """Both ways, with a torque on the shaft that 6077h does not show and that lasts for half a window."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    records = []
+    for direction in (1.0, -1.0, 1.0, -1.0):
+        time, _, torque = record(direction)
+        noise = np.zeros(len(time))
+        for k in range(1, len(noise)):
+            noise[k] = 0.98 * noise[k - 1] + 4e-4 * random.normal()
+        records.append((time, spin(torque + noise, direction * 5.0), torque))
+    return records
+
+
+def test_the_stated_uncertainty_holds_with_correlated_residuals() -> None:
+    errors, stated = [], []
+    for seed in range(40):
+        found = identify_mechanics(ripple(seed), 0.1, held_s=0.0)
+        errors.append(
+            [found.inertia_kg_m2 - J, found.viscous_friction_nm_s - B, found.coulomb_friction_nm - T_C]
+        )
+        stated.append([found.inertia_error, found.viscous_error, found.coulomb_error])
+    error, width = np.array(errors), np.array(stated)
+    held = np.mean(np.abs(error) <= width, axis=0)
+    assert np.all(held >= 0.85), f"{held}: white residuals would make 0.5 to 0.6 of it"
+    ratio = np.sqrt(np.mean(width**2, axis=0)) / (2.0 * np.sqrt(np.mean(error**2, axis=0)))
+    assert np.all(ratio <= 1.5), ratio
+
+
+def test_cogging_shows_against_the_angle() -> None:
+    """A shaft held at constant speed by a torque that meets the sixth harmonic of a cogging torque."""
+    time: Array = PERIOD_S * np.arange(8000)
+    recordings = []
+    for direction in (1.0, -1.0):
+        position = direction * 20.0 * time
+        torque = direction * (T_C + 20.0 * B) + T_0 + 0.004 * np.sin(6.0 * position)
+        speed = np.gradient(position, time)
+        recordings.append(Recording(time, position, speed, torque, np.zeros(0), 8000, 0, ()))
+    known = Mechanics(J, B, T_C, T_0, 0.0, 0.0, 0.0, 0, 0.0)
+    found = torque_by_angle(recordings, known)
+    assert found.ripple_nm == pytest.approx(0.004, rel=0.05)
+    assert found.forward_nm == pytest.approx(0.004 * np.sin(6.0 * found.angle_rad), abs=4e-4)
+    assert found.backward_nm == pytest.approx(found.forward_nm, abs=4e-4)
+    assert torque_by_angle([], known).ripple_nm is None
+
+
+def test_the_uncertainty_of_a_slope_holds() -> None:
+    random = np.random.Generator(np.random.PCG64(8))
+    across: Array = np.cos(np.linspace(0.0, 18.0, 1500))
+    held = 0
+    for _ in range(100):
+        noise = np.convolve(random.normal(size=1529), np.ones(30) / 30.0, "valid")
+        along = 3.0 * across + noise
+        held += abs(np.polyfit(across, along, 1)[0] - 3.0) <= 2.0 * slope_error(across, along)
+    assert held >= 88
+
+
+def test_losses_above_the_bound_end_a_step() -> None:
+    refuse_losses(10, 100)
+    with pytest.raises(StepFailed, match="11 of 100 readings were lost"):
+        refuse_losses(11, 100)
 
 
 @settings(derandomize=True, deadline=None, max_examples=15)

@@ -1,0 +1,69 @@
+"""Torque against the angle of the shaft: cogging, and friction that is not the same all round."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.commissioning.exercise import Recording, smooth_speed
+from hil.commissioning.identify import Mechanics
+
+Array = NDArray[np.float64]
+
+_BINS: Final = 72
+"""Of 5 degrees: twelve for a period of the sixth harmonic."""
+_SMOOTHED: Final = 9
+"""Samples of the line by which the speed is smoothed."""
+_REACH_RAD: Final = 0.5
+"""That those samples may span: of the sixth harmonic half a period, beyond which smoothing levels it."""
+_FEWEST: Final = 5
+"""Samples in a bin, for a mean with a scatter."""
+
+
+class TorqueByAngle(NamedTuple):
+    """Means over bins of the angle; NaN where too few samples fell."""
+
+    angle_rad: Array
+    """(72,) middle of each bin, from the drive's zero of position."""
+    forward_nm: Array
+    """(72,) torque that inertia and identified friction leave, turning towards positive positions."""
+    backward_nm: Array
+    error_nm: float
+    """Standard error of a bin, root mean square."""
+
+    @property
+    def ripple_nm(self) -> float | None:
+        """Half of peak to peak of the mean of both directions; None where bins are empty."""
+        both = 0.5 * (self.forward_nm + self.backward_nm)
+        return None if np.isnan(both).any() else float(np.ptp(both)) / 2.0
+
+
+def torque_by_angle(recordings: Sequence[Recording], found: Mechanics) -> TorqueByAngle:
+    """What is left of the torque, by angle: of the samples slow enough for their acceleration to be told."""
+    angles, torques, directions = [], [], []
+    for recording in recordings:
+        if len(recording.time) <= _SMOOTHED:
+            continue
+        speed = recording.speed
+        acceleration = smooth_speed(recording.time, speed)
+        step = float(np.median(np.diff(recording.time)))
+        slow = (np.abs(speed) * _SMOOTHED * step < _REACH_RAD) & (np.abs(speed) * _SMOOTHED * step > 0.01)
+        sign = np.sign(speed)
+        friction = found.viscous_friction_nm_s * speed + found.coulomb_friction_nm * sign + found.offset_nm
+        left = recording.torque - found.inertia_kg_m2 * acceleration - friction
+        angles.append(np.mod(recording.position, 2.0 * np.pi)[slow])
+        torques.append(left[slow])
+        directions.append(sign[slow])
+    angle, torque, direction = (
+        np.concatenate(each) if each else np.zeros(0) for each in (angles, torques, directions)
+    )
+    place = np.minimum(_BINS - 1, (angle / (2.0 * np.pi) * _BINS).astype(int))
+    means, errors = [], []
+    for way in (1.0, -1.0):
+        parts = [torque[(place == number) & (direction == way)] for number in range(_BINS)]
+        means.append(np.array([part.mean() if len(part) >= _FEWEST else np.nan for part in parts]))
+        errors += [part.var(ddof=1) / len(part) for part in parts if len(part) >= _FEWEST]
+    middle = (np.arange(_BINS) + 0.5) * 2.0 * np.pi / _BINS
+    error = float(np.sqrt(np.mean(errors))) if errors else float("nan")
+    return TorqueByAngle(middle, means[0], means[1], error)
