@@ -61,6 +61,7 @@ def _finish(session: Session, result: Commissioned) -> None:
     if journal is None:
         return
     session.found.settings = set_objects(session)
+    session.found.originals = journal.contents.originals()
     try:
         if session.configured:
             _rest(session)
@@ -97,10 +98,12 @@ def _store(session: Session, result: Commissioned) -> None:
     try:
         network.download(node, STORE_PARAMETERS, 1, SAVE)
     except PeerFault as error:
+        result.not_stored = str(error)
         session.dialog.tell(
             f"the drive does not store: {error}; it keeps the settings until it is switched off"
         )
+    else:
+        result.stored = True
     finally:
         network.sdo_timeout_s = before
     network.pump(network.deadline_after(Duration(50 * NS_PER_MS)))
-    result.stored = True

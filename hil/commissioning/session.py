@@ -2,17 +2,17 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, ParamSpec
 
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.pdo import PdoPlan, bus_load_percent_max
-from drivers.cia402.drive_setup import DriveSettings, Identity
+from drivers.cia402.drive_setup import DriveSettings
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
-from drivers.cia402.scaling import ScaleOverride, Scaling
+from drivers.cia402.scaling import Scaling
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown, PeerFault
 from drivers.sheets.capability import capability_of
@@ -21,25 +21,23 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, NS_PER_US, Duration, Instant, 
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from hil.commissioning.exercise import EnergyMeter, Exerciser
+from hil.commissioning.findings import Findings
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import CommissionRequest, MotionLimits
 from hil.configuration.config import Guard
-from hil.configuration.network_file import Network
 from hil.execution.bus_guard import BusGuard
 from hil.execution.segments import timing_without_bench
 from hil.execution.world import World
 from hil.loop.loop import LoopTiming
 from hil.loop.scenario import Quantity
 from hil.machine.stopping import Interrupted
-from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import JournaledNetwork
 
 P = ParamSpec("P")
 
 ENABLE_LIMIT_S: Final = 3.0
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
-MILLISECOND: Final = Duration(NS_PER_MS)
 PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
@@ -52,41 +50,6 @@ class EmergencyStopped(Interrupted):
     """A key was hit while the shaft could turn."""
 
     exit_status = 3
-
-
-@dataclass(slots=True)
-class Findings:
-    """What the steps learnt; None: not yet, or not to be had."""
-
-    identity: Identity | None = None
-    dump: dict[tuple[int, int], bytes] = field(default_factory=dict)
-    told: Scaling | None = None
-    """By the drive's own objects."""
-    override: ScaleOverride = field(default_factory=ScaleOverride)
-    """Where they are wrong."""
-    modes: tuple[Mode, ...] = ()
-    """Those of the drive in which something can be commanded."""
-    plan: PdoPlan | None = None
-    period: Duration = MILLISECOND
-    limits: MotionLimits | None = None
-    mechanics: Mechanics | None = None
-    rough: Mechanics | None = None
-    """From the pulses: enough to guide an exercise."""
-    speed_noise_rad_s: float = 0.0
-    """Rms of the velocity 606Ch about the derivative of the position."""
-    torque_constant_nm_a: float | None = None
-    """N m per A rms, as the drive's own figures have it."""
-    velocity_ratio: float | None = None
-    """Velocity over position derivative, both as told."""
-    network: Network | None = None
-    reading_delay_us: float | None = None
-    effect_delay_us: float | None = None
-    torque_lag_us: float | None = None
-    current_bandwidth_hz: float | None = None
-    """Of the lag of first order that is as far behind a command's arrival in the drive as its torque is."""
-    controller: dict[str, Any] = field(default_factory=dict)
-    settings: dict[ObjectKey, bytes] = field(default_factory=dict)
-    """What the drive was set to for good, not for a step only; known at the end."""
 
 
 class Session:

@@ -1,0 +1,60 @@
+"""What the steps of a commissioning learn about a drive."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from drivers.canopen.pdo import PdoPlan
+from drivers.cia402.drive_setup import Identity
+from drivers.cia402.profile import Mode, QuickStopOption
+from drivers.cia402.scaling import ScaleOverride, Scaling
+from drivers.timebase import NS_PER_MS, Duration
+from hil.commissioning.identify import Mechanics
+from hil.commissioning.request import MotionLimits
+from hil.configuration.network_file import Network
+from hil.restoring.journal import ObjectKey
+
+MILLISECOND: Final = Duration(NS_PER_MS)
+
+
+@dataclass(slots=True)
+class Findings:
+    """What the steps learnt; None: not yet, or not to be had."""
+
+    identity: Identity | None = None
+    dump: dict[tuple[int, int], bytes] = field(default_factory=dict)
+    told: Scaling | None = None
+    """By the drive's own objects."""
+    override: ScaleOverride = field(default_factory=ScaleOverride)
+    """Where they are wrong."""
+    modes: tuple[Mode, ...] = ()
+    """Those of the drive in which something can be commanded."""
+    plan: PdoPlan | None = None
+    period: Duration = MILLISECOND
+    limits: MotionLimits | None = None
+    mechanics: Mechanics | None = None
+    rough: Mechanics | None = None
+    """From the pulses: enough to guide an exercise."""
+    speed_noise_rad_s: float = 0.0
+    """Rms of the velocity 606Ch about the derivative of the position."""
+    torque_constant_nm_a: float | None = None
+    """N m per A rms, as the drive's own figures have it."""
+    velocity_ratio: float | None = None
+    """Velocity over position derivative, both as told."""
+    quick_stop_rad_s2: float | None = None
+    """6085h as it was found to be needed; None: the drive's own."""
+    quick_stop_option: QuickStopOption = QuickStopOption.QUICK_STOP_RAMP
+    network: Network | None = None
+    reading_delay_us: float | None = None
+    effect_delay_us: float | None = None
+    command_to_torque_s: float | None = None
+    """From a SYNC until the torque of its cycle acts, by the motion: of a drive that tells no torque."""
+    torque_lag_us: float | None = None
+    current_bandwidth_hz: float | None = None
+    """Of the lag of first order that is as far behind a command's arrival in the drive as its torque is."""
+    controller: dict[str, Any] = field(default_factory=dict)
+    settings: dict[ObjectKey, bytes] = field(default_factory=dict)
+    """What the drive was set to for good, not for a step only; known at the end."""
+    originals: dict[ObjectKey, bytes] = field(default_factory=dict)
+    """What every object held before it was changed; known at the end."""
+    versions: dict[str, str] = field(default_factory=dict)
+    """1009h and 100Ah, as far as the drive tells them."""
