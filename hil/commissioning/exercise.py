@@ -53,7 +53,7 @@ class Recording:
     position: Array
     velocity: Array
     torque: Array
-    """By the drive's 6077h."""
+    """By the drive's 6077h; of a drive that tells none, the command that acted."""
     sync_to_reading_us: Array
     """End of the SYNC on an idle bus to the arrival of its reading."""
     cycles: int
@@ -107,6 +107,7 @@ class Watched(Controller):
         self._port = port
         self._first: StateEstimate | None = None
         self._last: StateEstimate | None = None
+        self._commanded_nm = 0.0
 
     def output(self, context: Context) -> SetPoint:
         """The inner controller's set-point, after the limits were looked at."""
@@ -116,6 +117,7 @@ class Watched(Controller):
 
     def update(self, context: Context, command: Command) -> None:
         """As the inner one."""
+        self._commanded_nm = command.torque_nm
         self._inner.update(context, command)
 
     def _check(self, estimate: StateEstimate) -> None:
@@ -139,13 +141,21 @@ class Watched(Controller):
             if speed > 1.5 * _OVERSPEED * limits.speed_rad_s:
                 raise _exceeded("speed by position", speed, limits.speed_rad_s, "rad/s")
         # By the position: the velocity's unit may be wrong until a step has looked at it.
-        power = abs(estimate.torque_nm * path) / passed_s if passed_s > 0.0 else 0.0
+        torque_nm = _told_or(estimate.torque_nm, self._commanded_nm)
+        if math.isnan(torque_nm):  # neither told nor commanded: speed and path bound the work
+            return
+        power = abs(torque_nm * path) / passed_s if passed_s > 0.0 else 0.0
         if power > _OVERSPEED * limits.power_w:
             raise _exceeded("power", power, limits.power_w, "W")
         energy = self._energy
-        energy.spent_j += abs(estimate.torque_nm * path)
+        energy.spent_j += abs(torque_nm * path)
         if energy.spent_j > limits.energy_j:
             raise _exceeded("work in this step", energy.spent_j, limits.energy_j, "J")
+
+
+def _told_or(torque_nm: float, commanded_nm: float) -> float:
+    """The drive's torque, or what it was told to make if it tells none; NaN if it is given speeds."""
+    return commanded_nm if math.isnan(torque_nm) else torque_nm
 
 
 def _exceeded(what: str, found: float, limit: float, unit: str) -> LimitExceeded:
@@ -303,8 +313,12 @@ def recording_of(records: list[CycleRecord]) -> Recording:
     missing: list[bool] = []
     lost = 0
     origin = records[0].due_at if records else Instant(0)
+    acting_nm = sent_nm = 0.0
     for record in records:
         observation = record.observation
+        acting_nm = sent_nm  # a command acts from behind a SYNC to behind the next one
+        if record.command is not None and record.sending is not None:
+            sent_nm = record.command.torque_nm
         if isinstance(observation, Dropout):
             lost += observation.cause in (DropoutCause.LOST, DropoutCause.MISSED)
             missing.append(True)
@@ -316,7 +330,7 @@ def recording_of(records: list[CycleRecord]) -> Recording:
                 (observation.sampled_at - origin) / NS_PER_S,
                 reading.position_rad,
                 reading.velocity_rad_s,
-                reading.torque_nm,
+                _told_or(reading.torque_nm, acting_nm),
             )
         )
         if record.sync_on_bus_at is not None:

@@ -4,6 +4,7 @@ import math
 from typing import Any, Final
 
 from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
 from hil.commissioning.session import Session
@@ -99,18 +100,21 @@ def drive_tables(session: Session) -> dict[str, Any]:
         },
         "scale": {
             key: value
-            for key in ("position_rad", "velocity_rad_s", "rated_torque_nm")
+            for key in ("position_rad", "velocity_rad_s", "acceleration_rad_s2", "rated_torque_nm")
             if (value := getattr(override, key)) is not None
         },
     }
     if override.torque_sign < 0.0 or override.velocity_sign < 0.0:
         tables["signs"] = {"torque": int(override.torque_sign), "velocity": int(override.velocity_sign)}
+    if found.quick_stop_option is not QuickStopOption.QUICK_STOP_RAMP:
+        tables["stop"] = {"option": int(found.quick_stop_option)}
     if found.current_bandwidth_hz is not None:
         tables["current_loop"] = {"order": 1, "bandwidth_hz": found.current_bandwidth_hz}
+    own_ramp = found.quick_stop_rad_s2 is not None
     objects = [
         {"index": key.index, "sub": key.sub, "bytes": value.hex()}
         for key, value in found.settings.items()
-        if key.index in _SETTINGS
+        if key.index in _SETTINGS or (key.index == Object.QUICK_STOP_DECELERATION and own_ramp)
     ]
     if objects:
         tables["object"] = objects

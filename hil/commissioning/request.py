@@ -1,8 +1,9 @@
 """What the user asked for and allows."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 from pydantic import Field
 
@@ -80,6 +81,15 @@ def load_nameplate(path: Path) -> Nameplate:
     return load_file(Nameplate, path, "nameplate file", NamedBy("--motor", "", str(path)))
 
 
+_UNWATCHED_SPEED: Final = 0.2
+"""A shaft that is left alone has 4 % of the energy that it had at the limit."""
+_UNWATCHED_TORQUE: Final = 0.5
+"""It takes twice as long to run away, and is still above the friction of a motor, which is below a tenth of
+its rated torque."""
+_UNWATCHED_TURNS: Final = 3.0
+"""Each way: no step turns the shaft one way for long, and 607Dh stops drives that mind it."""
+
+
 @dataclass(frozen=True, slots=True)
 class CommissionRequest:
     """One commissioning."""
@@ -94,8 +104,12 @@ class CommissionRequest:
     """None: 1 ms, or longer where the bus has no room."""
     dry_run: bool = False
     store: bool = False
+    trust_nameplate: bool = False
+    """Take the nameplate's word, where nobody is there to ask, though the drive contradicts it by far."""
     heartbeat_timeout_ms: int = 150
     """Silence that the host bears of the drive, and the drive of the host."""
+    unwatched: bool = False
+    """Bear a drive that has neither 1016h nor node guarding: within the limits of :func:`cautious`."""
 
     @property
     def heartbeat_ms(self) -> int:
@@ -141,4 +155,16 @@ def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: flo
         energy_j=wanted.energy_max_j or 3.0 * power,
         travel_rad=None if wanted.turns_max is None else wanted.turns_max * math.tau,
         following_rad=wanted.following_error_max_turns * math.tau,
+    )
+
+
+def cautious(limits: MotionLimits) -> MotionLimits:
+    """For a drive that goes on with its last command when its host is gone: whoever stands at its emergency
+    stop needs time, and what turns until then is to do no harm."""
+    travel_rad = _UNWATCHED_TURNS * math.tau
+    return replace(
+        limits,
+        torque_nm=_UNWATCHED_TORQUE * limits.torque_nm,
+        speed_rad_s=_UNWATCHED_SPEED * limits.speed_rad_s,
+        travel_rad=travel_rad if limits.travel_rad is None else min(travel_rad, limits.travel_rad),
     )

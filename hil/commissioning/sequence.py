@@ -16,6 +16,8 @@ class Step(ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    limit: ClassVar[str] = ""
+    """What fails it, behind "it fails if"."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of steps that must have been done."""
     writes: ClassVar[bool] = False
@@ -58,7 +60,7 @@ def run_sequence(session: Session, steps: Sequence[Step], records: list[StepReco
     """Steps of a dry run that were only told of."""
     for number, step in enumerate(steps, start=1):
         session.check_stop()
-        record = StepRecord(step.name, step.title, "", StepVerdict.NOT_DONE)
+        record = StepRecord(step.name, step.title, "", StepVerdict.NOT_DONE, step.limit)
         records.append(record)
         reason = _why_not(session, step, done)
         if reason is not None:
@@ -119,17 +121,20 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
 
 def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | None:
     """Do the step once; what failed, if it did."""
-    session.begin_step()
     outcome = StepOutcome()
+    failure: PeerFault | None = None
     try:
+        session.begin_attempt()
         step.run(session, outcome)
     except (BusDown, Interrupted, EmergencyStopped):
         record.verdict, record.reason = StepVerdict.FAILED, "cut short"
         raise
     except PeerFault as error:
-        return error
-    record.verdict, record.reason, record.outcome = StepVerdict.DONE, "", outcome
-    return None
+        failure = error
+    failure = session.end_attempt(failure)
+    if failure is None:
+        record.verdict, record.reason, record.outcome = StepVerdict.DONE, "", outcome
+    return failure
 
 
 def _show(session: Session, outcome: StepOutcome) -> None:

@@ -1,19 +1,22 @@
 """What the steps of one commissioning share: the drive, the limits, and what was found so far."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Concatenate, Final, ParamSpec
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.pdo import PdoPlan, bus_load_percent_max
 from drivers.cia402.drive_setup import DriveSettings
+from drivers.cia402.lapses import lapses
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
 from drivers.cia402.scaling import Scaling
 from drivers.cia402.servo import ServoDrive
+from drivers.cia402.state_control import FAULTY
 from drivers.errors import BusDown, PeerFault
 from drivers.sheets.capability import capability_of
 from drivers.sheets.dictionary import LoadedDictionary
@@ -22,9 +25,10 @@ from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.drive_port import QUANTITY_OF_MODE, DrivePort
 from hil.commissioning.exercise import EnergyMeter, Exerciser
 from hil.commissioning.findings import Findings
+from hil.commissioning.host_gaps import HostGaps
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.request import CommissionRequest, MotionLimits
+from hil.commissioning.request import CommissionRequest, MotionLimits, cautious
 from hil.configuration.config import Guard
 from hil.execution.bus_guard import BusGuard
 from hil.execution.segments import timing_without_bench
@@ -35,6 +39,7 @@ from hil.machine.stopping import Interrupted
 from hil.restoring.journaled import JournaledNetwork
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 ENABLE_LIMIT_S: Final = 3.0
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
@@ -43,7 +48,11 @@ SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
 _FRAMES_TO_ACT: Final = 5.8
 """From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
+_SERVED_S: Final = 0.01
+"""How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
+_HOST_LOST: Final = 0x8130
+"""EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 
 
 class EmergencyStopped(Interrupted):
@@ -77,15 +86,42 @@ class Session:
         self.found = Findings()
         self.configured = False
         self.energy = EnergyMeter()
+        self.disturbed = False
+        """The last attempt at a step failed: who knows how it left the drive."""
+        self.gaps = HostGaps(network, request.heartbeat_timeout_ms)
         self._port: DrivePort | None = None
 
     def _tell(self, _at: Instant, _level: str, text: str) -> None:
         """What the guard saw."""
         self.dialog.tell(f"    {text}")
 
-    def begin_step(self) -> None:
-        """Each step has its own bound on the work it may do."""
+    def begin_attempt(self) -> None:
+        """Each attempt at a step has its own bound on the work it may do, and begins with a drive that is
+        set up: one that fell out of it, as its host was not heard for a while, is set up again.
+
+        Only the fault that the host's own silence makes is reset. Raises PeerFault.
+        """
         self.energy = EnergyMeter()
+        self.gaps.begin()
+        if not self.configured:
+            return
+        control = self.drive.control
+        codes = [emergency.code for emergency in control.emergencies if emergency.code]
+        if control.read_state() in FAULTY and codes and codes[-1] == _HOST_LOST:
+            self.drive.reset_fault(self.deadline(ENABLE_LIMIT_S))
+            self.dialog.tell(f"    the fault {_HOST_LOST:04X}h, of a host that was not heard, is reset")
+        found = lapses(self.drive, self.request.heartbeat_ms)
+        if found or self.disturbed:
+            if found:
+                self.dialog.tell(f"    the drive is set up again: {'; '.join(found)}")
+            self.configure()
+        self.disturbed = False
+
+    def end_attempt(self, failure: PeerFault | None) -> PeerFault | None:
+        """What made an attempt fail, if it did: the host's own silence before what came of it."""
+        failure = self.gaps.cause_of(failure)
+        self.disturbed = failure is not None
+        return failure
 
     # ---- time -----------------------------------------------------------------------------------------
 
@@ -118,9 +154,14 @@ class Session:
 
     @property
     def limits(self) -> MotionLimits:
-        """What the host allows."""
+        """What the host allows; less of a drive that does not notice that its host is gone."""
         assert self.found.limits is not None, "the step 'limits' comes first"
-        return self.found.limits
+        return cautious(self.found.limits) if self.unwatched else self.found.limits
+
+    @property
+    def unwatched(self) -> bool:
+        """The drive was found to watch its host by no means; borne with ``--unwatched`` only."""
+        return self.configured and not self.drive.error_control.host_watched
 
     @property
     def told(self) -> Scaling:
@@ -137,6 +178,11 @@ class Session:
     def velocity_rad_s(self) -> float:
         """One raw unit of the velocity, as far as it is known by now."""
         return self.found.override.velocity_rad_s or self.told.velocity_rad_s
+
+    @property
+    def acceleration_rad_s2(self) -> float:
+        """One raw unit of the accelerations, as far as it is known by now."""
+        return self.found.override.acceleration_rad_s2 or self.told.acceleration_rad_s2
 
     @property
     def rated_torque_nm(self) -> float:
@@ -188,13 +234,18 @@ class Session:
             drive_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
             host_heartbeat_ms=request.heartbeat_ms,
             host_heartbeat_timeout_ms=request.heartbeat_timeout_ms,
+            unwatched=request.unwatched,
             torque_max_nm=self.limits.torque_nm,
             speed_max_rad_s=self.limits.speed_rad_s * 1.3,
+            quick_stop_deceleration_rad_s2=found.quick_stop_rad_s2,
+            quick_stop_option=found.quick_stop_option,
             scale=found.override,
         )
         notes = self.drive.configure(settings)
         found.plan = self.drive.plan
-        self.configured = True
+        first, self.configured = not self.configured, True
+        if first and self.unwatched:
+            return self.configure(mode, plan)  # with the limits of such a drive
         self._port = DrivePort(self.drive, mode, found.period / NS_PER_S)
         self.guard.arm({}, own_sync=True)
         return notes
@@ -223,7 +274,7 @@ class Session:
     def enabled(self) -> Iterator[None]:
         """Inside, the drive is enabled, and a key stops it; afterwards it is at rest and disabled."""
         self.check_temperature()
-        with self.stop.armed():
+        with self.gaps.while_enabled(), self.stop.armed():
             try:
                 self.drive.enable(self.deadline(ENABLE_LIMIT_S))
                 yield
@@ -265,6 +316,23 @@ class Session:
         except PeerFault as error:
             self.dialog.tell(f"  while stopping: {error}")
 
+    def meanwhile(self, work: Callable[P, T], *args: P.args, **options: P.kwargs) -> T:
+        """What ``work`` returns, which takes its time: a fit, a design, a picture. The drive is disabled.
+
+        In real time the bus is served by this thread meanwhile, so that the drive hears its host; ``work``
+        has one of its own, and must leave the session alone. While a drive is enabled nothing but the loop
+        that commands it sends its heartbeat: RuntimeError.
+        """
+        if self.drive.enabled:
+            raise RuntimeError("the drive is enabled: its host has no time for anything else")
+        if not self.world.real_time:
+            return work(*args, **options)
+        with ThreadPoolExecutor(1) as pool:
+            future = pool.submit(work, *args, **options)
+            while not future.done():
+                self.wait(_SERVED_S)
+        return future.result()
+
     def overridden(self, **changes: Any) -> None:
         """Take better factors or signs; they act from the next :meth:`configure` on."""
         self.found.override = replace(self.found.override, **changes)
@@ -273,11 +341,33 @@ class Session:
         self, outcome: StepOutcome, name: str, draw: Callable[Concatenate[Path, P], None],
         *figures: P.args, **options: P.kwargs,
     ) -> None:  # fmt: skip
-        """Have a plot drawn into the folder of the report, and shown there."""
+        """Have a plot drawn into the folder of the report, and shown there. The drive is disabled."""
         folder = self.request.out / "plots"
         folder.mkdir(parents=True, exist_ok=True)
-        draw(folder / f"{name}.png", *figures, **options)
+        self.meanwhile(draw, folder / f"{name}.png", *figures, **options)
         outcome.pictures.append(f"plots/{name}.png")
+
+
+def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
+    """Whether the nameplate is right where the drive says something else by far, and nothing measured tells.
+
+    A misread plate passes for a wrong drive as easily as the other way round: somebody has to look. Raises
+    StepFailed if nobody is there, unless the nameplate is to be trusted, or if the answer is neither.
+    """
+    if session.request.trust_nameplate:
+        return True
+    contradiction = f"{key}: the nameplate says {plate}, the drive {drive}"
+    if not session.dialog.attended:
+        raise StepFailed(
+            contradiction,
+            "nothing measured tells which is right",
+            "mend the nameplate file or the drive's setting, or give --trust-nameplate",
+        )
+    question = f"    {contradiction}. Which is right? [n = nameplate, d = drive]"
+    answer = session.dialog.line(question, session.idle).lower()
+    if answer not in ("n", "d"):
+        raise StepFailed(contradiction, f"{answer!r} is no answer", "look at the motor's plate, and repeat")
+    return answer == "n"
 
 
 def held_s(session: Session) -> float | None:

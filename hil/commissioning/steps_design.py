@@ -12,7 +12,7 @@ from design.speed.speed_design import least_gain
 from drivers.canopen.pdo import bus_load_percent_max
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_US, Duration
-from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_verification
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import PERIODS_US, Session
@@ -41,6 +41,7 @@ class Suggest(Step):
 
     name = "suggest"
     title = "Suggested limits, period and controller"
+    limit = "no controller is found for the measured delay"
     needs = ("mechanics", "delays")
 
     def left_out(self, session: Session) -> str | None:
@@ -69,7 +70,7 @@ class Suggest(Step):
                 f"so it is designed for {1e6 * delay_s:.0f} us"
             )
         try:
-            design = least_gain(model, delay_s, Feedback.SPEED)
+            design = session.meanwhile(least_gain, model, delay_s, Feedback.SPEED)
         except DesignError as error:
             raise StepFailed("no controller was found", str(error)) from error
         proportional, integral = -float(design.K[1]), -float(design.K[2])
@@ -150,6 +151,7 @@ class Verify(Step):
 
     name = "verify"
     title = "Verification run"
+    limit = "the speed is off by more than 2 % rms on a plateau"
     needs = ("suggest",)
     moves = True
     writes = True
@@ -178,6 +180,7 @@ class Verify(Step):
         gains = {name: gain for name, gain in session.found.controller.items() if name != "kind"}
         with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
+        refuse_losses(recording.lost, recording.cycles)
         wanted = ReferenceProfile(reference)
         at = recording.time
         asked = np.array([wanted.value(float(t)) for t in at])
@@ -188,6 +191,7 @@ class Verify(Step):
             f"on the plateaus the speed is off by {rms:.3g} rad/s rms ({100.0 * rms / speed:.2f} %), "
             f"on the way by at most {float(np.abs(errors).max()):.3g} rad/s"
         )
+        outcome.measured("speed error on the plateaus, rms", rms, "rad/s")
         outcome.figures = {"plateau_rms_rad_s": rms, "error_max_rad_s": float(np.abs(errors).max())}
         session.picture(outcome, "verify", draw_verification, recording, at, asked)
         if rms > _ERROR_MAX * speed + _UNITS_MAX * session.velocity_rad_s or math.isnan(rms):

@@ -13,11 +13,12 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
 from hil.commissioning.excitation import SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
-from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
+from hil.commissioning.steps_mechanics import tells_torque
 from hil.configuration.network_file import DelayFigures, Network
 from hil.loop.scenario import Ramp
 
@@ -68,6 +69,10 @@ class Response(Step):
 
     name = "response"
     title = "Frequency response torque to speed"
+    limit = (
+        "it contradicts the inertia of the ramps by more than a fifth, or more than 10 % of "
+        "the readings are lost"
+    )
     needs = ("mechanics",)
     moves = True
     writes = True
@@ -105,10 +110,12 @@ class Response(Step):
                 bandwidth_rad_s=_GUIDE_RAD_S,
             )
             recording = exerciser.run(guide, start + _BLOCKS * _BLOCK_S + 0.2, [Ramp(0.0, base, over)])
+        refuse_losses(recording.lost, recording.cycles)
         try:
-            found = frequency_response(
-                recording.time, recording.torque, recording.velocity, lines, _BLOCK_S, period, start
-            )
+            found = session.meanwhile(
+                frequency_response, recording.time, recording.torque, recording.velocity,
+                lines, _BLOCK_S, period, start,
+            )  # fmt: skip
         except ValueError as error:
             raise StepFailed("too few samples for a frequency response", str(error)) from error
         model = 1.0 / (
@@ -136,6 +143,7 @@ def _judge_response(
     outcome.say(
         f"between {_MIDDLE_HZ[0]:g} and {_MIDDLE_HZ[1]:g} Hz the inertia is {ratio:.3f} of the identified one"
     )
+    outcome.measured("inertia over that of the ramps", ratio, "")
     outcome.headline = outcome.lines[-1]
     dips = np.abs(response) / np.abs(model)
     usable = coherence > _COHERENT
@@ -160,12 +168,13 @@ class Delays(Step):
 
     name = "delays"
     title = "Delays and losses"
-    needs = ("mechanics",)
+    limit = "more than 10 % of the readings are lost, or the torque does not follow"
+    needs = ("motion_units",)
     moves = True
     writes = True
 
     def plan(self, session: Session, /) -> str:
-        if session.torque_mode() is None:
+        if session.torque_mode() is None or not tells_torque(session):
             return f"time {_READINGS_S:g} s of readings; what a command does cannot be timed without torque"
         return (
             f"switch the torque {switches(session)} times by a little, at shifting instants of the cycle, "
@@ -173,7 +182,7 @@ class Delays(Step):
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        if session.torque_mode() is None:
+        if session.torque_mode() is None or not tells_torque(session):
             _time_readings(session, outcome)
             return
         with session.enabled():
@@ -182,9 +191,10 @@ class Delays(Step):
         readings = np.array(probe.delays_us)
         if len(readings) < 100:
             raise StepFailed("too few readings came", f"{len(readings)} of {probe.cycles}")
+        refuse_losses(probe.cycles - len(readings), probe.cycles)
         age, part = (np.array(column, dtype=float) for column in zip(*probe.answers, strict=True))
         try:
-            lag = step_lag(age, part)
+            lag = session.meanwhile(step_lag, age, part)
         except ValueError as error:
             raise StepFailed("the torque does not follow its command", str(error)) from error
         found = session.found
@@ -194,6 +204,7 @@ class Delays(Step):
         lost, commands_lost = sum(probe.missing), probe.commands_lost
         in_a_row = runs_of(probe.missing)
         _keep_readings(session, outcome, readings, in_a_row, lost, probe.cycles, lag.half_us, commands_lost)
+        outcome.measured("delay of a command", lag.half_us, "us")
         outcome.say(
             f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
             f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
@@ -229,9 +240,15 @@ def _time_readings(session: Session, outcome: StepOutcome) -> None:
     readings = recording.sync_to_reading_us
     if len(readings) < 100:
         raise StepFailed("too few readings came", f"{len(readings)} of {recording.cycles}")
+    refuse_losses(recording.lost, recording.cycles)
     _keep_readings(session, outcome, readings, recording.losses_in_a_row, recording.lost, recording.cycles)
     delay_us = session.found.reading_delay_us
     outcome.figures = {"reading_delay_us": delay_us, "readings_lost": recording.lost}
+    by_motion_s = session.found.command_to_torque_s
+    if by_motion_s is not None and delay_us is not None:
+        session.found.effect_delay_us = effect_us = max(0.0, 1e6 * by_motion_s - delay_us)
+        outcome.figures["effect_delay_us"] = effect_us
+        outcome.say(f"by the motion a command acts {effect_us:.0f} us after it was sent")
 
 
 def _keep_readings(
@@ -258,6 +275,8 @@ def _keep_readings(
         losses_in_a_row=in_a_row,
         reading_delay_us=DelayFigures(p50=p50, p99=p99, p999=p999, max=largest),
     )
+    outcome.measured("delay of a reading", session.found.reading_delay_us, "us")
+    outcome.measured("readings lost", 100.0 * lost / max(1, cycles), "%")
     outcome.say(
         f"readings arrive {session.found.reading_delay_us:.0f} us after the SYNC, "
         f"99 % within {p99:.0f} us; {lost} of {cycles} were lost"

@@ -5,10 +5,13 @@ from typing import Final
 
 from drivers.canopen.pdo import bus_load_percent_max
 from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.mode_control import ModeRefused
 from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_planner import PlanImpossible
 from drivers.cia402.profile import HaltOption, Mode, State, state_of
 from drivers.errors import PeerFault
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.rotation import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_MS, Instant
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
@@ -27,6 +30,7 @@ class SetUp(Step):
 
     name = "setup"
     title = "Limits, reactions and PDO plan"
+    limit = "the drive does not take what the bench needs"
     needs = ("units",)
     writes = True
     essential = True
@@ -57,19 +61,28 @@ class SetUp(Step):
 
     def _first_mode_taken(self, session: Session, outcome: StepOutcome) -> Mode:
         """Configure in the first mode that the drive takes; those that it does not are struck out."""
+        refusals: list[str] = []
         while True:
             mode = session.motion_mode()
             if mode is None:
-                raise StepFailed("the drive takes none of the modes in which the bench could move it")
+                raise StepFailed(
+                    "the drive takes none of the modes in which the bench could move it", "; ".join(refusals)
+                )
             try:
                 outcome.lines += session.configure(mode)
             except PeerFault as error:
-                if len(session.found.modes) <= 1 or "mode" not in str(error):
+                if not _of_the_mode(error):
                     raise
-                outcome.say(f"mode {mode.name.lower()} is not taken: {error}")
+                refusals.append(f"{mode.title}: {error}")
+                outcome.say(f"{mode.title} is not taken: {error}")
                 session.found.modes = tuple(other for other in session.found.modes if other is not mode)
             else:
                 return mode
+
+
+def _of_the_mode(error: PeerFault) -> bool:
+    """Another mode may be taken, or be served by the PDOs."""
+    return isinstance(error, ModeRefused | PlanImpossible) or isinstance(error.__cause__, PlanImpossible)
 
 
 def _extra_limits(session: Session) -> list[str]:
@@ -105,38 +118,60 @@ class Watchdog(Step):
 
     name = "watchdog"
     title = "Proof of the watch over the host"
+    limit = "the drive stays enabled, or is late"
     needs = ("setup",)
     writes = True
     essential = True
 
     def plan(self, session: Session, /) -> str:
+        if session.unwatched:
+            return "have somebody stand by, as the drive does not watch its host"
         timeout = session.request.heartbeat_timeout_ms
         return (
             f"enable the drive at rest, stop the host's heartbeat, and time how long it stays enabled "
-            f"({timeout} ms are set in 1016h); a fault that this causes is reset"
+            f"({timeout} ms are set in the drive); a fault that this causes is reset"
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
+        if session.unwatched:
+            _bear_unwatched(session, outcome)
+            return
         timeout_ms = session.request.heartbeat_timeout_ms
         with session.stop.armed():
             try:
                 session.drive.enable(session.deadline(3.0))
                 reaction_ms, state = _silence(session, timeout_ms)
             finally:
-                session.network.produce_heartbeat(Duration(session.request.heartbeat_ms * NS_PER_MS))
+                session.network.resume_life_signs()
                 session.wait(3e-3 * session.request.heartbeat_ms)
         _recover(session)
         if reaction_ms is None:
             raise StepFailed(
                 "the drive stays enabled without its host",
                 f"{_PATIENCE * timeout_ms:.0f} ms after the last heartbeat",
-                "1016h or 6007h does not work in this drive: do not go on",
+                "1016h, 100Ch or 6007h does not work in this drive: do not go on",
             )
         named = "an unknown state" if state is None else repr(state.value)
         outcome.say(f"left 'operation enabled' for {named} {reaction_ms:.1f} ms after the last heartbeat")
         outcome.figures = {"reaction_ms": reaction_ms, "timeout_ms": timeout_ms}
         if reaction_ms > _LATE * timeout_ms + 20.0:
             raise StepFailed("the drive reacts too late", f"{reaction_ms:.0f} ms, {timeout_ms} ms were set")
+
+
+def _bear_unwatched(session: Session, outcome: StepOutcome) -> None:
+    """Have somebody say that he stands by."""
+    limits = session.limits
+    session.dialog.tell(
+        "    Nothing stops this drive if host, cable or adapter fail: it goes on with its last command. "
+        f"It is given {limits.torque_nm:.4g} N m and {limits.speed_rad_s / RAD_S_PER_RPM:.0f} r/min at most, "
+        "and few turns. Somebody has to stand at its emergency stop."
+    )
+    if session.dialog.attended:
+        answer = session.dialog.line("    Write yes if you do.", session.idle)
+        if answer.strip().lower() != "yes":
+            raise StepFailed("nobody stands by to stop the drive")
+    outcome.faults.append("the drive does not notice that its host is gone; its motions were limited")
+    outcome.figures = {"reaction_ms": None, "timeout_ms": None}
 
 
 def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | None]:
@@ -148,9 +183,9 @@ def _silence(session: Session, timeout_ms: int) -> tuple[float | None, State | N
     network, drive = session.network, session.drive
     drive.take_readings()
     emergencies = network.emergencies_seen
-    network.produce_heartbeat(Duration(session.request.heartbeat_ms * NS_PER_MS))
+    network.resume_life_signs()
     last_at = heard_at = session.clock_now
-    network.produce_heartbeat(Duration(0))
+    network.withhold_life_signs()
     period = session.found.period
     due = Instant(last_at + period)
     while due < last_at + round(_PATIENCE * timeout_ms * NS_PER_MS):
@@ -188,6 +223,7 @@ class EnableAtZero(Step):
 
     name = "enable"
     title = "Enable at zero torque"
+    limit = "the shaft turns by more than 0.01 turns"
     needs = ("watchdog",)
     writes = True
     moves = True
@@ -203,11 +239,13 @@ class EnableAtZero(Step):
         if not len(recording.position):
             raise StepFailed("no reading came while the drive was enabled")
         crept = float(recording.position.max() - recording.position.min()) / math.tau
-        outcome.say(f"the shaft turned by {crept:.5f} turns; mean torque {recording.torque.mean():.4g} N m")
+        mean_nm = float(recording.torque.mean())
+        torque = "no torque is told" if math.isnan(mean_nm) else f"mean torque {mean_nm:.4g} N m"
+        outcome.say(f"the shaft turned by {crept:.5f} turns; {torque}")
         outcome.figures = {"crept_turns": crept}
         if crept > _REST_TURNS:
             raise StepFailed(
                 f"the shaft creeps by {crept:.3f} turns in {_REST_S:g} s",
-                f"mean torque {recording.torque.mean():.4g} N m",
+                torque,
                 "take the load off, or hold it: the figures would be worth nothing",
             )

@@ -4,17 +4,19 @@ import math
 
 import numpy as np
 
+from drivers.cia402.drive_setup import read_scaling
 from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import TARGETS
 from drivers.cia402.profile import Mode, supported_mode_bit
-from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, scaling_from
-from drivers.errors import PeerFault
+from drivers.cia402.scaling import ScaleOverride, Scaling, UnitNotTold
 from drivers.rotation import RAD_S_PER_RPM
+from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session
+from hil.commissioning.session import Session, nameplate_wins
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
@@ -23,6 +25,17 @@ LISTEN_S = 0.5
 ROUND_TRIPS = 20
 _SHOWN = 40
 _RATING_TOLERANCE = 0.03
+_REMEDIES = {
+    "torque": "6076h tells none: give rating.torque_nm in the nameplate (--motor)",
+    "position": "608Fh, 6092h and 60A8h tell none: give encoder.counts_per_revolution, the position units in "
+    "one turn, in the nameplate (--motor)",
+    "velocity": "60A9h, and 6096h with the position unit, tell none: this drive cannot be commissioned",
+    "acceleration": "60AAh, and 6097h with the position unit, tell none: this drive cannot be commissioned",
+}
+_RATING_SLIP = 1.5
+"""Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
+_COARSEST_RAD = 1.01 * math.tau / 6.0
+"""Hall sensors of one pole pair: a position unit that is coarser is a resolution that nobody has set."""
 
 
 class BusCheck(Step):
@@ -30,6 +43,7 @@ class BusCheck(Step):
 
     name = "bus"
     title = "Adapter and bus"
+    limit = "there are error frames, or the node does not answer"
     essential = True
 
     def plan(self, session: Session, /) -> str:
@@ -63,6 +77,7 @@ class IdentityCheck(Step):
 
     name = "identity"
     title = "Identity against the data sheet"
+    limit = "the data sheet is of another device"
     needs = ("bus",)
     essential = True
 
@@ -75,24 +90,24 @@ class IdentityCheck(Step):
     def run(self, session: Session, outcome: StepOutcome) -> None:
         identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
         session.found.identity = identity
+        versions = {"hardware (1009h)": 0x1009, "firmware (100Ah)": 0x100A}
+        told = {name: session.objects.read_text(index) for name, index in versions.items()}
+        session.found.versions = {name: text for name, text in told.items() if text}
         outcome.say(str(identity))
-        outcome.figures = identity._asdict()
+        outcome.figures = identity._asdict() | {"versions": session.found.versions}
         dictionary = session.dictionary
         if dictionary is not None:
-            information = dictionary.device_information
-            for what, held, told in (
-                ("vendor", identity.vendor, information.vendor_number),
-                ("product", identity.product, information.product_number),
+            sheet = told_identity(dictionary)
+            for part, of_sheet, of_drive in sheet.strangers(
+                identity.vendor, identity.product, identity.revision
             ):
-                if told and held and told != held:
+                if part != "revision":
                     raise StepFailed(
-                        f"the data sheet is of another device: {what} {told:08X}h",
-                        f"the drive says {held:08X}h",
+                        f"the data sheet is of another device: {part} {of_sheet:08X}h",
+                        f"the drive says {of_drive:08X}h",
                         "give the data sheet of this drive, or none",
                     )
-            revision = information.revision_number
-            if revision and identity.revision and revision != identity.revision:
-                outcome.say(f"revision {identity.revision:08X}h, the data sheet is for {revision:08X}h")
+                outcome.say(f"revision {of_drive:08X}h, the data sheet is for {of_sheet:08X}h")
         if not session.request.dry_run:
             head = head_of(session.objects, session.request.bus, identity)
             session.network.begin_journal(Journal(session.request.journal, head))
@@ -133,6 +148,7 @@ class UnitsTold(Step):
 
     name = "units"
     title = "Units as told"
+    limit = "a unit is not told, or nameplate and drive contradict each other by far"
     needs = ("identity",)
     essential = True
 
@@ -143,22 +159,21 @@ class UnitsTold(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         found, plate, objects = session.found, session.request.nameplate, session.objects
-        values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
         override = ScaleOverride()
-        if not values.get((Object.MOTOR_RATED_TORQUE, 0)) and plate.rating.torque_nm:
+        if not objects.read_if_there(Object.MOTOR_RATED_TORQUE) and plate.rating.torque_nm:
             override = ScaleOverride(rated_torque_nm=plate.rating.torque_nm)
             outcome.say(
                 f"6076h tells no rated torque; the nameplate's {plate.rating.torque_nm:g} N m is taken"
             )
         try:
-            told = scaling_from(values, override)
-        except PeerFault as error:
+            told = _plausible(read_scaling(objects, override))
+        except UnitNotTold as error:
             counts = plate.encoder.counts_per_revolution
-            if counts is None:
-                raise
-            outcome.faults.append(f"{error}; the nameplate's {counts} counts per turn are taken")
+            if error.unit != "position" or counts is None:
+                raise StepFailed(error.summary, error.evidence, _REMEDIES[error.unit]) from error
+            outcome.faults.append(f"{error.summary}; the nameplate's {counts} counts per turn are taken")
             override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
-            told = scaling_from(values, override)
+            told = read_scaling(objects, override)
         found.told, found.override = told, override
         _compare_ratings(session, outcome, told.rated_torque_nm)
         for name, value, unit in (
@@ -175,9 +190,9 @@ class UnitsTold(Step):
             "rated_torque_nm": told.rated_torque_nm,
             "polarity": polarity,
         }
-        found.modes = _modes(session)
+        found.modes, told_by_drive = _modes(session)
         named = ", ".join(mode.title for mode in found.modes) or "none of use here"
-        outcome.say(f"modes: {named}")
+        outcome.say(f"modes{'' if told_by_drive else ' to be tried, as 6502h tells none'}: {named}")
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
         found.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
         outcome.say(
@@ -190,11 +205,29 @@ class UnitsTold(Step):
             outcome.say(f"period {found.period / 1e3:.0f} us, at most {load:.0f} % bus load")
 
 
+def _plausible(told: Scaling) -> Scaling:
+    """``told``. Raises UnitNotTold for a position unit with which no shaft could be controlled."""
+    if told.position_rad > _COARSEST_RAD:
+        raise UnitNotTold(
+            f"one position unit would be {told.position_rad:.4g} rad",
+            f"{told.sources.get('position', 'the drive')} was never set",
+            unit="position",
+        )
+    return told
+
+
 def _compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
-    """6076h and 6075h against the nameplate; the nameplate is believed for the torque."""
+    """6076h and 6075h against the nameplate; the nameplate is believed for the torque, unless one of the two
+    must be a slip: then it is asked which."""
     rating = session.request.nameplate.rating
     if rating.torque_nm is None:
         outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
+    elif _slip(torque_nm, rating.torque_nm) and not nameplate_wins(
+        session, "rated torque", f"{rating.torque_nm:g} N m", f"{torque_nm:g} N m (6076h)"
+    ):
+        outcome.faults.append(
+            f"nameplate: rating.torque_nm {rating.torque_nm:g} is not believed, 6076h says {torque_nm:g} N m"
+        )
     elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
         outcome.faults.append(
             f"torque unit: 6076h says {torque_nm:g} N m, the nameplate {rating.torque_nm:g} N m; "
@@ -210,9 +243,14 @@ def _compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -
         outcome.figures["current_fault"] = current_ma / 1e3 / rating.current_a
 
 
-def _modes(session: Session) -> tuple[Mode, ...]:
-    """By 6502h; a drive that does not say is tried with every mode later on."""
-    bits = session.objects.read_if_there(Object.SUPPORTED_DRIVE_MODES)
-    if not bits:
-        return tuple(QUANTITY_OF_MODE)
-    return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode))
+def _slip(told: float, printed: float) -> bool:
+    return abs(math.log(told / printed)) > math.log(_RATING_SLIP)
+
+
+def _modes(session: Session) -> tuple[tuple[Mode, ...], bool]:
+    """By 6502h, and whether it says so; else every mode is tried later on whose set-point the sheet knows."""
+    bits, dictionary = session.objects.read_if_there(Object.SUPPORTED_DRIVE_MODES), session.dictionary
+    if bits:
+        return tuple(mode for mode in QUANTITY_OF_MODE if bits & supported_mode_bit(mode)), True
+    known = (mode for mode in QUANTITY_OF_MODE if dictionary is None or TARGETS[mode].index in dictionary)
+    return tuple(known), False

@@ -12,9 +12,9 @@ from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import Pulse
 from hil.commissioning.exercise import Exerciser, Recording, motions
 from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
-from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, held_s
+from hil.commissioning.session import Session, held_s, nameplate_wins
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.loop.scenario import Quantity, Ramp, Segment
 
@@ -44,6 +44,7 @@ class Polarity(Step):
 
     name = "polarity"
     title = "Direction and polarity"
+    limit = "the shaft does not turn, or turns the same way for both signs"
     needs = ("enable",)
     writes = True
     moves = True
@@ -120,11 +121,13 @@ def pulses(session: Session, far_turns: float) -> list[Recording]:
         for direction in (1.0, -1.0):
             if exerciser.port.quantity is not Quantity.TORQUE:
                 recordings.append(_nudges(exerciser, direction, far))
+                refuse_losses(recordings[-1].lost, recordings[-1].cycles)
                 continue
             near = max(_NEAR_TURNS * math.tau, _NEAR_UNITS * session.position_rad)
             rise = limits.torque_slew_nm_s * 0.02  # the rated torque in a second
             pulse = Pulse(direction * limits.torque_nm, rise, near, max(far, 2.0 * near), exerciser.period_s)
             recording = exerciser.run(pulse, _PULSE_S, done=pulse.done, guard_speed=False)
+            refuse_losses(recording.lost, recording.cycles)
             if not pulse.moved:
                 raise StepFailed(
                     f"the shaft does not turn with {limits.torque_nm:.4g} N m",
@@ -164,6 +167,7 @@ class MotionUnits(Step):
 
     name = "motion_units"
     title = "Velocity against position"
+    limit = "the velocity does not follow the position"
     needs = ("polarity",)
     writes = True
     moves = True
@@ -184,7 +188,7 @@ class MotionUnits(Step):
             factor = plain_ratio(ratio)
             outcome.faults.append(
                 f"velocity and position units contradict each other by {factor:.6g}; "
-                "which one is wrong a turn will show"
+                "unless a turn was measured below, the velocity's is taken for the wrong one"
             )
             session.overridden(velocity_rad_s=told.velocity_rad_s / factor)
             session.configure()
@@ -194,8 +198,13 @@ class MotionUnits(Step):
     def _rough(self, session: Session, recordings: list[Recording], outcome: StepOutcome) -> None:
         try:
             window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
-            session.found.rough = rough = identify_mechanics(
-                motions(recordings), window_s, with_viscous=False, with_offset=False, held_s=held_s(session)
+            session.found.rough = rough = session.meanwhile(
+                identify_mechanics,
+                motions(recordings),
+                window_s,
+                with_viscous=False,
+                with_offset=False,
+                held_s=held_s(session),
             )
         except NotIdentifiable as error:
             raise StepFailed("the pulses tell nothing of the inertia", str(error)) from error
@@ -212,6 +221,7 @@ class Turn(Step):
 
     name = "turn"
     title = "Encoder counts by a turn"
+    limit = "no turn can be measured and nothing else tells it"
     needs = ("motion_units",)
     writes = True
     moves = True
@@ -234,16 +244,18 @@ class Turn(Step):
     def run(self, session: Session, outcome: StepOutcome) -> None:
         told = session.told
         units, how = index_turn(session)
+        session.configure()  # back from homing, also where the step fails: the next one commands a motion
         if units is None and session.dialog.attended:
             units, how = hand_turn(session)
         counts = session.request.nameplate.encoder.counts_per_revolution
-        if units is None and counts is not None:
-            units, how = float(counts), "the nameplate's encoder, whose counts are taken for position units"
-        if units is None:
+        believed = math.tau / told.position_rad
+        if units is None and counts is None:
             raise StepFailed(
                 "no turn could be measured", how, "give encoder.counts_per_revolution in the nameplate"
             )
-        believed = math.tau / told.position_rad
+        if units is None:
+            assert counts is not None
+            units, how = _unmeasured(session, counts, believed, outcome)
         ratio = units / believed
         outcome.figures = {"units_per_turn": units, "told_units_per_turn": believed}
         outcome.say(f"one turn is {units:.6g} position units ({how}); the drive's objects say {believed:.6g}")
@@ -282,6 +294,17 @@ class Turn(Step):
         if found.rough is not None:  # by the old position unit
             inertia = found.rough.inertia_kg_m2 / (position / told.position_rad)
             found.rough = replace(found.rough, inertia_kg_m2=inertia)
+
+
+def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOutcome) -> tuple[float, str]:
+    """Position units of a turn where none could be turned, and by what."""
+    plate, drive = f"{counts} counts per turn", f"{believed:.6g} position units"
+    if abs(counts / believed - 1.0) > _RATIO_TOLERANCE and not nameplate_wins(
+        session, "encoder", plate, drive
+    ):
+        outcome.faults.append(f"nameplate: {plate} are not believed, the drive's objects say {drive}")
+        return believed, "not measured; the drive's objects are believed"
+    return float(counts), "the nameplate's encoder, whose counts are taken for position units"
 
 
 def _because(factor: float, told: Scaling) -> str:

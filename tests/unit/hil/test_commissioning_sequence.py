@@ -78,7 +78,8 @@ def play(dialog: Any, steps: Sequence[Step], *, dry_run: bool = False) -> list[S
         request=SimpleNamespace(dry_run=dry_run),
         check_stop=lambda: None,
         idle=lambda: None,
-        begin_step=lambda: None,
+        begin_attempt=lambda: None,
+        end_attempt=lambda failure: failure,
     )
     run_sequence(cast(Session, session), steps, records)
     return records

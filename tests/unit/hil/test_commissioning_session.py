@@ -1,7 +1,7 @@
 """A session of commissioning: when it enables, what makes it stop, and how the drive is left."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -68,6 +68,7 @@ class Bench:
         session.drive = cast(Any, self.drive)
         session.dialog = cast(Any, SimpleNamespace(tell=self.told.append))
         session.network = cast(Any, SimpleNamespace(deadline_after=lambda duration: duration))
+        session.gaps = cast(Any, SimpleNamespace(while_enabled=nullcontext))
         session._port = cast(Any, SimpleNamespace())
         session.request = cast(Any, SimpleNamespace(nameplate=Nameplate.model_validate(nameplate or {})))
         session.objects = cast(Any, SimpleNamespace(read_if_there=self._read))

@@ -75,7 +75,7 @@ class Shaft:
             if done():
                 break
         self.runs.append((np.array(positions), np.array(commands)))
-        return SimpleNamespace(position=np.array(positions))
+        return SimpleNamespace(position=np.array(positions), lost=0, cycles=len(positions))
 
     def run_speeds(
         self,

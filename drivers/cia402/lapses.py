@@ -1,0 +1,36 @@
+"""Whether a drive that was left alone for a while is still set up as it was."""
+
+from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.pdo import differences
+from drivers.cia402.servo import ServoDrive
+from drivers.timebase import NS_PER_MS, Duration, Instant
+
+
+def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:
+    """Where a drive is not as ``configure`` left it, in words: NMT state, watch over the host, PDOs.
+
+    ``heartbeat_ms``: how often it tells its NMT state; two of them are waited for. RuntimeError before
+    ``configure``, NoAnswer if it is gone.
+    """
+    if drive.plan is None:
+        raise RuntimeError(f"{drive.name} was not configured")
+    found = []
+    if drive.error_control.told:
+        state = _told_state(drive, Duration(2 * heartbeat_ms * NS_PER_MS))
+        if state is not NmtState.OPERATIONAL:
+            found.append(f"its NMT state is {'not told' if state is None else state.name}")
+    found += drive.error_control.lapses()
+    for pdo in (*drive.plan.tpdos, *drive.plan.rpdos):
+        found += differences(drive.objects, pdo)
+    return found
+
+
+def _told_state(drive: ServoDrive, patience: Duration) -> NmtState | None:
+    """As told from now on; None if nothing is told in time."""
+    network, status = drive.network, drive.status
+    asked_at = network.clock.now()
+    until = Instant(asked_at + patience)
+    while network.pump_one(until):
+        if status.heartbeat_at is not None and status.heartbeat_at >= asked_at:
+            return status.state
+    return None

@@ -1,0 +1,181 @@
+"""The step that holds torque against current: the torque constant."""
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from drivers.canopen.objects import SettingRefused
+from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
+from drivers.cia402.objects402 import Object
+from drivers.cia402.pdo_plans import mode_plan
+from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
+from drivers.errors import TransferAborted
+from drivers.timebase import Instant
+from hil.commissioning.excitation import TimedTorque
+from hil.commissioning.identify import (
+    COVERAGE_FACTOR,
+    slope_error,
+)
+from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from hil.commissioning.plots import draw_current
+from hil.commissioning.sequence import Step
+from hil.commissioning.session import Session
+from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
+
+_CURRENT_S: Final = 1.5
+"""Three swings at the slowest, of 2 Hz."""
+_CONSTANT_TOLERANCE: Final = 0.1
+"""Between the torque constant and the nameplate's: ratings are rounded, and magnets differ by percents."""
+
+
+class TorqueConstant(Step):
+    """Torque 6077h against current 6078h, while the shaft swings."""
+
+    name = "torque_constant"
+    title = "Torque constant against current"
+    limit = "the current does not follow the torque"
+    needs = ("motion_units",)
+    writes = True
+    moves = True
+
+    def left_out(self, session: Session) -> str | None:
+        if session.torque_mode() is None:
+            return "the drive has no torque mode"
+        if not tells_torque(session):
+            return "the drive tells no torque 6077h"
+        if session.objects.read_if_there(Object.CURRENT_ACTUAL_VALUE, 0, "h") is None:
+            return "the drive has no current actual value 6078h"
+        return None
+
+    def plan(self, session: Session, /) -> str:
+        return f"map 6078h beside 6077h and swing the shaft with {0.6 * session.limits.torque_nm:.4g} N m"
+
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        mode = session.torque_mode()
+        assert mode is not None
+        try:
+            session.configure(mode, _plan_with_current(session))
+        except (TransferAborted, SettingRefused) as error:
+            session.configure(mode)
+            raise StepFailed("6078h cannot be mapped beside the rest", str(error)) from error
+        currents: list[tuple[Instant, int]] = []
+        cob_id = PdoDirection.TRANSMIT.default_cob_id(1, session.request.node)
+        session.network.link.tap(
+            lambda _direction, can_id, data, _extended, _remote, at: (
+                currents.append((at, int.from_bytes(data[:2], "little", signed=True)))
+                if can_id == cob_id
+                else None
+            )
+        )
+        try:
+            readings = _swing(session)
+        finally:
+            session.configure(mode)
+        torque, current = _paired(readings, currents)
+        self._judge(session, torque, current, outcome)
+
+    def _judge(
+        self, session: Session, torque: np.typing.NDArray[np.float64],
+        permille: np.typing.NDArray[np.float64], outcome: StepOutcome,
+    ) -> None:  # fmt: skip
+        rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
+        rating = session.request.nameplate.rating
+        rated_a = rated_ma / 1e3 if rated_ma else rating.current_a
+        if not rated_a:
+            raise StepFailed(
+                "no rated current", "6075h is missing or 0", "give rating.current_a in the nameplate"
+            )
+        current = permille * rated_a / 1e3
+        if float(np.ptp(current)) < 0.02 * rated_a:
+            raise StepFailed(
+                "the current 6078h does not follow the torque", f"{np.ptp(current):.3g} A of swing"
+            )
+        slope, offset = np.polyfit(current, torque, 1)
+        # Both are told in thousandths of their rating, and may be rounded alike in all readings.
+        rounding = session.rated_torque_nm / 1000.0 / math.sqrt(12.0) / float(current.std())
+        uncertainty = COVERAGE_FACTOR * math.hypot(slope_error(current, torque), rounding)
+        rest = torque - (slope * current + offset)
+        straightness = 1.0 - float(rest.var() / torque.var())
+        session.found.torque_constant_nm_a = float(abs(slope))
+        outcome.figures = {
+            "torque_constant_nm_a": float(slope),
+            "torque_constant_error": uncertainty,
+            "coverage_factor": COVERAGE_FACTOR,
+            "straightness": straightness,
+        }
+        outcome.measured("torque constant, as the drive has it", abs(slope), "N m/A rms", uncertainty)
+        outcome.say(
+            f"{abs(slope):.5g} N m per A rms +- {uncertainty:.2g} (k = 2), straightness {straightness:.4f}, "
+            f"{len(torque)} pairs"
+        )
+        if slope < 0.0:
+            outcome.faults.append("current 6078h and torque 6077h have opposite signs")
+        if rating.torque_nm and rating.current_a:
+            wanted = rating.torque_nm / rating.current_a
+            outcome.say(f"the nameplate's ratings make {wanted:.5g} N m/A")
+            outcome.figures["nameplate_nm_a"] = wanted
+            if abs(abs(slope) / wanted - 1.0) > _CONSTANT_TOLERANCE:
+                by = abs(slope) / wanted
+                slip = likely_slip(by, TORQUE_SLIPS, tolerance=0.03)
+                outcome.faults.append(
+                    f"torque and current contradict the nameplate by {by:.4g}: "
+                    f"6075h, 6076h or the nameplate is wrong{f' ({slip})' if slip else ''}"
+                )
+        session.picture(outcome, "torque_constant", draw_current, current, torque, slope, offset)
+
+
+def _plan_with_current(session: Session) -> PdoPlan:
+    """The current in the frame of the torque, in the place of the statusword, which has a TPDO of its own."""
+    mode = session.torque_mode()
+    assert mode is not None
+    node = session.request.node
+    stamped = session.objects.read_if_there(0x1013) is not None
+    base = mode_plan(node, mode, device_stamp=stamped, coherent=True)
+    actual, speed = base.tpdos
+    status, *rest = actual.entries
+    current = PdoEntry(Object.CURRENT_ACTUAL_VALUE, 0, "h")
+    transmit = PdoDirection.TRANSMIT
+    third = PdoMap(transmit, 3, transmit.default_cob_id(3, node), (status,))
+    plan = PdoPlan((replace(actual, entries=(current, *rest)), speed, third), base.rpdos)
+    load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)
+    if load > 90.0:
+        raise StepFailed("the bus has no room for the current", f"{load:.0f} % load")
+    return plan
+
+
+def _swing(session: Session) -> list[tuple[Instant, float]]:
+    """Swing the shaft; the torques with the instants of the frames that told them."""
+    known = guide_mechanics(session)
+    limits = session.limits
+    amplitude = 0.6 * limits.torque_nm
+    omega = max(math.tau * 2.0, amplitude / (known.inertia_kg_m2 * 0.4 * limits.speed_rad_s))
+    readings: list[tuple[Instant, float]] = []
+    port = session.port
+    sign = session.found.override.torque_sign  # as the drive counts: 6078h beside it is taken raw
+    port.listener = lambda taken: readings.extend(
+        (each.torque_told_at, sign * each.torque_nm) for each in taken
+    )
+    with session.exercising() as exerciser:
+        # By the cosine the speed has no mean.
+        recording = exerciser.run(
+            TimedTorque(
+                lambda time: amplitude * math.cos(omega * time) * min(1.0, time / 0.1), exerciser.period_s
+            ),
+            _CURRENT_S,
+        )
+    refuse_losses(recording.lost, recording.cycles)
+    return readings
+
+
+def _paired(
+    readings: list[tuple[Instant, float]], currents: list[tuple[Instant, int]]
+) -> tuple["np.typing.NDArray[np.float64]", "np.typing.NDArray[np.float64]"]:
+    """Torque and current of the same frame."""
+    by_instant = dict(currents)
+    pairs = [(torque, by_instant[at]) for at, torque in readings if at in by_instant]
+    if len(pairs) < 50:
+        raise StepFailed("torque and current could not be paired", f"{len(pairs)} pairs")
+    torque, current = np.array(pairs, dtype=float).T
+    return torque, current
