@@ -21,6 +21,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
+from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import Truth, unknown_drive
@@ -58,6 +59,10 @@ class Errors:
     """Faults that were hidden and not found."""
     invented: frozenset[str]
     """Faults that were found and are not there."""
+    inertia_stated: float
+    """What commissioning states as the expanded uncertainty, k = 2, of the true value; so of the next two."""
+    viscous_stated: float
+    coulomb_stated: float
 
 
 class Spy:
@@ -187,20 +192,27 @@ def unknown_world(
     spied: bool = False,
     modes: int | None = None,
     store: bool = False,
+    lacks: Sequence[str] = (),
+    plate: Mapping[str, Any] | None = None,
+    trust_nameplate: bool = True,
     tell: Callable[[str], None] = lambda _text: None,
 ) -> tuple[Truth, Commissioned, Spy]:
     """Commission the drive of ``seed`` in simulated time. ``spied``: know the delays from inside.
-    ``modes``: 6502h, if it is to be less than the drive can."""
+    ``modes``: 6502h, if it is to be less than the drive can. ``lacks``: objects that it has not.
+    ``plate``: in place of the true nameplate, which is to be trusted unless told otherwise.
+    """
     servo, truth = unknown_drive(seed, clock_drift_ppm=drift_ppm)
+    take_away(servo.dictionary, lacks)
     if modes is not None:
         servo.dictionary.variable(Object.SUPPORTED_DRIVE_MODES).default = modes
     request = CommissionRequest(
         bus="simulated",
         node=1,
         out=folder,
-        nameplate=Nameplate.model_validate(truth.nameplate),
+        nameplate=Nameplate.model_validate(truth.nameplate if plate is None else plate),
         period_us=period_us,
         store=store,
+        trust_nameplate=trust_nameplate,
     )
     spy = Spy(servo)
 
@@ -245,4 +257,7 @@ def errors_of(truth: Truth, result: Commissioned, spy: Spy | None = None) -> Err
         effect_delay_us=0.0 if spy is None else (found.effect_delay_us or 0.0) - spy.effect_delay_us(),
         missed=frozenset(hidden - names),
         invented=frozenset(names - hidden),
+        inertia_stated=mechanics.inertia_error / motor.inertia_kg_m2,
+        viscous_stated=mechanics.viscous_error / motor.viscous_friction_nm_s,
+        coulomb_stated=mechanics.coulomb_error / motor.coulomb_friction_nm,
     )

@@ -16,6 +16,7 @@ from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
 from hil.commissioning.outcome import StepVerdict
+from hil.commissioning.rehearsal import Rehearsed, rehearsed_drive
 from hil.commissioning.report import REPORT_FILE, Commissioned, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.execution.world import WorldPlan, open_world
@@ -23,30 +24,26 @@ from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
 from hil.restoring.journal import DriveMark, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
-from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.hosting.faulty_device import SimulatedNode
 
 _ANSWER_LIMIT = Duration(5 * NS_PER_S)
 
 
 def run_command(
-    request: CommissionRequest, *, yes: bool, rehearse: int | None, plate_given: bool
+    request: CommissionRequest, *, yes: bool, rehearsed: Rehearsed | None, plate_given: bool
 ) -> tuple[int, dict[str, Any]]:
     """``hil commission``: its exit status, and its figures."""
     spec = parse_bus_spec(request.bus, "--bus")
     devices: Sequence[SimulatedNode] = ()
-    if spec.simulated != (rehearse is not None):
-        raise BadInput(
-            "--rehearse" if rehearse is not None else "--bus",
-            "",
-            request.bus,
-            "--rehearse SEED with --bus simulated, and only with it",
-        )
-    if rehearse is not None:
-        servo, truth = unknown_drive(rehearse, request.node)
+    if spec.simulated != (rehearsed is not None):
+        expected = "--rehearse SEED or --rehearse-eds FILE with --bus simulated, and only with it"
+        raise BadInput("--bus", "", request.bus, expected)
+    if rehearsed is not None:
+        servo, plate = rehearsed_drive(rehearsed, request.node, request.bitrate_bit_s, say)
         devices = [servo]
+        request = replace(request, eds=request.eds or rehearsed.eds)
         if not plate_given:
-            request = replace(request, nameplate=Nameplate.model_validate(truth.nameplate))
+            request = replace(request, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
     if not yes and not request.dry_run and not sys.stdin.isatty():
         raise BadInput("--yes", "", "no terminal to ask at", "--yes, or a terminal as standard input")
     sheet = None
@@ -56,7 +53,8 @@ def run_command(
             say(f"{request.eds}: {len(sheet.repairs)} repairs, see hil eds")
     silent = yes or request.dry_run
     dialog: Dialog = Silent(say) if silent else Terminal(sys.stdin, say)
-    plan = WorldPlan(spec, request.bitrate_bit_s, False, None, rehearse or 0)
+    seed = 0 if rehearsed is None else rehearsed.seed or 0
+    plan = WorldPlan(spec, request.bitrate_bit_s, False, None, seed)
     with stop_signals() as signals, open_world(plan, devices) as world:
         stop = EmergencyStop(signals, sys.stdin)
         with timing_conditions(world.real_time):

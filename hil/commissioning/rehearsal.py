@@ -1,21 +1,58 @@
-"""A drive that nobody has described, on a bus of its own process, to rehearse commissioning with."""
+"""Simulated drives to rehearse commissioning with: one that nobody has described, or one by its data sheet.
+
+In simulated time, beside the commissioning itself (:func:`rehearsed_drive`), or in a process of its own on a
+real-time bus: the unknown one by ``hil rehearse``, the one of a data sheet by ``hil simulate --eds``.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from drivers.errors import BadInput
 from drivers.wire.adapters import parse_bus_spec
+from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
+from hil.execution.device_files import DeviceFiles
 from hil.execution.node_ids_taken import refuse_taken
 from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
-from virtual_bus.drive.unknown_drive import Truth, unknown_drive
+from virtual_bus.drive.servo import SimulatedServo
+from virtual_bus.drive.servo_parameters import DriveParameters
+from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
 from virtual_bus.frame import Device
 from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
+
+
+class Rehearsed(NamedTuple):
+    """Who is commissioned in simulated time."""
+
+    seed: int | None = None
+    """Of a drive that nobody has described."""
+    eds: Path | None = None
+    """The data sheet that a drive is made from."""
+
+    @classmethod
+    def asked_for(cls, seed: int | None, eds: Path | None) -> "Rehearsed | None":
+        """By the options; None if neither is there. Raises BadInput if both are."""
+        if seed is not None and eds is not None:
+            raise BadInput("--rehearse-eds", "", str(eds), "either it or --rehearse SEED")
+        return None if seed is None and eds is None else cls(seed, eds)
+
+
+def rehearsed_drive(
+    wish: Rehearsed, node: int, bitrate_bit_s: int, announce: Callable[[str], None]
+) -> tuple[SimulatedServo, dict[str, Any]]:
+    """The drive, and what is printed on its motor, as tables of a nameplate file. Raises BadInput."""
+    if wish.eds is None:
+        servo, truth = unknown_drive(wish.seed or 0, node)
+        return servo, truth.nameplate
+    motor = LING2012.parameters
+    files = DeviceFiles(eds=wish.eds)
+    vendor, drive = files.vendor(announce, [node], bitrate_bit_s), files.drive(DriveParameters())
+    return SimulatedServo(node, motor, drive, vendor=vendor), nameplate_of(motor)
 
 
 def rehearse(

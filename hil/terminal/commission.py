@@ -18,13 +18,36 @@ from hil.terminal.options import (
 from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
 
+UnwatchedOption = Annotated[
+    bool,
+    typer.Option(
+        "--unwatched",
+        help="Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
+    ),
+]
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust-nameplate",
+        help="Take the nameplate, unasked, where the drive contradicts it by far.",
+    ),
+]
+RehearsedSheetOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--rehearse-eds",
+        metavar="FILE",
+        help="On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
+    ),
+]
+
 
 def commission(
     bus: DriveBusOption,
     node: DriveNodeOption,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, files and journal.")],
     eds: Annotated[
-        Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF of the drive.")
+        Path | None, typer.Option("--eds", metavar="FILE", help="EDS, DCF, XDD or XDC of the drive.")
     ] = None,
     motor: Annotated[
         Path | None,
@@ -45,11 +68,14 @@ def commission(
         int,
         typer.Option("--heartbeat-timeout-ms", min=20, max=60_000, help="Silence that host and drive bear."),
     ] = 150,
+    unwatched: UnwatchedOption = False,
     bitrate: BitrateOption = 1_000_000,
     rehearse: Annotated[
         int | None,
         typer.Option("--rehearse", metavar="SEED", min=0, help="On --bus simulated: the drive of that seed."),
     ] = None,
+    rehearse_eds: RehearsedSheetOption = None,
+    trust_nameplate: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Commission a drive: identity, units, polarity, limits, friction, inertia, delays, controller, report.
@@ -73,11 +99,15 @@ def commission(
             period_us=period_us,
             dry_run=dry_run,
             store=store,
+            trust_nameplate=trust_nameplate,
             heartbeat_timeout_ms=heartbeat_timeout_ms,
+            unwatched=unwatched,
         )
         from hil.commissioning.command import run_command
+        from hil.commissioning.rehearsal import Rehearsed
 
-        result, figures = run_command(request, yes=yes, rehearse=rehearse, plate_given=motor is not None)
+        who = Rehearsed.asked_for(rehearse, rehearse_eds)
+        result, figures = run_command(request, yes=yes, rehearsed=who, plate_given=motor is not None)
         put(figures, as_json, lambda _figures: None)
         raise typer.Exit(result)
 
