@@ -7,6 +7,7 @@ from hil.commissioning.steps_dynamics import Delays, Response
 from hil.commissioning.steps_mechanics import MechanicsStep
 from hil.commissioning.steps_setup import EnableAtZero, SetUp, Watchdog
 from hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck, UnitsTold
+from hil.commissioning.steps_stopping import StopProof, StopSettings
 from hil.commissioning.steps_units import MotionUnits, Polarity, Turn
 
 
@@ -18,11 +19,13 @@ def all_steps() -> list[Step]:
         DumpStep(),
         UnitsTold(),
         SetUp(),
+        StopSettings(),
         Watchdog(),
         EnableAtZero(),
         Polarity(),
         MotionUnits(),
         Turn(),
+        StopProof(),
         MechanicsStep(),
         TorqueConstant(),
         Response(),

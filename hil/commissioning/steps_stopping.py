@@ -1,0 +1,288 @@
+"""Can it stop? Asked of the drive's settings before anything turns, and of the shaft before it turns fast."""
+
+import math
+from typing import Final, NamedTuple
+
+from drivers.cia402.drive_setup import write_optional
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import QuickStopOption, State, state_of
+from drivers.exchange import Reading
+from drivers.rotation import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.excitation import SpeedGuide
+from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.sequence import Step
+from hil.commissioning.session import Session
+from hil.loop.scenario import Quantity, Ramp, Segment
+
+_STOP_MAX_S: Final = 2.0
+"""From the limit of speed: whoever brings a drive to rest waits for 3 s at least."""
+_STOP_S: Final = 0.5
+"""From the limit of speed, where the drive's own 6085h is no use: below half of what the rated torque gives
+to a servo motor with ten times its own inertia."""
+_SHORTEST_S: Final = 0.005
+"""No servo motor stops from its speed in less: the torque decides then, not 6085h."""
+_PROOF_SHARE: Final = 0.1
+"""Of the limit of speed: a hundredth of its energy."""
+_RUN_UP_S: Final = 0.3
+_HOLD_S: Final = 0.2
+_SLOWER: Final = 1.5
+"""The ramp is the drive's, but its controller lags, and a stop begins within a cycle of its own."""
+_REST_UNITS: Final = 2
+_REST_READINGS: Final = 5
+_FIT_READINGS: Final = 10
+
+
+class StopSettings(Step):
+    """What the drive would stop with: 605Ah, 6085h, 6084h, in SI units, before it is enabled."""
+
+    name = "stop"
+    title = "Can it stop?"
+    needs = ("setup",)
+    writes = True
+    essential = True
+
+    def plan(self, session: Session, /) -> str:
+        speed = session.limits.speed_rad_s / RAD_S_PER_RPM
+        return (
+            f"compute from 605Ah, 6085h and 6084h how long a stop from {speed:.0f} r/min takes; "
+            "write what is needed for it and read it back"
+        )
+
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        why = ""
+        for index, option in (
+            (Object.QUICK_STOP_DECELERATION, QuickStopOption.QUICK_STOP_RAMP),
+            (None, QuickStopOption.CURRENT_LIMIT),
+            (Object.PROFILE_DECELERATION, QuickStopOption.SLOW_DOWN_RAMP),
+        ):
+            refused = _option_refused(session, option)
+            time_s = None
+            if not refused and index is not None:
+                time_s, refused = _ramp(session, index)
+            if not refused:
+                session.found.quick_stop_option = option
+                if index is None:
+                    outcome.faults.append(f"stops by its current limit (605Ah = {int(option)}): {why}")
+                session.configure()
+                _tell(session, outcome, time_s, option)
+                return
+            why = f"{why}; {refused}" if why else refused
+        raise StepFailed(
+            "the drive cannot be made to stop, and nothing was turned",
+            why,
+            "set 6085h with the maker's tool, or lower limits.speed_max_rpm in the nameplate",
+        )
+
+
+def _option_refused(session: Session, option: QuickStopOption) -> str:
+    """Why the drive does not hold 605Ah as wanted; empty if it does, or has none and stops as it will."""
+    objects = session.objects
+    held = objects.read_if_there(Object.QUICK_STOP_OPTION, 0, "h")
+    if held is None:
+        return "" if option is QuickStopOption.QUICK_STOP_RAMP else "no 605Ah to choose another stop by"
+    if held == option:
+        return ""
+    return "; ".join(write_optional(objects, Object.QUICK_STOP_OPTION, "h", int(option), "stop"))
+
+
+def _ramp(session: Session, index: Object) -> tuple[float | None, str]:
+    """Seconds of a stop by this ramp from the limit of speed, None: the drive does not tell; else why not.
+
+    A ramp of 0, or one that takes too long, is replaced.
+    """
+    unit, speed = session.acceleration_rad_s2, session.limits.speed_rad_s
+    name = f"{int(index):04X}h"
+    held = session.objects.read_if_there(index, 0, "I")
+    if held is None:
+        known = index is Object.QUICK_STOP_DECELERATION
+        return None, "" if known else f"{name} is missing"
+    if held and speed / (held * unit) <= _STOP_MAX_S:
+        return speed / (held * unit), ""
+    fault = f"{name} is {held}" + (f", {speed / (held * unit):.3g} s from the limit" if held else "")
+    wanted = max(1, math.ceil(speed / _STOP_S / unit))
+    if wanted > 0xFFFF_FFFF:
+        return (
+            None,
+            f"{fault}, and the unit that it tells, {unit:.3g} rad/s^2, makes {wanted} of {_STOP_S:g} s",
+        )
+    notes = write_optional(session.objects, index, "I", wanted, "deceleration")
+    if notes:
+        return None, f"{fault}, and {'; '.join(notes)}"
+    if index is Object.QUICK_STOP_DECELERATION:
+        session.found.quick_stop_rad_s2 = wanted * unit
+    return speed / (wanted * unit), ""
+
+
+def _tell(session: Session, outcome: StepOutcome, time_s: float | None, option: QuickStopOption) -> None:
+    rpm = session.limits.speed_rad_s / RAD_S_PER_RPM
+    outcome.figures = {"option": int(option), "stop_s": time_s}
+    if time_s is None:
+        outcome.say(f"605Ah = {int(option)}; how long a stop takes the drive does not tell: it is measured")
+        return
+    raw = session.objects.read_if_there(Object.QUICK_STOP_DECELERATION, 0, "I")
+    told = "" if raw is None else f", 6085h = {raw} of {session.acceleration_rad_s2:.4g} rad/s^2"
+    least = "; less than any motor takes, so the torque decides" if time_s < _SHORTEST_S else ""
+    outcome.say(
+        f"605Ah = {int(option)}{told}: a stop from {rpm:.0f} r/min takes {1e3 * time_s:.0f} ms{least}"
+    )
+
+
+class SlowStop(NamedTuple):
+    """A measured one."""
+
+    speed_rad_s: float
+    """At which it began."""
+    time_s: float
+    """Until rest; of a shaft that still turned at the end, what is to be expected."""
+
+    @property
+    def deceleration_rad_s2(self) -> float:
+        """Mean."""
+        return self.speed_rad_s / max(self.time_s, 1e-9)
+
+
+class StopProof(Step):
+    """A quick stop from a low speed, against what was computed."""
+
+    name = "stop_proof"
+    title = "A slow stop"
+    needs = ("stop", "motion_units")
+    writes = True
+    moves = True
+    essential = True
+
+    def plan(self, session: Session, /) -> str:
+        speed = _proof_speed(session) / RAD_S_PER_RPM
+        return f"turn at {speed:.0f} r/min, command a quick stop, and time it, before anything turns faster"
+
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        for attempt in (1, 2):
+            measured = _stop_slowly(session)
+            at_limit_s = session.limits.speed_rad_s / measured.deceleration_rad_s2
+            computed_s = _computed_s(session, measured.speed_rad_s)
+            borne_s = _lag_s(session) + _SLOWER * (math.inf if computed_s is None else computed_s)
+            told = "not computed" if computed_s is None else f"{1e3 * computed_s:.0f} ms were computed"
+            outcome.say(
+                f"from {measured.speed_rad_s:.3g} rad/s to rest in {1e3 * measured.time_s:.0f} ms, {told}; "
+                f"so {at_limit_s:.2f} s from the limit of speed"
+            )
+            outcome.figures = {
+                "speed_rad_s": measured.speed_rad_s,
+                "stop_s": measured.time_s,
+                "computed_s": computed_s,
+                "stop_at_limit_s": at_limit_s,
+            }
+            slower = measured.time_s > borne_s
+            if not slower and at_limit_s <= _STOP_MAX_S + _lag_s(session) * 10:
+                return
+            if attempt == 1 and computed_s is not None:
+                self._believe(session, measured, outcome)
+        raise StepFailed(
+            "the drive does not stop as it should",
+            outcome.lines[-1],
+            "set 6085h with the maker's tool; nothing was turned faster than this",
+        )
+
+    def _believe(self, session: Session, measured: SlowStop, outcome: StepOutcome) -> None:
+        """Take the unit of 6085h from the measured stop, and write what is needed for a quick one."""
+        held = session.objects.read(Object.QUICK_STOP_DECELERATION, 0, "I")
+        unit = measured.deceleration_rad_s2 / max(1, held)
+        outcome.faults.append(
+            f"acceleration unit: one unit of 6085h is {unit:.3g} rad/s^2 by a measured stop, "
+            f"{session.acceleration_rad_s2:.3g} as the drive tells"
+        )
+        session.overridden(acceleration_rad_s2=unit)
+        session.found.quick_stop_rad_s2 = session.limits.speed_rad_s / _STOP_S
+        session.configure()
+
+
+def _lag_s(session: Session) -> float:
+    """How much later than computed a stop may seem to end: by readings, and by the drive's controller."""
+    return 0.02 + (_REST_READINGS + 2) * session.found.period / NS_PER_S
+
+
+def _computed_s(session: Session, speed_rad_s: float) -> float | None:
+    """None of a stop that no ramp makes, or of a drive that does not tell."""
+    index = {
+        QuickStopOption.QUICK_STOP_RAMP: Object.QUICK_STOP_DECELERATION,
+        QuickStopOption.SLOW_DOWN_RAMP: Object.PROFILE_DECELERATION,
+    }.get(session.found.quick_stop_option)
+    held = None if index is None else session.objects.read_if_there(index, 0, "I")
+    return speed_rad_s / (held * session.acceleration_rad_s2) if held else None
+
+
+def _proof_speed(session: Session) -> float:
+    limits = session.limits
+    speed = _PROOF_SHARE * limits.speed_rad_s
+    if limits.travel_rad is not None:
+        speed = min(speed, 0.3 * limits.travel_rad / (_RUN_UP_S + _HOLD_S))
+    return speed
+
+
+def _stop_slowly(session: Session) -> SlowStop:
+    speed, known = _proof_speed(session), session.found.mechanics or session.found.rough
+    reference: list[Segment] = [Ramp(0.0, speed, _RUN_UP_S)]
+    duration = _RUN_UP_S + _HOLD_S
+    with session.exercising() as exerciser:
+        if exerciser.port.quantity is Quantity.TORQUE:
+            assert known is not None, "the pulses come first"
+            before = exerciser.run(SpeedGuide(known, exerciser.period_s), duration, reference)
+        else:
+            before = exerciser.run_speeds(duration, reference)
+        if len(before.position) < _FIT_READINGS:
+            raise StepFailed("too few readings came")
+        readings = _until_rest(session)
+    turned = before.position[-1] - before.position[-_FIT_READINGS]
+    passed_s = before.time[-1] - before.time[-_FIT_READINGS]
+    began = abs(float(turned / passed_s))
+    if began < 0.3 * speed:
+        raise StepFailed("the shaft does not come up to a low speed", f"{began:.3g} of {speed:.3g} rad/s")
+    return _measured(session, began, readings)
+
+
+def _until_rest(session: Session) -> list[Reading]:
+    """The readings from the command to rest; a shaft that does not come to it is let go to coast."""
+    network, drive, period = session.network, session.drive, session.found.period
+    drive.take_readings()
+    drive.stop()
+    readings: list[Reading] = []
+    deadline = session.deadline(_STOP_MAX_S)
+    while session.clock_now < deadline and not _rests(session, readings):
+        network.send_sync()
+        network.pump(Instant(session.clock_now + period))
+        readings += drive.take_readings()
+        session.check_stop()
+    if not _rests(session, readings):
+        session.dialog.tell("    the quick stop takes too long: the shaft is let go, and coasts")
+        drive.let_go()
+    return readings
+
+
+def _rests(session: Session, readings: list[Reading]) -> bool:
+    positions = [each.position_rad for each in readings[-_REST_READINGS:]]
+    still = max(positions, default=0.0) - min(positions, default=0.0) <= _REST_UNITS * session.position_rad
+    return len(readings) >= _REST_READINGS and still and _stops(readings[-1])
+
+
+def _stops(reading: Reading) -> bool:
+    return state_of(reading.statusword) is not State.OPERATION_ENABLED
+
+
+def _measured(session: Session, began_rad_s: float, readings: list[Reading]) -> SlowStop:
+    stopping = [each for each in readings if _stops(each)]
+    if len(stopping) < 2:
+        raise StepFailed("the drive does not follow a quick stop", "its statusword says that it is enabled")
+    first, last = stopping[0], stopping[-1]
+    period_s = session.found.period / NS_PER_S
+    if _rests(session, readings):
+        near = _REST_UNITS * session.position_rad
+        moving = [each for each in stopping if abs(each.position_rad - last.position_rad) > near]
+        time_s = (moving[-1].received_at - first.received_at) / NS_PER_S if moving else 0.0
+        return SlowStop(began_rad_s, time_s + period_s)
+    half = stopping[len(stopping) // 2 :]
+    passed_s = (half[-1].received_at - half[0].received_at) / NS_PER_S
+    late = abs(half[-1].position_rad - half[0].position_rad) / max(passed_s, period_s)
+    lost = max(began_rad_s - late, 1e-3 * began_rad_s)
+    until_middle_s = 0.75 * (last.received_at - first.received_at) / NS_PER_S
+    return SlowStop(began_rad_s, until_middle_s * began_rad_s / lost)
