@@ -9,6 +9,8 @@
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, and mutated files
 #                    against their loaders, for at most SECONDS each
+#   make rehearsals  commission simulated drives by made-up data sheets, each with what vendors' sheets lack or
+#                    have oddly, alone and in pairs, for at most SECONDS
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
 #                    most SECONDS drawn ones anywhere; the tests must see them
 #   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
@@ -33,7 +35,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm mutate exits bench lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm rehearsals mutate exits bench lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -113,6 +115,9 @@ truth: $(TOOLS) compile
 swarm: $(TOOLS) compile
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
 	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
+
+rehearsals: $(TOOLS) compile
+	@$(BIN)/python -m tests.rehearsals --seconds $(SECONDS)
 
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
 mutate: $(TOOLS)

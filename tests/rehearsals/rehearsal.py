@@ -1,0 +1,116 @@
+"""One rehearsal through the command line, with the simulated shaft as witness of what moved."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest import mock
+
+from typer.testing import CliRunner
+
+from drivers.cia402.profile import State
+from hil.cli import app
+from hil.commissioning.rehearsal import rehearsed_drive
+from hil.commissioning.steps import all_steps
+from tests.rehearsals.made_sheet import MadeSheet
+from tests.rehearsals.traits import TRAITS
+from virtual_bus.drive.motor_kernel import S_COUNT, S_SPEED_MEASURED
+from virtual_bus.drive.servo import SimulatedServo
+
+AT_REST_RAD_S = 0.1
+MOVED_COUNTS = 50
+"""Of 65536 on a turn."""
+
+
+class Rehearsal(NamedTuple):
+    """What came of one."""
+
+    exit_code: int
+    reason: str
+    """Of the error that ended it; empty if nothing did."""
+    ended_in: str
+    """The step that it ended in; empty if it went through all."""
+    not_done: dict[str, str]
+    """Steps that failed or were left out, with the reason."""
+    faults: list[str]
+    moved: bool
+    """The shaft itself stands elsewhere, or moves."""
+    stands: bool
+    enabled: bool
+    restored: bool
+
+    def row(self) -> str:
+        """For a table."""
+        if self.ended_in:
+            return f"ends in {self.ended_in}{'' if not self.moved else ' AFTER MOTION'}: {self.reason}"
+        left = "; ".join(f"{step}: {reason}" for step, reason in self.not_done.items())
+        found = f" FOUND {'; '.join(self.faults)}." if self.faults else ""
+        return f"commissioned{', but ' + left if left else ''}.{found}"
+
+    def is_safe(self) -> bool:
+        """At rest, disabled, and put back."""
+        return self.stands and not self.enabled and self.restored
+
+
+def made_sheet(names: Iterable[str], folder: Path) -> Path:
+    """The file of a drive with these traits."""
+    sheet = MadeSheet()
+    for name in names:
+        TRAITS[name].change(sheet)
+    path = folder / "made.eds"
+    path.write_text(sheet.text())
+    return path
+
+
+def rehearsed(
+    sheet: Path, folder: Path, options: Sequence[str] = (), last_step: str | None = None
+) -> Rehearsal:
+    """``hil commission --bus simulated --rehearse-eds SHEET``; ``last_step``: no step behind that one."""
+    made: list[SimulatedServo] = []
+    began: list[float] = []
+
+    def kept(*given: Any) -> Any:
+        servo, plate = rehearsed_drive(*given)
+        made.append(servo)
+        began.append(float(servo.drive.firmware.state[S_COUNT]))
+        return servo, plate
+
+    names = [step.name for step in all_steps()]
+    count = len(names) if last_step is None else names.index(last_step) + 1
+    few: Callable[[], Any] = lambda: all_steps()[:count]  # noqa: E731
+    asked = [
+        "commission",
+        "--bus",
+        "simulated",
+        "--node",
+        "1",
+        "--rehearse-eds",
+        str(sheet),
+        "--yes",
+        "--json",
+    ]
+    out = folder / "out"
+    with (
+        mock.patch("hil.commissioning.command.rehearsed_drive", kept),
+        mock.patch("hil.commissioning.commission.all_steps", few),
+    ):
+        done = CliRunner().invoke(app, [*asked, "--out", str(out), *options])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    (servo,) = made
+    if not done.stdout:  # nothing but a drive that cannot be put back ends the command without figures
+        figures: dict[str, Any] = {"error": done.stderr.splitlines()[-1], "steps": [], "restored": False}
+    else:
+        figures = json.loads(done.stdout)
+    steps = figures["steps"]
+    state = servo.drive.firmware.state
+    return Rehearsal(
+        exit_code=done.exit_code,
+        reason=figures["error"] or "",
+        ended_in=(steps[-1]["name"] if steps else "putting back") if figures["error"] else "",
+        not_done={step["name"]: step["reason"] for step in steps if step["verdict"] != "done"},
+        faults=[fault for step in steps for fault in step["faults"]],
+        moved=abs(float(state[S_COUNT]) - began[0]) > MOVED_COUNTS,
+        stands=abs(float(state[S_SPEED_MEASURED])) < AT_REST_RAD_S,
+        enabled=servo.drive_state is State.OPERATION_ENABLED,
+        restored=figures["restored"] is not False,
+    )

@@ -1,0 +1,146 @@
+"""What vendors' data sheets lack or have oddly: each trait changes the made-up sheet, and ends so or so.
+
+``ends``: the reason, as a pattern, with which commissioning ends before anything moves; "" where the drive is
+commissioned, if with steps left out or failed in ``without``.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+from drivers.cia402.profile import Mode, supported_mode_bit
+from tests.rehearsals.made_sheet import MadeSheet
+
+_COMMUNICATION, _MAPPINGS = (0x1400, 0x1800), (0x1600, 0x1A00)
+_TORQUE_PDO: Final[Mapping[int, tuple[int, ...]]] = {
+    0x1600: (0x60400010, 0x60710010),
+    0x1A00: (0x60410010, 0x60770010, 0x60640020),
+    0x1A01: (0x606C0020,),
+}
+_SPEED_PDO: Final[Mapping[int, tuple[int, ...]]] = {
+    0x1600: (0x60400010, 0x60FF0020),
+    0x1A00: (0x60410010, 0x60770010),
+    0x1A01: (0x606C0020, 0x60640020),
+}
+_STATE_PDO: Final[Mapping[int, tuple[int, ...]]] = {0x1600: (0x60400010,), 0x1A00: (0x60410010,)}
+
+
+class Trait(NamedTuple):
+    """One of them."""
+
+    change: Callable[[MadeSheet], None]
+    ends: str = ""
+    without: frozenset[str] = frozenset()
+    """Steps that are left out, or fail with a reason of their own."""
+    mendable: bool = False
+    """A commissioning that sets it right, or finds a way round, may do the drive all the same."""
+
+
+def _lacks(*indices: int) -> Callable[[MadeSheet], None]:
+    return lambda sheet: sheet.drop(*indices)
+
+
+def _modes(*modes: Mode) -> Callable[[MadeSheet], None]:
+    return lambda sheet: sheet.set(0x6502, default=sum(supported_mode_bit(mode) for mode in modes))
+
+
+def _fixed(mappings: Mapping[int, tuple[int, ...]]) -> Callable[[MadeSheet], None]:
+    def change(sheet: MadeSheet) -> None:
+        for base in _MAPPINGS:
+            for index in range(base, base + 4):
+                sheet.map(index, mappings.get(index, ()), access="ro")
+        sheet.every(1, (0x1800,), default="$NODEID+0x40000180")
+        sheet.set(0x1801, 1, default="$NODEID+0x40000280")
+        for index in (0x1802, 0x1803):
+            sheet.set(index, 1, default="$NODEID+0xC0000380")
+
+    return change
+
+
+def _identity_in_device_info(sheet: MadeSheet) -> None:
+    for sub in (1, 2, 3):
+        sheet.set(0x1018, sub, default=" ")
+
+
+def _told_as_one(sheet: MadeSheet) -> None:
+    sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
+    sheet.set(0x608F, 1, default=1)
+
+
+def _encoder_of_2000(sheet: MadeSheet) -> None:
+    sheet.drop(0x60A8, 0x60A9, 0x60AA, 0x6092, 0x6096)
+    sheet.set(0x608F, 1, default=2000)
+
+
+def _one_tpdo(sheet: MadeSheet) -> None:
+    sheet.drop(0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x1A03)
+
+
+def _node_32(sheet: MadeSheet) -> None:
+    for number, base in enumerate((0x200, 0x300, 0x400, 0x500)):
+        sheet.set(0x1400 + number, 1, default=hex(base + 32))
+        sheet.set(0x1800 + number, 1, default=hex(0xC000_0000 + base - 0x80 + 32))
+    sheet.set(0x1014, default="0xA0")
+
+
+_NO_TORQUE: Final = frozenset({"torque_constant", "response", "suggest", "verify"})
+_NO_CURRENT: Final = frozenset({"torque_constant"})
+"""6078h finds no place beside the rest."""
+_SLOPED: Final = frozenset({"delays", "suggest", "verify"})
+"""In profile torque 6087h bounds the rise: no switch of the torque shows the delay of a command."""
+TRAITS: Final[dict[str, Trait]] = {
+    "no 1018h": Trait(_lacks(0x1018)),
+    "identity in [DeviceInfo]": Trait(_identity_in_device_info),
+    "no 1008h": Trait(_lacks(0x1008)),
+    "no 1013h": Trait(_lacks(0x1013)),
+    "no 1016h": Trait(_lacks(0x1016), "no 1016h", mendable=True),
+    "no 1017h": Trait(_lacks(0x1017), "1017h is missing", mendable=True),
+    "no 1029h": Trait(_lacks(0x1029)),
+    "profile 2065 in 1000h": Trait(lambda sheet: sheet.set(0x1000, default="0x00220811"), "0811h"),
+    "of node 32": Trait(_node_32),
+    "no 6007h": Trait(_lacks(0x6007)),
+    "no 605Ah to 605Eh": Trait(_lacks(0x605A, 0x605B, 0x605C, 0x605D, 0x605E)),
+    "no 6061h": Trait(_lacks(0x6061)),
+    "6060h write-only": Trait(lambda sheet: sheet.set(0x6060, AccessType="wo")),
+    "no 6502h": Trait(_lacks(0x6502)),
+    "6502h without torque": Trait(
+        _modes(Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.HOMING, Mode.CYCLIC_SYNCHRONOUS_VELOCITY),
+        without=_NO_TORQUE,
+    ),
+    "6502h without cyclic modes": Trait(
+        _modes(Mode.PROFILE_POSITION, Mode.PROFILE_TORQUE, Mode.HOMING), without=_SLOPED
+    ),
+    "6502h with positions only": Trait(
+        _modes(Mode.PROFILE_POSITION, Mode.HOMING), "none of the modes in which the bench could move it"
+    ),
+    "6060h refuses a mode of 6502h": Trait(
+        lambda sheet: sheet.set(0x6060, default=8, HighLimit=9), without=_SLOPED
+    ),
+    "no 6071h": Trait(_lacks(0x6071, 0x60B2), without=_NO_TORQUE),
+    "no 6077h": Trait(_lacks(0x6077), without=_NO_CURRENT),
+    "no 6078h": Trait(_lacks(0x6078), without=_NO_CURRENT),
+    "no 6076h": Trait(_lacks(0x6076)),
+    "no 6075h": Trait(_lacks(0x6075)),
+    "608Fh is 1/1": Trait(_told_as_one, "608Fh|beyond the limit", mendable=True),
+    "608Fh is 2000": Trait(_encoder_of_2000),
+    "no position unit": Trait(
+        _lacks(0x608F, 0x6090, 0x6092, 0x60A8, 0x60A9, 0x6096),
+        "does not tell its position unit.*counts_per_revolution",
+    ),
+    "mappings fixed for torque": Trait(_fixed(_TORQUE_PDO), without=_NO_CURRENT),
+    "mappings fixed for speed": Trait(_fixed(_SPEED_PDO), without=_NO_TORQUE),
+    "mappings fixed, no values": Trait(
+        _fixed(_STATE_PDO), "606Ch:00: the TPDOs have fixed mappings without it"
+    ),
+    "one TPDO": Trait(_one_tpdo, "cannot carry"),
+    "COB-IDs fixed": Trait(
+        lambda sheet: sheet.every(1, _COMMUNICATION, AccessType="ro"), without=_NO_CURRENT
+    ),
+    "types fixed": Trait(lambda sheet: sheet.every(2, _COMMUNICATION, AccessType="ro"), without=_NO_CURRENT),
+    "no 6085h": Trait(_lacks(0x6085)),
+    "6085h is 0": Trait(lambda sheet: sheet.set(0x6085, default=0, LowLimit=0), "6085h", mendable=True),
+    "6085h is tiny": Trait(lambda sheet: sheet.set(0x6085, default=1), "6085h", mendable=True),
+    "no 6072h, 6073h, 6080h": Trait(_lacks(0x6072, 0x6073, 0x6080)),
+    "no 606Ch": Trait(_lacks(0x606C), "606Ch"),
+    "no homing": Trait(_lacks(0x6098, 0x6099, 0x609A), without=frozenset({"turn"})),
+    "no 607Eh, 6065h, 607Dh": Trait(_lacks(0x607E, 0x6065, 0x607D)),
+}

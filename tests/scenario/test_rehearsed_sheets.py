@@ -1,0 +1,79 @@
+"""Commissioning rehearsed by data sheets: some of the made-up ones; ``make rehearsals`` has them all."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hil.cli import app
+from tests.rehearsals.__main__ import complaints
+from tests.rehearsals.rehearsal import made_sheet, rehearsed
+from tests.rehearsals.traits import TRAITS
+
+REFUSED = [
+    "no 1016h",
+    "no position unit",
+    "6502h with positions only",
+    "mappings fixed, no values",
+    "no 606Ch",
+    "no 606Ch+mappings fixed for speed",
+    "no 1018h+one TPDO",
+]
+READY = [
+    "no 1018h",
+    "identity in [DeviceInfo]",
+    "of node 32",
+    "no 6502h",
+    "6502h without torque",
+    "6060h refuses a mode of 6502h",
+    "no 6071h",
+    "mappings fixed for speed",
+    "no 6061h+types fixed",
+]
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_drive_that_cannot_be_served_is_refused_before_it_moves(case: str, tmp_path: Path) -> None:
+    names = tuple(case.split("+"))
+    assert complaints(names, rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="enable")) == []
+
+
+@pytest.mark.parametrize("case", READY)
+def test_an_odd_drive_is_set_up_and_enabled(case: str, tmp_path: Path) -> None:
+    names = tuple(case.split("+"))
+    assert all(not TRAITS[name].ends for name in names)
+    result = rehearsed(made_sheet(names, tmp_path), tmp_path, last_step="enable")
+    assert (result.reason, result.not_done, result.is_safe()) == ("", {}, True)
+
+
+def test_a_whole_commissioning_by_a_data_sheet(tmp_path: Path) -> None:
+    result = rehearsed(made_sheet(["608Fh is 2000"], tmp_path), tmp_path)
+    assert complaints(("608Fh is 2000",), result) == []
+    assert result.moved
+    assert result.exit_code == 0
+
+
+def test_the_sheet_of_another_drive_is_refused(tmp_path: Path) -> None:
+    made, other = tmp_path / "made", tmp_path / "other"
+    made.mkdir()
+    other.mkdir()
+    path = made_sheet(["identity in [DeviceInfo]"], other)
+    path.write_text(path.read_text().replace("ProductNumber=0xB22", "ProductNumber=0x999"))
+    result = rehearsed(made_sheet([], made), made, ["--eds", str(path)], last_step="enable")
+    assert result.ended_in == "identity"
+    assert "product 00000999h; the drive says 00000B22h" in result.reason
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--bus", "hub:x", "--rehearse-eds", "made.eds"],
+        ["--bus", "simulated", "--rehearse-eds", "made.eds", "--rehearse", "1"],
+        ["--bus", "simulated", "--rehearse-eds", "missing.eds"],
+    ],
+)
+def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: list[str]) -> None:
+    asked = ["commission", "--node", "1", "--yes", "--out", str(tmp_path), *options]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 2
+    assert "made.eds" in done.stderr or "missing.eds" in done.stderr or "--rehearse-eds" in done.stderr
