@@ -37,6 +37,7 @@ from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
+from hil.terminal.stop import stop
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
@@ -54,6 +55,7 @@ app.command()(simulate)
 app.command()(measure)
 app.command()(eds)
 app.command()(fault)
+app.command()(stop)
 app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)

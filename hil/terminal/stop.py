@@ -1,0 +1,44 @@
+"""``hil stop``: the drives of a bus to rest, from any shell."""
+
+from typing import Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import BitrateOption, DriveBusOption, JsonOption
+from hil.terminal.output import put
+from hil.verdict.verdict import ExitStatus
+
+
+def stop(
+    bus: DriveBusOption,
+    node: Annotated[
+        list[str] | None,
+        typer.Option("--node", metavar="N", help="1, 1,2 or 1-3; may be repeated; absent: all drives found."),
+    ] = None,
+    bitrate: BitrateOption = 1_000_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring drives to rest by quick stop and disable them, whoever else is master on the bus.
+
+    Exit status: 0 all at rest and disabled, 2 bad input, 3 a drive is not, or does not answer.
+    """
+    with reported_errors():
+        from drivers.canopen.network import CanopenNetwork
+        from drivers.errors import BadInput
+        from drivers.wire.adapters import parse_bus_spec
+        from hil.execution.world import WorldPlan, open_world
+        from hil.inspecting.stopping import stop_drives
+        from hil.terminal.node_list import drive_ids
+
+        nodes = drive_ids(node) if node else []
+        spec = parse_bus_spec(bus, "--bus")
+        if spec.simulated:
+            raise BadInput("--bus", "", bus, "a bus with a drive on it", "use hub:NAME and `hil simulate`")
+        with open_world(WorldPlan(spec, bitrate, False, None, 0), ()) as world:
+            stopped = stop_drives(CanopenNetwork(world.link, world.clock), nodes)
+        at_rest = all(each.at_rest for each in stopped)
+        lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]
+        figures = {"at_rest": at_rest, "nodes": [each.as_json() for each in stopped]}
+        put(figures, as_json, lambda _figures: typer.echo("\n".join(lines)))
+        raise typer.Exit(ExitStatus.PASSED if at_rest else ExitStatus.PEER_FAULT)
