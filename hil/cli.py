@@ -35,6 +35,7 @@ from hil.terminal.measure import measure
 from hil.terminal.motor import motor
 from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject
+from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 from hil.terminal.stop import stop
@@ -60,6 +61,7 @@ app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
 app.command()(recover)
+app.command()(runs)
 for group in (reproduce, analyse, design, motor):
     app.add_typer(group)
 

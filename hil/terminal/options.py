@@ -42,9 +42,15 @@ def controller_out_option(metavar: str) -> Any:
 
 EVERY_STREAM = seed_option("Seed of every random stream.")
 
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")
-]
+
+def json_option(text: str) -> Any:
+    """``--json``; ``text``: what is printed."""
+    return typer.Option("--json", help=text)
+
+
+JsonOption = Annotated[bool, json_option("Print one JSON object on stdout, all else on stderr.")]
+JsonLinesOption = Annotated[bool, json_option("Print one JSON object a line on stdout, all else on stderr.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 DriveBusOption = Annotated[str, bus_option("hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
 DriveNodeOption = Annotated[
     int, typer.Option("--node", metavar="N", min=1, max=127, help="The drive's node id.")

@@ -22,6 +22,13 @@ def put(figures: T, as_json: bool, show: Callable[[T], None]) -> None:
         show(figures)
 
 
+def write_line(text: str) -> None:
+    """On stdout, of a command that has very many; at once if somebody looks on."""
+    sys.stdout.write(f"{text}\n")
+    if sys.stdout.isatty():
+        sys.stdout.flush()
+
+
 def say(text: str) -> None:
     """On stderr, at once."""
     print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,219 @@
+"""The recordings below a folder: when, which bench, which drives, which verdict, and which are not whole."""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.bounded_file import parse_json, read_text, read_toml
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_S
+from hil.rows.record_columns import refuse_later_format
+from hil.rows.records_file import RECORDS_FILE, is_whole, read_metadata
+from hil.rows.run_files import BENCH_FILE, EVENTS_FILE, RESERVE_FILE, SUMMARY_FILE
+
+_DEPTH_MAX: Final = 6
+"""Folders below the one that is asked for; runs lie in one, or in one for each day or bench."""
+
+
+class RunState(StrEnum):
+    """What is there of a recording."""
+
+    WHOLE = "whole"
+    RECORDING = "being recorded"
+    NO_SUMMARY = "no summary"
+    DAMAGED = "damaged"
+    LATER_FORMAT = "later format"
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """One recording, as far as its files tell; empty for what they do not."""
+
+    path: str
+    at: datetime
+    """The first cycle; in simulated time, or without a cycle, when its bench file was written."""
+    state: RunState
+    bench: str = ""
+    drives: tuple[str, ...] = ()
+    controllers: tuple[str, ...] = ()
+    """Kind, or class of one's own, by axis."""
+    verdict: str = ""
+    """Of summary.json, a value of VerdictKind."""
+    reason: str = ""
+    """Of the verdict."""
+    cycles: int | None = None
+    commit: str = ""
+    servobench: str = ""
+    bus: str = ""
+    note: str = ""
+    """What is wrong with it, and what to do."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; ``at`` as ISO 8601."""
+        return {**asdict(self), "at": self.at.isoformat(), "state": self.state.value}
+
+
+@dataclass(frozen=True, slots=True)
+class RunFilter:
+    """Which recordings are wanted: a part of the text that the run has, case apart; empty: any."""
+
+    bench: str = ""
+    drive: str = ""
+    controller: str = ""
+    verdict: str = ""
+    """Of the verdict, or of the state of one that has none."""
+    commit: str = ""
+    """How it begins."""
+    since: datetime | None = None
+
+    def wants(self, run: ListedRun) -> bool:
+        """All that is asked for holds."""
+        verdict = run.verdict or run.state.value
+        return (
+            (self.since is None or run.at >= self.since)
+            and self.bench.lower() in run.bench.lower()
+            and any(self.drive.lower() in one.lower() for one in run.drives or ("",))
+            and any(self.controller.lower() in one.lower() for one in run.controllers or ("",))
+            and verdict.lower().startswith(self.verdict.lower())
+            and run.commit.startswith(self.commit)
+        )
+
+
+def list_runs(folder: Path, wanted: RunFilter | None = None) -> list[ListedRun]:
+    """The recordings in and below ``folder``, in order of time. Raises BadInput if it is none."""
+    if not folder.is_dir():
+        raise BadInput("DIR", "", str(folder), "a folder")
+    chosen = wanted or RunFilter()
+    found = [run for run in map(_listed, _run_folders(folder)) if chosen.wants(run)]
+    return sorted(found, key=lambda run: (run.at, run.path))
+
+
+def _run_folders(folder: Path) -> Iterator[Path]:
+    """A bench file beside what a run leaves; nothing below a recording is looked at."""
+    depth = len(folder.parts)
+    for here, below, files in os.walk(folder):
+        if BENCH_FILE in files and not {RECORDS_FILE, EVENTS_FILE, SUMMARY_FILE}.isdisjoint(files):
+            below.clear()
+            yield Path(here)
+        elif len(Path(here).parts) - depth >= _DEPTH_MAX:
+            below.clear()
+        below.sort()
+
+
+def _listed(folder: Path) -> ListedRun:
+    records = folder / RECORDS_FILE
+    metadata = _metadata(records)
+    told = _bench_tables(folder / BENCH_FILE)
+    summary = _summary(folder / SUMMARY_FILE)
+    state, note = _state(folder, metadata, summary)
+    verdict = _table(summary, "verdict")
+    cycles = (summary or {}).get("cycles")
+    bench = _table(told, "bench")
+    return ListedRun(
+        path=str(folder),
+        at=_at(folder, metadata),
+        state=state,
+        bench=metadata.get("bench") or str(bench.get("name", "")),
+        drives=tuple(str(drive) for drive in _json_table(metadata.get("drives")).values()),
+        controllers=tuple(_controller(drive) for drive in _table(told, "drive").values()),
+        verdict=str(verdict.get("outcome", "")),
+        reason=str(verdict.get("reason", "")),
+        cycles=cycles if isinstance(cycles, int) else None,
+        commit=metadata.get("commit", ""),
+        servobench=metadata.get("servobench", ""),
+        bus=metadata.get("bus", ""),
+        note=note,
+    )
+
+
+def _state(
+    folder: Path, metadata: Mapping[str, str], summary: Mapping[str, Any] | None
+) -> tuple[RunState, str]:
+    records = folder / RECORDS_FILE
+    try:
+        refuse_later_format(metadata, records)
+    except BadInput as error:
+        return RunState.LATER_FORMAT, f"format {metadata['format']}: expected {error.expected}"
+    if summary is None:
+        if _is_recorded(folder):
+            return RunState.RECORDING, ""
+        return RunState.NO_SUMMARY, f"its recorder did not live to its end: hil recover {folder}"
+    if not records.is_file():
+        return RunState.DAMAGED, f"{RECORDS_FILE} is missing"
+    if not is_whole(records):
+        return RunState.DAMAGED, f"{RECORDS_FILE} has no end, though there is a summary"
+    lacks = summary.get("recording_faults") or []
+    return RunState.WHOLE, "; ".join(map(str, lacks)) if isinstance(lacks, list) else ""
+
+
+def _is_recorded(folder: Path) -> bool:
+    """Whether somebody holds the lock of who records (hil.recording.run_folder)."""
+    try:
+        descriptor = os.open(folder / RESERVE_FILE, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _at(folder: Path, metadata: Mapping[str, str]) -> datetime:
+    epoch = metadata.get("first_cycle_epoch_ns", "")
+    if metadata.get("time") == "real" and epoch.isdigit():
+        return datetime.fromtimestamp(int(epoch) / NS_PER_S, UTC)
+    return datetime.fromtimestamp((folder / BENCH_FILE).stat().st_mtime, UTC)
+
+
+def _metadata(records: Path) -> dict[str, str]:
+    try:
+        return read_metadata(records)
+    except (OSError, UnicodeDecodeError):
+        return {}
+
+
+def _bench_tables(path: Path) -> dict[str, Any]:
+    """Raw: the bench of an earlier version need not be one of today's."""
+    try:
+        return read_toml(path, "bench file")
+    except BadInput:
+        return {}
+
+
+def _summary(path: Path) -> dict[str, Any] | None:
+    """None: there is none, or no whole one."""
+    try:
+        found = parse_json(read_text(path, "summary"), str(path), "a summary")
+    except BadInput:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _json_table(text: str | None) -> dict[str, Any]:
+    try:
+        found = json.loads(text or "{}")
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _table(tables: Mapping[str, Any] | None, name: str) -> dict[str, Any]:
+    found = (tables or {}).get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _controller(drive: Any) -> str:
+    controller = drive.get("controller") if isinstance(drive, dict) else None
+    if not isinstance(controller, dict):
+        return str(controller or "")
+    kind = str(controller.get("kind", ""))
+    return f"{kind} {controller['object']}" if "object" in controller else kind

@@ -1,0 +1,78 @@
+"""``hil runs``: which recordings there are, and how they ended."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.printable import printable
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
+from hil.terminal.output import put, say, write_line
+
+if TYPE_CHECKING:
+    from hil.reviewing.run_index import ListedRun
+
+
+def runs(
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to look, folders in it too.")] = Path(
+        "runs"
+    ),
+    bench: Annotated[str, typer.Option("--bench", metavar="NAME", help="A part of the bench's name.")] = "",
+    drive: Annotated[str, typer.Option("--drive", metavar="TEXT", help="A part of a drive's name.")] = "",
+    controller: Annotated[str, typer.Option("--controller", metavar="KIND", help="A part of a kind.")] = "",
+    verdict: Annotated[
+        str,
+        typer.Option("--verdict", metavar="TEXT", help="How the verdict begins, or the state without one."),
+    ] = "",
+    commit: Annotated[str, typer.Option("--commit", metavar="HASH", help="How the commit begins.")] = "",
+    since: Annotated[
+        datetime | None,
+        typer.Option(
+            "--since", help="Local time.", formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%dT%H:%M:%S"]
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List recordings by time: bench, drives, controllers, verdict, commit, and which are not whole.
+
+    Exit status: 0, also if there is none; 2 for a DIR that is no folder.
+    """
+    with reported_errors():
+        from hil.reviewing.run_index import RunFilter, list_runs
+
+        local = None if since is None else since.astimezone()
+        wanted = RunFilter(bench, drive, controller, verdict, commit, local)
+        found = list_runs(folder, wanted)
+        put({"runs": [run.as_json() for run in found]}, as_json, lambda _figures: _print(found, folder))
+
+
+def _print(found: "list[ListedRun]", folder: Path) -> None:
+    """A line each, as long as it is: the path stands last, to be copied whole."""
+    if not found:
+        say(f"no recording in {folder} that is asked for")
+        return
+    rows: list[tuple[str, ...]] = [("time", "bench", "verdict", "controller", "drive", "commit", "recording")]
+    rows += [_row(run) for run in found]
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    for row in rows:
+        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        write_line(line.rstrip())
+    for run in found:
+        if run.note:
+            say(f"hil: note: {printable(run.path)}: {printable(run.note)}")
+
+
+def _row(run: "ListedRun") -> tuple[str, ...]:
+    drives = dict.fromkeys(drive.partition(" (vendor")[0] for drive in run.drives)
+    cells = (
+        run.at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
+        run.bench,
+        run.verdict or run.state.value,
+        ", ".join(dict.fromkeys(run.controllers)),
+        ", ".join(drives),
+        run.commit[:10],
+        run.path,
+    )
+    return tuple(printable(cell) for cell in cells)
