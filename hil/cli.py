@@ -33,12 +33,14 @@ from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
 from hil.terminal.motor import motor
+from hil.terminal.picture import picture
 from hil.terminal.recover import recover
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 from hil.terminal.stop import stop
+from hil.terminal.view import missing_display, view
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
@@ -62,6 +64,8 @@ app.command()(restore)
 app.command()(rehearse)
 app.command()(recover)
 app.command()(runs)
+app.command()(picture)
+app.command()(view)
 for group in (reproduce, analyse, design, motor):
     app.add_typer(group)
 
@@ -155,7 +159,7 @@ def run(
     no_record: NoRecordOption = False,
     controller: ControllersOption = None,
     replay_faults: ReplayOption = None,
-    view: Annotated[
+    live: Annotated[
         bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
     ] = False,
     network: NetworkOption = None,
@@ -169,8 +173,10 @@ def run(
     """
     told = RunObject(as_json)
     with reported_errors(told.failed):
-        if no_record and (record is not None or view):
+        if no_record and (record is not None or live):
             raise BadInput("--no-record", "", True, "neither --record nor --view beside it")
+        if live and missing_display():
+            typer.echo("hil: note: --view: no display here; the recording is kept, see hil view", err=True)
         config = _bench_to_run(bench, controller or (), replay_faults)
 
         from hil.configuration.quantities import odd_values
@@ -192,7 +198,7 @@ def run(
                 seed=seed,
                 record=record,
                 keep=not no_record,
-                view=view,
+                view=live,
                 progress=progress,
                 network=network,
                 allow_uncertified=allow_uncertified,

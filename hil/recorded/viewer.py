@@ -1,0 +1,222 @@
+"""The Rerun viewer as a process of its own, without a window: pages of a recording as pictures.
+
+What is drawn is what a user sees on opening the file; the layout is the one that is in it, with another page
+in front or another stretch of time, if that was asked for.
+"""
+
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from rerun.experimental import ViewerClient
+
+from drivers.errors import BadInput, PeerFault
+from drivers.printable import printable
+from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from hil.recording.blueprint import GUTTER
+from hil.recording.page_series import TIMELINE
+from hil.recording.telemetry import RERUN_FILE
+from virtual_bus.child_python import python_command, python_environment
+
+SIZE: Final = "1920x1080"
+_START_MAX_NS: Final = 30 * NS_PER_S
+_LOAD_MAX_NS: Final = 300 * NS_PER_S
+"""An hour with three axes takes half a minute on two slow processors."""
+_GREETING_NS: Final = 5 * NS_PER_S
+"""For so long the viewer shows a notice over the page."""
+_SETTLE_TRIES: Final = 40
+_EVIDENCE_MAX: Final = 200
+_POLL_NS: Final = 200 * NS_PER_MS
+_REMEDY: Final = (
+    "it needs a Vulkan driver, for which a software one will do: apt-get install mesa-vulkan-drivers"
+)
+
+
+class HeadlessViewer:
+    """One viewer; :meth:`show` first."""
+
+    def __init__(self, client: ViewerClient) -> None:
+        self._client = client
+        self._clock = MonotonicClock()
+        self._shown_at = Instant(0)
+
+    def show(self, recording: Path) -> None:
+        """Open a recording. Raises BadInput if it cannot be read, PeerFault if a view complains."""
+        self._client.open(str(recording.resolve()))
+        give_up = self._clock.now() + _LOAD_MAX_NS
+        while self._client.get_state().loading:
+            if self._clock.now() > give_up:
+                raise PeerFault(f"the viewer does not come to an end of loading {recording}", "")
+            self._wait(_POLL_NS)
+        if not self._client.get_state().recordings:
+            raise BadInput("RUN", "", str(recording), "a recording that the viewer can read")
+        for view in self._client.get_state().views:
+            for report in view.reports:
+                raise PeerFault(f"the view {view.name!r} reports: {report.summary}", report.details or "")
+        self._shown_at = self._clock.now()
+
+    def pages(self) -> list[str]:
+        """Names of the pages, those inside others as "Zoom/axis1"."""
+        return list(_pages(self._client.get_blueprint().blueprint))
+
+    def turn_to(self, page: str) -> None:
+        """Put a page in front. Raises BadInput for one that is not there."""
+        found = self._client.get_blueprint()
+        pages = _pages(found.blueprint)
+        wanted = pages.get(page.casefold())
+        if wanted is None:
+            raise BadInput("--page", "", page, f"one of {', '.join(pages)}")
+        for tabs, page_path in wanted:
+            found.blueprint[tabs]["ContainerBlueprint"]["active_tab"] = page_path
+        self._client.set_blueprint(found.blueprint, store_id=found.store_id)
+
+    def look_at(self, begin_s: float, end_s: float) -> None:
+        """Another stretch of time in all views, run time."""
+        found = self._client.get_blueprint()
+        for path, archetypes in found.blueprint.items():
+            if "TimeAxis" not in archetypes:
+                continue
+            view = found.blueprint.get(path.removesuffix("/TimeAxis"), {}).get("ViewBlueprint", {})
+            lanes = view.get("class_identifier") != "TimeSeries"
+            begin = begin_s - (GUTTER * (end_s - begin_s) if lanes else 0.0)
+            window = {
+                name: {"Absolute": round(at * NS_PER_S)} for name, at in (("start", begin), ("end", end_s))
+            }
+            archetypes["TimeAxis"] = {"link": "Independent", "view_range": window}
+        self._client.set_blueprint(found.blueprint, store_id=found.store_id)
+
+    def put_cursor(self, at_s: float | None) -> None:
+        """At an instant of the run time; None: at its end."""
+        self._client.set_time(TIMELINE, duration=self._end_s() if at_s is None else at_s, play_state="paused")
+
+    def picture(self) -> bytes:
+        """The whole window as PNG, when it does not change any more."""
+        self._wait(max(0, self._shown_at + _GREETING_NS - self._clock.now()))
+        last = b""
+        for _ in range(_SETTLE_TRIES):
+            self._wait(_POLL_NS)
+            found = self._client.take_screenshot()
+            if found == last:
+                break
+            last = found
+        return last
+
+    def _end_s(self) -> float:
+        ends = [
+            timeline.end
+            for recording in self._client.get_state().recordings
+            for timeline in recording.timelines
+            if timeline.name == TIMELINE and timeline.end is not None
+        ]
+        return max(ends, default=0) / NS_PER_S
+
+    def _wait(self, duration_ns: int) -> None:
+        self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
+
+
+def draw_page(
+    run: Path,
+    page: str | None = None,
+    at_s: float | None = None,
+    window_s: tuple[float | None, float | None] = (None, None),
+) -> bytes:
+    """A page of the run in a folder, or of a run.rrd, as PNG.
+
+    ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens. Raises
+    BadInput, and PeerFault if the viewer cannot run here.
+    """
+    recording = run / RERUN_FILE if run.is_dir() else run
+    if not recording.is_file():
+        raise BadInput("RUN", "", str(run), f"the folder of a run, with its {RERUN_FILE}")
+    with headless_viewer() as viewer:
+        viewer.show(recording)
+        if page is not None:
+            viewer.turn_to(page)
+        begin_s, end_s = window_s
+        if begin_s is not None and end_s is not None:
+            viewer.look_at(begin_s, end_s)
+        viewer.put_cursor(at_s)
+        return viewer.picture()
+
+
+@contextmanager
+def headless_viewer() -> Iterator[HeadlessViewer]:
+    """A viewer that ends with the block. Raises PeerFault if it cannot run here."""
+    port = _free_port()
+    options = ["--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", SIZE]
+    process = subprocess.Popen(
+        python_command("rerun_cli", *options, "--hide-welcome-screen"),
+        env=python_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        yield HeadlessViewer(_connect(process, port))
+    except ConnectionError:  # it listens before it looks for a graphics driver
+        raise _gone(process) from None
+    finally:
+        # The command is a shim; its child, the viewer, ends with the session's leader's group.
+        subprocess.run(["kill", "--", f"-{process.pid}"], check=False, stderr=subprocess.DEVNULL)
+        if process.stderr is not None and not process.stderr.closed:
+            process.communicate()
+
+
+def _pages(blueprint: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
+    """By a page's name, in small letters: which tabs have to be in front, as tabs and what is in them."""
+    containers = {
+        path.strip("/"): archetypes["ContainerBlueprint"]
+        for path, archetypes in blueprint.items()
+        if "ContainerBlueprint" in archetypes
+    }
+    found: dict[str, list[tuple[str, str]]] = {}
+
+    def inside(path: str) -> list[str]:
+        told = containers.get(path, {}).get("contents", [])
+        return [each.strip("/") for each in ([told] if isinstance(told, str) else told)]
+
+    def look_in(path: str, above: list[tuple[str, str]], name: str) -> None:
+        for inner in inside(path):
+            tabs = containers[path].get("container_kind") == "Tabs"
+            if not tabs or inner not in containers:
+                look_in(inner, above, name)
+                continue
+            own = "/".join(filter(None, (name, containers[inner].get("display_name", "").casefold())))
+            found[own] = [*above, (f"/{path}", f"/{inner}")]
+            look_in(inner, found[own], own)
+
+    inner = {each for path in containers for each in inside(path)}
+    for path in containers:
+        if path not in inner:
+            look_in(path, [], "")
+    return found
+
+
+def _connect(process: "subprocess.Popen[bytes]", port: int) -> ViewerClient:
+    clock = MonotonicClock()
+    deadline = clock.now() + _START_MAX_NS
+    while clock.now() < deadline and process.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        clock.sleep_until(Instant(clock.now() + _POLL_NS))
+    raise _gone(process)
+
+
+def _gone(process: "subprocess.Popen[bytes]") -> PeerFault:
+    """What a viewer that does not run said."""
+    subprocess.run(["kill", "--", f"-{process.pid}"], check=False, stderr=subprocess.DEVNULL)
+    said = (process.communicate()[1] or b"").decode(errors="replace").strip().splitlines()
+    told = next((line for line in said if "adapter" in line or "panicked" in line), "".join(said[-1:]))
+    return PeerFault("the Rerun viewer does not run here", printable(told)[:_EVIDENCE_MAX], _REMEDY)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

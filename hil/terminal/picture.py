@@ -1,0 +1,72 @@
+"""``hil picture``: a page of a recorded run as a PNG, or a figure for a paper."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivers.errors import BadInput
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import RunArgument
+from hil.terminal.output import say_written
+
+OutArgument = Annotated[
+    Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")
+]
+PageOption = Annotated[
+    str | None,
+    typer.Option("--page", metavar="PAGE", help="overview, AXIS, timing, controller, zoom, zoom/AXIS."),
+]
+AtOption = Annotated[
+    float | None,
+    typer.Option("--at", metavar="S", help="The cursor, s since the first cycle; the end if absent."),
+]
+SpanOption = Annotated[
+    float | None,
+    typer.Option("--span", metavar="S", min=1e-6, help="So much time about --at; all if absent."),
+]
+PaperOption = Annotated[
+    bool, typer.Option("--paper", help="Speed, error, torque and delay by matplotlib, light; no viewer.")
+]
+
+
+def picture(
+    run: RunArgument,
+    out: OutArgument,
+    page: PageOption = None,
+    at: AtOption = None,
+    span: SpanOption = None,
+    paper: PaperOption = False,
+) -> None:
+    """Draw a recorded run: what a user sees on opening it, without a window; or a figure for a paper.
+
+    Exit status: 0 drawn, 2 bad input, 3 the viewer cannot run here.
+    """
+    with reported_errors():
+        if span is not None and at is None:
+            raise BadInput("--span", "", f"{span:g}", "--at beside it: about which instant")
+        if out.is_dir() or not out.parent.is_dir():
+            raise BadInput("OUT", "", str(out), "a file in a folder that is there")
+        window = (None, None) if at is None or span is None else (at - span / 2, at + span / 2)
+        if paper:
+            if page is not None:
+                raise BadInput("--page", "", page, "no --paper beside it")
+            from hil.recorded.paper import paper_figure, save_figure
+            from hil.recorded.recorded_run import open_run
+            from hil.recorded.run_signals import signals_of
+
+            save_figure(paper_figure(signals_of(open_run(run)), *window), out)
+        else:
+            if out.suffix != ".png":
+                raise BadInput("OUT", "", str(out), "a file that ends in .png, or --paper")
+            from hil.recorded.viewer import draw_page
+
+            _write(out, draw_page(run, page, at, window))
+        say_written(out)
+
+
+def _write(out: Path, png: bytes) -> None:
+    try:
+        out.write_bytes(png)
+    except OSError as error:
+        raise BadInput("OUT", "", str(out), "a place to write to", error.strerror or "") from None
