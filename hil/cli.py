@@ -35,6 +35,7 @@ from hil.terminal.measure import measure
 from hil.terminal.motor import motor
 from hil.terminal.picture import picture
 from hil.terminal.recover import recover
+from hil.terminal.review import review
 from hil.terminal.run_object import RunCommand, RunObject
 from hil.terminal.runs import runs
 from hil.terminal.scan import scan
@@ -65,6 +66,7 @@ app.command()(rehearse)
 app.command()(recover)
 app.command()(runs)
 app.command()(picture)
+app.command()(review)
 app.command()(view)
 for group in (reproduce, analyse, design, motor):
     app.add_typer(group)

@@ -1,0 +1,117 @@
+"""A recorded run judged anew, from its files alone: by its own limits, or by those of another file.
+
+The figures come from the rows in ``records.arrow``. What those cannot tell, how the drives were found and
+what the timing rests on, is what ``summary.json`` says. The digest holds the two together: rows that are not
+those of the run are told.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.bounded_file import NamedBy
+from hil.configuration.config import VerdictConfig
+from hil.configuration.config_files import Section, load_file
+from hil.recorded.recorded_run import RecordedRun
+from hil.recorded.run_signals import RunSignals
+from hil.reviewing.review import Review
+from hil.rows.records_file import RECORDS_FILE
+from hil.verdict.summary import Figures, Summary, summarise
+from hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
+
+_OF_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
+"""What is found by limits, and so anew."""
+_CERTIFIED: Final = ("delay_us", "losses_in_a_row", "gain_rad_s_nm")
+
+
+class Requirements(Section):
+    """A file of requirements: the table ``[verdict]`` of a bench file."""
+
+    verdict: VerdictConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What a review came to."""
+
+    run: RecordedRun
+    against: str
+    """Whose limits: a file, or the bench's own."""
+    summary: Summary
+    """As ``hil run`` has it, by these limits."""
+    signals: RunSignals
+
+
+def load_requirements(path: Path) -> VerdictConfig:
+    """Raises BadInput or BadInputs."""
+    return load_file(
+        Requirements, path, "a file of requirements", NamedBy("--against", "", str(path))
+    ).verdict
+
+
+def judge_run(run: RecordedRun, against: Path | None = None) -> Judged:
+    """Read the rows once, in bounded memory. Raises BadInput or BadInputs for ``against``."""
+    plan = run.review
+    if against is not None:
+        asked = load_requirements(against)
+        limits = asked.limits
+        if run.metadata.get("time") != "real":
+            limits = replace(limits, compute_us_max=None)
+        plan = replace(plan, limits=limits, settling=asked.settling, band_percent=asked.settling_band_percent)
+    run = replace(run, review=plan)
+    review, signals = Review(plan), RunSignals(run.axes, run.config.loop.deadline)
+    for rows in run.bench_rows():
+        signals.add(rows, run.first_cycle)
+        review.add(rows)
+    signals.judge(review, run)
+    summary = _judged(run, review.figures(), plan.limits)
+    return Judged(run, str(against) if against else "the bench's own limits", summary, signals)
+
+
+def _judged(run: RecordedRun, figures: Figures, limits: VerdictLimits) -> Summary:
+    told = run.summary
+    first = told.verdict.findings[0] if told.verdict.findings else None
+    completed = told.verdict.completed or first is None
+    outcome = RunOutcome(
+        bus_load_percent=told.bus_load_percent,
+        realtime_factor=told.realtime_factor,
+        completed=completed,
+        reason="" if first is None or completed else first.text,
+        cause=VerdictKind.CUT_SHORT if first is None or completed else first.outcome,
+        cycles_planned=run.cycles_planned,
+        drives=told.drives,
+        network_notes=told.network_notes,
+        load_machine=told.load_machine,
+        timing=told.timing,
+    )
+    found = summarise(
+        figures,
+        outcome,
+        limits,
+        str(run.folder),
+        run.config.bench.seed,
+        tuple([*told.recording_faults, *_other_rows(told, figures)]),
+        list(_certified(figures)),
+    )
+    for finding in told.verdict.findings:
+        if finding.outcome not in _OF_LIMITS and finding not in found.verdict.findings:
+            found = found.also(finding)
+    return found
+
+
+def _other_rows(told: Summary, figures: Figures) -> Iterator[str]:
+    """Why the rows are not those that the summary was made of."""
+    if figures.cycles != told.cycles:
+        yield f"{RECORDS_FILE} has {figures.cycles} cycles, the run had {told.cycles}"
+    elif figures.digest != told.digest:
+        yield f"{RECORDS_FILE} has the digest {figures.digest}, the run had {told.digest}"
+
+
+def _certified(figures: Figures) -> Iterator[Demand]:
+    """What the certificates of the controllers allow, and what was seen."""
+    for axis, told in figures.certificates.items():
+        for name in _CERTIFIED:
+            pair: dict[str, Any] = told[name]
+            if pair["certified"] is not None:
+                yield Demand(f"certified_{name}", axis, pair["seen"], pair["certified"])

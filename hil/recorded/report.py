@@ -1,0 +1,167 @@
+"""A review as a report in one file: Markdown, or HTML with its pictures in it."""
+
+import base64
+import html
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from drivers.bounded_file import parse_json
+from drivers.errors import BadInput
+from drivers.printable import printable
+from drivers.timebase import NS_PER_S
+from hil.recorded.judgement import Judged
+from hil.recorded.paper import histogram_figure, paper_figure, svg_text
+from hil.rows.run_files import EVENTS_FILE
+from hil.verdict.summary import Percentiles, metric_title
+from hil.verdict.summary_text import certificate_rows, timing_lines
+from hil.verdict.verdict import LimitResult, VerdictKind, verdict_title
+
+SUFFIXES: Final = (".html", ".md")
+_EVENTS_MAX: Final = 200
+"""A report is read; events.jsonl has all of them."""
+_STYLE: Final = """
+:root { color-scheme: light dark }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
+table { border-collapse: collapse; margin: 1rem 0 } td, th { padding: .2rem .8rem .2rem 0; text-align: left }
+tr { border-bottom: 1px solid #8884 } .kept { color: #2e7d32 } .broken { color: #c8442c; font-weight: bold }
+.verdict { padding: .4rem .8rem; color: #fff; background: #b3202a } .passed { background: #1e6b35 }
+figure { margin: 1rem 0; background: #fff } svg { max-width: 100%; height: auto } code { font-size: 90% }
+"""
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+"""Title, heads, rows."""
+
+
+def write_report(judged: Judged, path: Path) -> None:
+    """Raises BadInput for a path that cannot be written to."""
+    if path.suffix not in SUFFIXES:
+        raise BadInput("--report", "", str(path), f"a file that ends in {' or '.join(SUFFIXES)}")
+    text = _html(judged) if path.suffix == ".html" else _markdown(judged)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput("--report", "", str(path), "a place to write to", error.strerror or "") from None
+
+
+def _tables(judged: Judged) -> Iterator[Table]:
+    summary = judged.summary
+    yield "Requirements", ("requirement", "value", "at most", "", "worst"), list(limit_rows(judged))
+    if summary.verdict.findings:
+        found = [(finding.outcome.value, finding.text) for finding in summary.verdict.findings]
+        yield "Findings", ("", ""), found
+    if certified := certificate_rows(summary.certificates):
+        yield "Certificate", ("", "certified", "seen"), certified
+    yield "Figures", ("", ""), list(_figures(judged))
+    yield "Run", ("", ""), list(_origin(judged))
+    yield "Warnings and errors", ("s", "", ""), list(_events(judged.run.folder / EVENTS_FILE))
+
+
+def limit_rows(judged: Judged) -> Iterator[tuple[str, str, str, str, str]]:
+    """Each requirement in words: what, value, limit, result, and where the worst value was."""
+    for check in judged.summary.verdict.limits:
+        value = "-" if check.value is None else f"{check.value:.4g}"
+        at = "" if check.at_ns is None else f"at {check.at_ns / NS_PER_S:.3f} s"
+        where = " ".join(filter(None, (check.axis, at)))
+        yield metric_title(check.metric), value, f"{check.limit:g}", check.result.value, where
+
+
+def _figures(judged: Judged) -> Iterator[tuple[str, str]]:
+    summary = judged.summary
+    lost, steps = summary.dropouts, summary.step_response
+    yield "cycles", f"{summary.cycles} of {judged.run.cycles_planned} planned, {len(judged.run.axes)} axes"
+    yield "delay p50 / p99 / max", _times(summary.delay_us)
+    yield "lateness p50 / p99 / max", _times(summary.lateness_us)
+    yield "dropouts", f"{lost.lost} lost, {lost.late} late, {lost.stale} stale, {lost.missed} missed"
+    yield "dropouts in a row", str(summary.losses_in_a_row)
+    yield (
+        "settling, overshoot",
+        f"{_number(steps.settling_time_ms, 'ms')}, {_number(steps.overshoot_percent, '%')}",
+    )
+    yield "recovery after a load step", _number(steps.recovery_time_ms, "ms")
+    yield "speed error rms", _number(summary.speed_error.rms_rad_s, "rad/s")
+    yield "torque about its mean, rms", _number(summary.torque_rms_nm, "N m")
+    yield from timing_lines(summary.timing).items()
+    yield "digest", summary.digest
+
+
+def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
+    told = judged.run.metadata
+    yield "folder", str(judged.run.folder)
+    yield "judged by", judged.against
+    for key in ("bench", "bus", "seed", "time", "servobench", "commit"):
+        yield key, told.get(key, "-") or "-"
+    for axis, drive in json.loads(told.get("drives", "{}")).items():
+        yield f"drive of {axis}", drive
+    host = json.loads(told.get("host", "{}"))
+    yield "host", ", ".join(f"{key} {value}" for key, value in host.items())
+
+
+def _events(path: Path) -> Iterator[tuple[str, str, str]]:
+    """What was worth more than a note, the last ones."""
+    found: list[tuple[str, str, str]] = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
+        try:
+            event = parse_json(line, EVENTS_FILE, "an event")
+            if event.get("level") in ("WARN", "ERROR", "CRITICAL"):
+                at = f"{event['at_ns'] / NS_PER_S:.6f}"
+                found.append((at, str(event["level"]), printable(str(event["text"]))))
+        except (BadInput, ValueError, KeyError, TypeError, AttributeError):
+            continue  # a line that was cut off is no event
+    yield from found[-_EVENTS_MAX:]
+
+
+def _pictures(judged: Judged) -> Iterator[tuple[str, str]]:
+    yield "Speed, error, torque and delay; dashed: limits", svg_text(paper_figure(judged.signals))
+    yield "Delays of the readings", svg_text(histogram_figure(judged.signals))
+
+
+def _html(judged: Judged) -> str:
+    verdict = judged.summary.verdict
+    fair = verdict.outcome in (VerdictKind.PASSED, VerdictKind.NOTHING_ASKED)
+    parts = [f"<h1>{html.escape(judged.run.config.bench.name)}</h1>"]
+    parts.append(f'<p class="verdict{" passed" if fair else ""}">{html.escape(verdict_title(verdict))}</p>')
+    for title, heads, rows in _tables(judged):
+        if rows:
+            parts.append(f"<h2>{title}</h2><table>" + _html_row("th", heads))
+            parts += [_html_row("td", row) for row in rows]
+            parts.append("</table>")
+        if title == "Requirements":
+            parts += [
+                f"<figure>{svg}<figcaption>{words}</figcaption></figure>" for words, svg in _pictures(judged)
+            ]
+    name = html.escape(judged.run.config.bench.name)
+    head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
+    return f"{head}<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
+
+
+def _html_row(tag: str, cells: Sequence[str]) -> str:
+    classes = {LimitResult.KEPT.value: " class=kept", LimitResult.BROKEN.value: " class=broken"}
+    return (
+        "<tr>"
+        + "".join(f"<{tag}{classes.get(cell, '')}>{html.escape(cell)}</{tag}>" for cell in cells)
+        + "</tr>"
+    )
+
+
+def _markdown(judged: Judged) -> str:
+    parts = [f"# {judged.run.config.bench.name}: {verdict_title(judged.summary.verdict)}"]
+    for title, heads, rows in _tables(judged):
+        if rows:
+            lines = [f"| {' | '.join(heads)} |", "|" + ":--|" * len(heads)]
+            lines += [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in rows]
+            parts.append(f"## {title}\n\n" + "\n".join(lines))
+        if title == "Requirements":
+            for words, svg in _pictures(judged):
+                data = base64.b64encode(svg.encode()).decode()
+                parts.append(f"![{words}](data:image/svg+xml;base64,{data})")
+    return "\n\n".join(parts) + "\n"
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "not measured" if value is None else f"{value:.4g} {unit}"
+
+
+def _times(times: Percentiles) -> str:
+    values = (times.p50, times.p99, times.max)
+    return " / ".join("-" if value is None else f"{value:.0f}" for value in values) + " us"

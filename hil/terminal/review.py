@@ -1,0 +1,69 @@
+"""``hil review``: a recorded run judged anew from its files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption, RunArgument
+from hil.terminal.output import columns, put, say_written
+
+if TYPE_CHECKING:
+    from hil.recorded.judgement import Judged
+
+AgainstOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--against",
+        metavar="REQUIREMENTS.toml",
+        help="A table \\[verdict] as in a bench file; the run's own limits if absent.",
+    ),
+]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="FILE", help="Write a report with pictures: one .html or .md file."),
+]
+
+
+def review(
+    run: RunArgument,
+    against: AgainstOption = None,
+    report: ReportOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge a recorded run by its own limits or by others, from the recording alone.
+
+    What a controller is certified for counts too: a run with --allow-uncertified that left it has not passed
+    here. Exit status: as docs/verdict.md has it; 2 for what is no whole recording.
+    """
+    with reported_errors():
+        from hil.recorded.judgement import judge_run
+        from hil.recorded.recorded_run import open_run
+
+        judged = judge_run(open_run(run), against)
+        put(judged.summary.as_json(), as_json, lambda _figures: _print(judged))
+        if report is not None:
+            from hil.recorded.report import write_report
+
+            write_report(judged, report)
+            say_written(report)
+        raise typer.Exit(judged.summary.verdict.exit_status)
+
+
+def _print(judged: "Judged") -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    from hil.recorded.report import limit_rows
+    from hil.verdict.verdict import verdict_title
+
+    console = Console(highlight=False)
+    console.print(f"{judged.run.title()}, by {judged.against}", soft_wrap=True, markup=False)
+    table = columns("requirement", "value", "at most", "", "worst", right=("value", "at most"))
+    for row in limit_rows(judged):
+        table.add_row(*map(Text, row))
+    console.print(table)
+    for finding in judged.summary.verdict.findings:
+        console.print(f"{finding.outcome}: {finding.text}", soft_wrap=True, markup=False)
+    console.print(verdict_title(judged.summary.verdict), style="bold")
