@@ -27,6 +27,7 @@ from drivers.compiled import notice, use_fresh
 from drivers.errors import BadInput
 from hil.terminal.adapter import adapter
 from hil.terminal.commission import commission, rehearse, restore
+from hil.terminal.compare import compare
 from hil.terminal.eds import eds
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.fault import fault
@@ -67,6 +68,7 @@ app.command()(recover)
 app.command()(runs)
 app.command()(picture)
 app.command()(review)
+app.command()(compare)
 app.command()(view)
 for group in (reproduce, analyse, design, motor):
     app.add_typer(group)

@@ -1,0 +1,291 @@
+"""Recorded runs held against the first of them: aligned on scenario time, in bounded memory.
+
+Two rows belong together if they are of the same axis and the same planned cycle. Compared is what the digest
+is over; where two runs first differ in it, the bench or the network was another one. How far apart measured
+signals are is taken of cycles that have a reading in both.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import Field
+
+from drivers.bounded_file import NamedBy
+from drivers.errors import BadInput
+from hil.configuration.config_files import Section, load_file
+from hil.recorded.recorded_run import RecordedRun
+from hil.recorded.run_signals import RunSignals
+from hil.reviewing.review import Review
+from hil.rows.records import DIGESTED_BYTES, FATE_SAMPLE, LAYOUT, ROW_DTYPE, Rows
+from hil.verdict.summary import Figures
+
+_SIGNALS: Final = ("velocity_rad_s", "torque_nm", "command_torque_nm", "reference_rad_s", "load_torque_nm")
+_COMPARED: Final = [
+    place
+    for place, (name, _) in enumerate(LAYOUT[: DIGESTED_BYTES // 8])
+    if name not in ("axis", "clock_offset_ns", "device_time_ns")
+]
+"""Places of the columns; every one has eight bytes."""
+
+
+Tolerance = Annotated[float | None, Field(ge=0)]
+
+
+class Tolerances(Section):
+    """How much worse than the baseline a run may be, each in its own unit; what is absent is not judged."""
+
+    speed_error_rms_rad_s: Tolerance = None
+    speed_error_peak_percent: Tolerance = None
+    after_load_percent: Tolerance = None
+    settling_time_ms: Tolerance = None
+    overshoot_percent: Tolerance = None
+    recovery_time_ms: Tolerance = None
+    torque_rms_nm: Tolerance = None
+    dropouts_percent: Tolerance = None
+    losses_in_a_row: Tolerance = None
+    delay_p99_us: Tolerance = None
+    lateness_p99_us: Tolerance = None
+    speed_difference_rms_rad_s: Tolerance = None
+    """Of the measured speeds, cycle by cycle."""
+    speed_difference_max_rad_s: Tolerance = None
+
+
+def load_tolerances(path: Path) -> Tolerances:
+    """Raises BadInput or BadInputs."""
+    return load_file(Tolerances, path, "a file of tolerances", NamedBy("--tolerances", "", str(path)))
+
+
+@dataclass(slots=True)
+class Difference:
+    """Of one signal of one axis."""
+
+    count: int = 0
+    square_sum: float = 0.0
+    largest: float = 0.0
+    at_ns: int | None = None
+    """When it was largest, run time."""
+
+    def add(self, due_at: np.ndarray[Any, Any], apart: np.ndarray[Any, Any]) -> None:
+        """(n,) instants and differences; what is no number is left out."""
+        known = ~np.isnan(apart)
+        apart, due_at = np.abs(apart[known]), due_at[known]
+        if not apart.size:
+            return
+        self.count += apart.size
+        self.square_sum += float((apart * apart).sum())
+        place = int(apart.argmax())
+        if self.at_ns is None or apart[place] > self.largest:
+            self.largest, self.at_ns = float(apart[place]), int(due_at[place])
+
+    @property
+    def rms(self) -> float | None:
+        """None: no cycle has both."""
+        return math.sqrt(self.square_sum / self.count) if self.count else None
+
+
+@dataclass(slots=True)
+class Divergence:
+    """Where two runs first differ."""
+
+    axis: str
+    cycle: int
+    at_ns: int
+    columns: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Against:
+    """A run beside the first one."""
+
+    run: RecordedRun
+    figures: dict[str, float | None]
+    signals: RunSignals
+    differences: dict[str, dict[str, Difference]] = field(default_factory=dict)
+    """By axis and signal."""
+    divergence: Divergence | None = None
+    """None: every cycle that both have is the same."""
+    cycles_of_both: int = 0
+
+    def apart(self, signal: str) -> list[Difference]:
+        """Of all axes."""
+        return [found[signal] for found in self.differences.values() if found[signal].count]
+
+
+def figures_of(figures: Figures) -> dict[str, float | None]:
+    """What is compared of a run, by the names of :class:`Tolerances`."""
+    error, steps = figures.speed_error, figures.step_response
+    return {
+        "speed_error_rms_rad_s": error.rms_rad_s,
+        "speed_error_peak_percent": error.peak_percent,
+        "after_load_percent": error.after_load_percent,
+        "settling_time_ms": steps.settling_time_ms,
+        "overshoot_percent": steps.overshoot_percent,
+        "recovery_time_ms": steps.recovery_time_ms,
+        "torque_rms_nm": figures.torque_rms_nm,
+        "dropouts_percent": figures.dropouts_percent,
+        "losses_in_a_row": float(figures.losses_in_a_row),
+        "delay_p99_us": figures.delay_us.p99,
+        "lateness_p99_us": figures.lateness_us.p99,
+    }
+
+
+def compare_runs(runs: Sequence[RecordedRun]) -> list[Against]:
+    """The first one beside itself, then each other. Raises BadInput for runs that share no axis or period."""
+    base = runs[0]
+    for run in runs[1:]:
+        if not set(run.axes) & set(base.axes):
+            raise BadInput(
+                "RUN", "axes", ", ".join(run.axes), f"one of {', '.join(base.axes)}, as in {base.folder}"
+            )
+        if run.config.loop.period != base.config.loop.period:
+            expected = f"{base.config.loop.period_us}, as in {base.folder}"
+            raise BadInput(str(run.folder), "loop.period_us", run.config.loop.period_us, expected)
+    return [_beside(base, run) for run in runs]
+
+
+def _beside(base: RecordedRun, run: RecordedRun) -> Against:
+    review, signals = Review(run.review), RunSignals(run.axes, run.config.loop.deadline)
+    found = Against(run, {}, signals)
+    shared = {name: (base.axes.index(name), run.axes.index(name)) for name in run.axes if name in base.axes}
+    if run is not base:
+        found.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
+    held: dict[str, list[Rows]] = {name: [] for name in shared}
+    others = base.rows() if run is not base else iter(())
+    for rows in run.rows():
+        review.add(rows)
+        signals.add(rows)
+        if run is base:
+            continue
+        ahead = int(rows["sequence"].max(initial=0))
+        for name, (_, ours) in shared.items():
+            mine = rows[rows["axis"] == ours]
+            other = _up_to(held, others, shared, name, ahead)
+            _hold(found, name, other, mine)
+    signals.judge(review, run)
+    found.figures = figures_of(review.figures())
+    return found
+
+
+def _up_to(
+    held: Mapping[str, list[Rows]],
+    others: Iterator[Rows],
+    shared: Mapping[str, tuple[int, int]],
+    name: str,
+    cycle: int,
+) -> Rows:
+    """The base's rows of an axis that are not taken yet, as far as ``cycle``; what is behind it is kept."""
+    while not held[name] or int(held[name][-1]["sequence"][-1]) < cycle:
+        batch = next(others, None)
+        if batch is None:
+            break
+        for each, (theirs, _) in shared.items():
+            mine = batch[batch["axis"] == theirs]
+            if mine.size:
+                held[each].append(mine)
+    if not held[name]:
+        return np.empty(0, ROW_DTYPE)
+    together = held[name][0] if len(held[name]) == 1 else np.concatenate(held[name])
+    now = int(np.searchsorted(together["sequence"], cycle, side="right"))
+    held[name][:] = [together[now:]] if now < together.size else []
+    return together[:now]
+
+
+def _hold(found: Against, name: str, other: Rows, mine: Rows) -> None:
+    if not other.size or not mine.size:
+        return
+    base, own = other, mine
+    if not np.array_equal(other["sequence"], mine["sequence"]):
+        _, left, right = np.intersect1d(other["sequence"], mine["sequence"], return_indices=True)
+        base, own = other[left], mine[right]
+    if not base.size:
+        return
+    found.cycles_of_both += base.size
+    read = (base["fate"] == FATE_SAMPLE) & (own["fate"] == FATE_SAMPLE)
+    for signal, difference in found.differences[name].items():
+        measured = signal in ("velocity_rad_s", "torque_nm")
+        apart = own[signal] - base[signal]
+        difference.add(own["due_at"], np.where(read, apart, np.nan) if measured else apart)
+    if found.divergence is None or own["due_at"][0] < found.divergence.at_ns:
+        _look_for_divergence(found, name, base, own)
+
+
+def _look_for_divergence(found: Against, name: str, base: Rows, own: Rows) -> None:
+    """In the columns of the digest, bit by bit; a drive's clock begins where it was switched on."""
+    left, right = (np.ascontiguousarray(rows).view(np.int64).reshape(rows.size, -1) for rows in (base, own))
+    differs = left[:, _COMPARED] != right[:, _COMPARED]
+    places = np.flatnonzero(differs.any(axis=1))
+    if not places.size:
+        return
+    place = int(places[0])
+    at = int(own["due_at"][place])
+    if found.divergence is None or at < found.divergence.at_ns:
+        columns = tuple(LAYOUT[_COMPARED[column]][0] for column in np.flatnonzero(differs[place]))
+        found.divergence = Divergence(name, int(own["sequence"][place]), at, columns)
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """A figure beside that of the baseline."""
+
+    name: str
+    baseline: float | None
+    value: float | None
+    tolerance: float
+    kept: bool | None
+    """None: it is not measured in both."""
+
+
+def regressions(base: Against, other: Against, tolerances: Tolerances) -> list[Regression]:
+    """What the tolerances ask for; smaller is better in every figure."""
+    found = []
+    values = {**other.figures, **_speed_apart(other)}
+    references = {**base.figures, "speed_difference_rms_rad_s": 0.0, "speed_difference_max_rad_s": 0.0}
+    for name, tolerance in tolerances.model_dump().items():
+        if tolerance is None:
+            continue
+        value, reference = values[name], references[name]
+        kept = None if value is None or reference is None else value <= reference + tolerance
+        if value is None and reference is None:
+            kept = True  # neither run had such a step
+        found.append(Regression(name, reference, value, tolerance, kept))
+    return found
+
+
+def _speed_apart(other: Against) -> dict[str, float | None]:
+    apart = other.apart("velocity_rad_s")
+    return {
+        "speed_difference_rms_rad_s": max((each.rms or 0.0 for each in apart), default=None),
+        "speed_difference_max_rad_s": max((each.largest for each in apart), default=None),
+    }
+
+
+def comparison_json(found: Sequence[Against], judged: Mapping[str, list[Regression]]) -> dict[str, Any]:
+    """Plain values; ``judged``: by the folder of the run."""
+    return {
+        "baseline": str(found[0].run.folder),
+        "runs": [
+            {
+                "run": str(each.run.folder),
+                "figures": each.figures,
+                "cycles_of_both": each.cycles_of_both,
+                "differences": {
+                    axis: {
+                        signal: {
+                            "rms": one.rms,
+                            "max": one.largest if one.count else None,
+                            "at_ns": one.at_ns,
+                        }
+                        for signal, one in signals.items()
+                    }
+                    for axis, signals in each.differences.items()
+                },
+                "first_divergence": None if each.divergence is None else asdict(each.divergence),
+                "regressions": [asdict(one) for one in judged.get(str(each.run.folder), [])],
+            }
+            for each in found
+        ],
+    }

@@ -1,0 +1,75 @@
+"""``hil compare``: recorded runs beside each other, and a run against a baseline."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.errors import BadInput
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
+from hil.terminal.output import put, say_written
+from hil.verdict.verdict import ExitStatus
+
+if TYPE_CHECKING:
+    from hil.recorded.comparison import Regression
+
+RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
+BaselineOption = Annotated[
+    Path | None,
+    typer.Option("--baseline", metavar="RUN", help="What the others are held against; the first if absent."),
+]
+TolerancesOption = Annotated[
+    Path | None,
+    typer.Option("--tolerances", metavar="FILE.toml", help="How much worse a run may be, by figure."),
+]
+RrdOption = Annotated[
+    Path | None,
+    typer.Option("--rrd", metavar="FILE.rrd", help="Write the runs beside and over each other, for Rerun."),
+]
+
+
+def compare(
+    runs: RunsArgument,
+    baseline: BaselineOption = None,
+    tolerances: TolerancesOption = None,
+    rrd: RrdOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare recorded runs, cycle by cycle: figures, differences of the signals, first divergence.
+
+    Exit status: 0 compared, or within the tolerances; 1 a tolerance is exceeded; 2 bad input; 6 what a
+    tolerance is about is not measured in both runs.
+    """
+    with reported_errors():
+        folders = ([baseline] if baseline is not None else []) + runs
+        if len(folders) < 2:
+            raise BadInput("RUN", "", str(runs[0]), "a second run, or --baseline, to compare it with")
+        if rrd is not None and (rrd.suffix != ".rrd" or not rrd.parent.is_dir()):
+            raise BadInput("--rrd", "", str(rrd), "a file that ends in .rrd in a folder that is there")
+        from hil.recorded.comparison import compare_runs, comparison_json, load_tolerances, regressions
+        from hil.recorded.comparison_text import comparison_lines
+        from hil.recorded.recorded_run import open_run
+
+        asked = None if tolerances is None else load_tolerances(tolerances)
+        found = compare_runs([open_run(folder) for folder in folders])
+        judged = {
+            str(each.run.folder): [] if asked is None else regressions(found[0], each, asked)
+            for each in found[1:]
+        }
+        lines = comparison_lines(found, judged)
+        put(comparison_json(found, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
+        if rrd is not None:
+            from hil.recorded.comparison_page import write_comparison
+
+            write_comparison(found, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+            say_written(rrd)
+        raise typer.Exit(_status(judged))
+
+
+def _status(judged: "Mapping[str, list[Regression]]") -> ExitStatus:
+    results = [each.kept for told in judged.values() for each in told]
+    if False in results:
+        return ExitStatus.FAILED
+    return ExitStatus.INCOMPLETE if None in results else ExitStatus.PASSED
