@@ -30,6 +30,7 @@ from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.compare import compare
 from hil.terminal.eds import eds
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.export import export
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
 from hil.terminal.measure import measure
@@ -65,6 +66,7 @@ app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
 app.command()(recover)
+app.command()(export)
 app.command()(runs)
 app.command()(picture)
 app.command()(review)

@@ -1,0 +1,12 @@
+"""The formats that a recording can be written in; apart, for the command line is to answer at once."""
+
+from enum import StrEnum
+
+
+class ExportFormat(StrEnum):
+    """Its name is the ending of the file."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    MF4 = "mf4"
+    MAT = "mat"

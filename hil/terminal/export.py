@@ -1,0 +1,30 @@
+"""``hil export``: the cycles of a recording for other programs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.reviewing.export_format import ExportFormat
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
+from hil.terminal.output import put
+
+
+def export(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
+    to: Annotated[ExportFormat, typer.Option("--to", help="Format.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="RUN/records.FORMAT if absent.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes.
+
+    Exit status: 0 written; 2 no recording, one that has no end yet, or a file that cannot be written.
+    """
+    with reported_errors():
+        from hil.reviewing.export.export import export_run
+
+        done = export_run(run, to, out)
+        put(done._asdict(), as_json, lambda figures: typer.echo(f"{figures['file']}: {figures['rows']} rows"))
