@@ -1,0 +1,99 @@
+"""Lines of candump as frames: its log (-L, -l) and what it shows, with each -t, -x, -a, -e and -c.
+
+    (1436509052.249713) can0 123#11223344          (1436509052.249713) can0 123#11223344 T
+    (1436509052.249713) can0 123#R                 (1436509052.249713) can0 123##1223344
+     (2015-07-10 08:17:32.249713)  can0  TX - -  123   [4]  11 22 33 44   '."3D'
+     can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME
+
+python-can reads the first of these alone, and ends at the first line that it does not know.
+"""
+
+import re
+from datetime import UTC, datetime
+from typing import Final
+
+from drivers.timebase import NS_PER_S
+from hil.reviewing.trace.log_frame import LogFrame
+
+_STAMP: Final = rb"\((?:(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)|(?P<s>\d{1,12}))\.(?P<part>\d{1,9})\)"
+_ID: Final = rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+_LOGGED: Final = re.compile(
+    rb"\s*" + _STAMP + rb"\s+(?P<channel>\S+)\s+" + _ID + rb"#(?:(?P<fd>#[0-9A-Fa-f])|(?P<remote>R\d?))?"
+    rb"(?P<data>(?:[0-9A-Fa-f]{2}\.?)*)(?:_[0-9A-Fa-f])?(?:\s+(?P<sent>[TR]))?\s*\Z"
+)
+_SHOWN: Final = re.compile(
+    rb"\s*(?:" + _STAMP + rb"\s+)?(?P<channel>\S+)\s+(?:(?P<sent>[TR])X\s+[B-]\s+[E-]\s+)?" + _ID +
+    rb"\s+\[(?P<length>\d{1,2})\](?:\s+\{\d+\})?(?:\s+(?P<rest>.*?))?\s*\Z",
+    re.DOTALL,
+)  # fmt: skip
+_COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
+_EXTENDED_DIGITS: Final = 8
+_ERROR_FLAG: Final = 0x2000_0000
+_ID_MASK: Final = 0x1FFF_FFFF
+_CLASSICAL_MAX: Final = 8
+_FD_MAX: Final = 64
+
+
+def frame_of_line(line: bytes, number: int) -> LogFrame | None:
+    """The frame in a line, or None if it is no line of candump. A date counts as UTC: none tells its zone."""
+    if b"\x1b" in line:
+        line = _COLOUR.sub(b"", line)
+    logged = _LOGGED.match(line)
+    match = logged or _SHOWN.match(line)
+    if match is None:
+        return None
+    at_ns = _stamp_ns(match)
+    if at_ns is not None and at_ns < 0:
+        return None
+    digits = match["id"]
+    can_id, extended = int(digits, 16), len(digits) == _EXTENDED_DIGITS
+    error = extended and bool(can_id & _ERROR_FLAG)
+    content = _logged(match) if logged else _shown(match)
+    if content is None or (extended and can_id > _ID_MASK | _ERROR_FLAG) or (not extended and can_id > 0x7FF):
+        return None
+    data, remote, fd = content
+    channel = match["channel"].decode("utf-8", "replace")
+    sent = (match["sent"] or b"").decode()
+    can_id &= _ID_MASK
+    return LogFrame(number, at_ns, channel, can_id, data, extended and not error, remote, error, fd, sent)
+
+
+def is_remark(line: bytes) -> bool:
+    """An empty line, or what candump -e says of the error frame before, behind a tab."""
+    return not line.strip() or line.startswith(b"\t")
+
+
+def _stamp_ns(match: re.Match[bytes]) -> int | None:
+    """None: the line has none; -1: a date that there is not."""
+    if match["part"] is None:
+        return None
+    part_ns = int(match["part"].ljust(9, b"0"))
+    if match["date"] is None:
+        return int(match["s"]) * NS_PER_S + part_ns
+    try:
+        date = datetime.strptime(match["date"].decode(), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
+    except ValueError:
+        return -1
+    return int(date.timestamp()) * NS_PER_S + part_ns
+
+
+def _logged(match: re.Match[bytes]) -> tuple[bytes, bool, bool] | None:
+    data = bytes.fromhex(match["data"].replace(b".", b"").decode())
+    if match["remote"] is not None:
+        return None if data else (b"", True, False)
+    fd = match["fd"] is not None
+    return None if len(data) > (_FD_MAX if fd else _CLASSICAL_MAX) else (data, False, fd)
+
+
+def _shown(match: re.Match[bytes]) -> tuple[bytes, bool, bool] | None:
+    length, rest = int(match["length"]), match["rest"] or b""
+    if rest.startswith(b"remote request"):
+        return b"", True, False
+    words = rest.split(None, length)
+    if length > _FD_MAX or len(words) < length or any(len(word) != 2 for word in words[:length]):
+        return None
+    try:
+        data = bytes(int(word, 16) for word in words[:length])
+    except ValueError:
+        return None
+    return data, False, len(match["length"]) == 2
