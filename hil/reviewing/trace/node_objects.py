@@ -1,0 +1,231 @@
+"""What is known of a node's objects: its data sheet, and what was told of them on the bus meanwhile."""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
+
+from drivers.canopen.error_codes import fault_text, history_text, register_text
+from drivers.cia402.objects402 import Object
+from drivers.cia402.profile import Mode, commands_in, state_of
+from drivers.cia402.quirky_units import apply_quirks
+from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
+from drivers.errors import PeerFault
+from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from drivers.vendors.families import known_families, quirks_for
+from hil.reviewing.trace.object_names import is_word_of_bits, standard_name, type_by_standard
+from hil.reviewing.trace.object_value import ObjectValue, value_of
+
+_RATED: Final = Object.MOTOR_RATED_TORQUE
+_POSITIONS: Final = frozenset(
+    {Object.POSITION_DEMAND_VALUE, Object.POSITION_ACTUAL_VALUE, Object.FOLLOWING_ERROR_WINDOW}
+    | {Object.POSITION_WINDOW, Object.POSITION_OFFSET, Object.FOLLOWING_ERROR_ACTUAL_VALUE, 0x607A, 0x607C}
+    | {0x607B, 0x607D}
+)
+_VELOCITIES: Final = frozenset({0x606B, 0x606C, 0x606D, 0x606F, 0x607F, 0x6081, 0x6082, 0x60B1, 0x60FF})
+_UNSIGNED_SPEEDS: Final = frozenset({0x606D, 0x606F, 0x607F, 0x6081, 0x6082})
+"""Limits and windows, which have no direction."""
+_ACCELERATIONS: Final = frozenset({0x6083, 0x6084, 0x6085, 0x609A, 0x60C5, 0x60C6})
+_TORQUES: Final = frozenset({0x6071, 0x6072, 0x6074, 0x6077, 0x60B2})
+_TORQUE_LIMITS: Final = frozenset({0x6072})
+_CURRENTS: Final = frozenset({0x6073, 0x6078})
+_FIXED: Final = {
+    0x6075: (1e-3, "A"),
+    0x6076: (1e-3, "N m"),
+    0x6079: (1e-3, "V"),
+    0x6080: (RAD_S_PER_RPM, "rad/s"),
+}
+"""Units that the standard fixes: mA, mN m, mV, r/min."""
+_MODES: Final = frozenset({Object.MODES_OF_OPERATION, Object.MODES_OF_OPERATION_DISPLAY})
+_UNSURE_VELOCITY: Final = "position unit per second"
+"""How the scaling's source begins where the drive has no velocity unit, or was not asked for it."""
+
+
+class _Units(NamedTuple):
+    """Factors, and which of them are known."""
+
+    scaling: Scaling
+    motion: bool
+    velocity: bool
+    torque: bool
+
+
+class NodeObjects:
+    """Names, types, units and last values of one node's objects."""
+
+    def __init__(self, override: ScaleOverride | None = None) -> None:
+        """``override``: factors and signs that a commissioning found."""
+        self.sheet: ObjectDictionary | None = None
+        self._override = override or ScaleOverride()
+        self._told: dict[tuple[int, int], int] = {}
+        self._lacking: set[tuple[int, int]] = set()
+        self._device_name = ""
+        self._units: _Units | None = None
+        self._stale = True
+        self._names: dict[tuple[int, int], str] = {}
+
+    def use_sheet(self, sheet: ObjectDictionary) -> None:
+        """This is the node's data sheet."""
+        self.sheet, self._stale = sheet, True
+        self._names.clear()
+
+    def take(self, index: int, sub: int, data: bytes) -> None:
+        """The node holds ``data`` there: it told so, or confirmed it."""
+        if index == 0x1008:
+            self._device_name = str(value_of(data, 0x09) or "")
+            self._stale = True
+        if len(data) > 8:
+            return
+        if index in _NEEDED or 0x1400 <= index < 0x1C00:
+            value = value_of(data, self._type(index, sub))
+            if isinstance(value, int):
+                self._told[index, sub] = value
+                self._stale = self._stale or index in _NEEDED
+        self._lacking.discard((index, sub))
+
+    def lacks(self, index: int, sub: int) -> None:
+        """The node has no such object."""
+        if index in _NEEDED:
+            self._lacking.add((index, sub))
+            self._stale = True
+
+    def held(self, index: int, sub: int) -> int | None:
+        """The value that was told last, else that of the data sheet; None if neither has it."""
+        told = self._told.get((index, sub))
+        if told is not None or (index, sub) in self._lacking:
+            return told
+        variable = self._variable(index, sub)
+        if variable is None:
+            return None
+        value = variable.default if variable.value is None else variable.value
+        return value if isinstance(value, int) else None
+
+    def pdo_numbers(self, base: int) -> Iterator[int]:
+        """Numbers of the PDOs whose parameters are known; ``base``: 1400h or 1800h."""
+        listed = {index for index, _ in self._told}
+        listed |= set(self.sheet) if self.sheet is not None else set()
+        yield from sorted(
+            {index - base + 1 for index in listed if base <= index < base + 0x200}
+            | {index - base - 0x1FF for index in listed if base + 0x200 <= index < base + 0x400}
+        )
+
+    @property
+    def make(self) -> tuple[int, str]:
+        """Vendor-ID and device name, as far as they are known."""
+        return self.held(0x1018, 1) or 0, self._device_name
+
+    def value(self, index: int, sub: int, data: bytes) -> ObjectValue:
+        """``data`` of an object in words."""
+        return self.number(index, sub, value_of(data, self._type(index, sub)))
+
+    def number(self, index: int, sub: int, raw: int | float | str | None) -> ObjectValue:
+        """A number that is typed already."""
+        name = self._names.get((index, sub))
+        if name is None:
+            name = self._names[index, sub] = self._name(index, sub)
+        si = unit = None
+        if isinstance(raw, int | float):
+            si, unit = self._in_si(index, sub, raw)
+        words = self._words(index, sub, raw) if isinstance(raw, int) else ""
+        return ObjectValue(index, sub, name, raw, si, unit or "", words, is_word_of_bits(index, sub))
+
+    def _name(self, index: int, sub: int) -> str:
+        variable = self._variable(index, sub)
+        if variable is None:
+            return standard_name(index, sub)
+        parent = variable.parent
+        if isinstance(parent, ODArray | ODRecord) and parent.name != variable.name:
+            return f"{parent.name}, {variable.name}"
+        return str(variable.name)
+
+    def data_type(self, index: int, sub: int) -> int | None:
+        """By the data sheet, else by the standard."""
+        return self._type(index, sub)
+
+    def _type(self, index: int, sub: int) -> int | None:
+        variable = self._variable(index, sub)
+        if variable is not None and variable.data_type is not None:
+            return int(variable.data_type)
+        return type_by_standard(index, sub)
+
+    def _variable(self, index: int, sub: int) -> ODVariable | None:
+        if self.sheet is None or index not in self.sheet:
+            return None
+        entry = self.sheet[index]
+        if isinstance(entry, ODVariable):
+            return entry if sub == 0 else None
+        return entry.subindices.get(sub)
+
+    def _words(self, index: int, sub: int, raw: int) -> str:
+        if index == Object.STATUSWORD:
+            state = state_of(raw)
+            return "no state of CiA 402" if state is None else state.value
+        if index == Object.CONTROLWORD:
+            reset = ("fault reset",) if raw & 0x80 else ()
+            return " or ".join(command.value for command in commands_in(raw)) or ", ".join(reset)
+        if index in _MODES:
+            return Mode(raw).title if raw in Mode.__members__.values() else "mode of the maker"
+        if index == Object.ERROR_CODE:
+            return fault_text(raw, *self.make)
+        if index == 0x1001:
+            return register_text(raw)
+        if index == 0x1003 and sub:
+            return history_text(raw, *self.make)
+        return ""
+
+    def _in_si(self, index: int, sub: int, raw: float) -> tuple[float | None, str]:
+        if index in _FIXED:
+            factor, unit = _FIXED[index]
+            return raw * factor, unit
+        if index in (0x607B, 0x607D) and not sub:
+            return None, ""
+        units = self._known_units()
+        if units is None:
+            return None, ""
+        scaling = units.scaling
+        if index in _POSITIONS and units.motion:
+            return raw * scaling.position_rad, "rad"
+        if index in _VELOCITIES and units.velocity:
+            sign = 1.0 if index in _UNSIGNED_SPEEDS else scaling.velocity_sign
+            return raw * sign * scaling.velocity_rad_s, "rad/s"
+        if index in _ACCELERATIONS and units.velocity:
+            return raw * scaling.acceleration_rad_s2, "rad/s^2"
+        if index in _TORQUES and units.torque:
+            sign = 1.0 if index in _TORQUE_LIMITS else scaling.torque_sign
+            return raw * sign * scaling.torque_nm, "N m"
+        if index in _CURRENTS and scaling.rated_current_a is not None:
+            return raw * scaling.rated_current_a / 1000.0, "A"
+        return None, ""
+
+    def _known_units(self) -> _Units | None:
+        if self._stale:
+            self._units, self._stale = self._find_units(), False
+        return self._units
+
+    def _find_units(self) -> _Units | None:
+        """What can be said of the units; a part that is not told does not hide the other."""
+        values = {key: self.held(*key) for key in FACTOR_OBJECTS}
+        vendor, name = self.make
+        quirks = quirks_for(vendor, self.held(0x1018, 2) or 0, name) if vendor else ()
+        applied = apply_quirks(quirks, values, self._override, self.held)
+        given = applied.override
+        torque = bool(applied.values.get((_RATED, 0)) or given.rated_torque_nm)
+        trial = given if torque else ScaleOverride(
+            given.position_rad, given.velocity_rad_s, given.acceleration_rad_s2, 1.0, given.velocity_sign
+        )  # fmt: skip
+        try:
+            scaling, motion = scaling_from(applied.values, trial), True
+        except PeerFault:
+            unit = RAD_PER_REVOLUTION
+            nothing = ScaleOverride(unit, unit, unit, trial.rated_torque_nm, torque_sign=given.torque_sign)
+            scaling, motion = scaling_from(applied.values, nothing), False
+        asked = (Object.SI_UNIT_VELOCITY, 0) in self._lacking or self.sheet is not None
+        guessed = scaling.sources["velocity"].startswith(_UNSURE_VELOCITY) and not asked
+        return _Units(scaling, motion, motion and not guessed, torque)
+
+
+_NEEDED: Final = frozenset(
+    {0x1018, *(index for index, _ in FACTOR_OBJECTS)}
+    | {quirk.increments_index for family in known_families() for quirk in family.quirks}
+)
+"""Objects on which the units rest."""

@@ -1,0 +1,117 @@
+"""Which PDO an identifier stands for, and what its bits are, as the nodes' parameters have it."""
+
+import struct
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from drivers.canopen.pdo import NOT_VALID, PdoDirection, key_of
+from hil.reviewing.trace.node_objects import NodeObjects
+from hil.reviewing.trace.object_value import ObjectValue
+
+_PREDEFINED: Final = 4
+_FIRST_OBJECT: Final = 0x1000
+"""Lower indices are data types: what they map is a gap."""
+_EXTENDED: Final = 1 << 29
+_MAPPED_MAX: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class MappedField:
+    """An object's place in a PDO."""
+
+    index: int
+    sub: int
+    shift: int
+    """First bit."""
+    bits: int
+    signed: bool
+    real: bool
+
+
+class PdoLayout(NamedTuple):
+    """One PDO."""
+
+    node: int
+    name: str
+    """TPDO1."""
+    objects: tuple[MappedField, ...] | None
+    """None: nobody has told the mapping."""
+
+    @property
+    def bits(self) -> int:
+        """That it takes."""
+        return 0 if not self.objects else self.objects[-1].shift + self.objects[-1].bits
+
+    def values(self, data: bytes, objects: NodeObjects) -> tuple[ObjectValue, ...]:
+        """What the data hold; what does not reach into them is left out."""
+        word, found = int.from_bytes(data, "little"), []
+        for one in self.objects or ():
+            if one.index >= _FIRST_OBJECT and one.shift + one.bits <= 8 * len(data):
+                found.append(objects.number(one.index, one.sub, _number(word, one)))
+        return tuple(found)
+
+
+class PdoBook:
+    """The PDOs of the nodes on one bus."""
+
+    def __init__(self) -> None:
+        self._layouts: dict[int, PdoLayout] = {}
+        self.stale = True
+        """A PDO parameter was told, or there is a new node."""
+
+    def layout(self, can_id: int, nodes: dict[int, NodeObjects]) -> PdoLayout | None:
+        """Of an identifier; None if it is that of no PDO."""
+        if self.stale:
+            self._layouts, self.stale = _layouts(nodes), False
+        found = self._layouts.get(can_id)
+        if found is None and 0x180 < can_id < 0x580 and can_id & 0x7F:
+            number, receives = divmod((can_id >> 7) - 3, 2)
+            found = PdoLayout(can_id & 0x7F, f"{'R' if receives else 'T'}PDO{number + 1}", None)
+        return found
+
+
+def _layouts(nodes: dict[int, NodeObjects]) -> dict[int, PdoLayout]:
+    """By identifier. Where one node's TPDO is others' RPDO, it is the TPDO of who sends it."""
+    found: dict[int, PdoLayout] = {}
+    for direction in PdoDirection:
+        for node, objects in sorted(nodes.items()):
+            for number in objects.pdo_numbers(direction.value):
+                can_id = _identifier(objects, direction, number, node)
+                if can_id is not None:
+                    mapping = _mapping(objects, direction.mapping_base + number - 1)
+                    found.setdefault(can_id, PdoLayout(node, f"{direction.letter}PDO{number}", mapping))
+    return found
+
+
+def _identifier(objects: NodeObjects, direction: PdoDirection, number: int, node: int) -> int | None:
+    """None if the PDO is off, or nobody has told."""
+    told = objects.held(direction.value + number - 1, 1)
+    if told is None:
+        return direction.default_cob_id(number, node) if number <= _PREDEFINED else None
+    return None if told & (NOT_VALID | _EXTENDED) else told & 0x7FF
+
+
+def _mapping(objects: NodeObjects, index: int) -> tuple[MappedField, ...] | None:
+    count = objects.held(index, 0)
+    if count is None or not 0 < count <= _MAPPED_MAX:
+        return None
+    found, shift = [], 0
+    for sub in range(1, count + 1):
+        word = objects.held(index, sub)
+        if word is None:
+            return None
+        (mapped, mapped_sub), bits = key_of(word), word & 0xFF
+        data_type = objects.data_type(mapped, mapped_sub)
+        signed, real = data_type in SIGNED_BITS, data_type in REAL_BITS
+        found.append(MappedField(mapped, mapped_sub, shift, bits, signed, real))
+        shift += bits
+    return tuple(found)
+
+
+def _number(word: int, one: MappedField) -> int | float:
+    number = word >> one.shift & (1 << one.bits) - 1
+    if one.real and one.bits in (32, 64):
+        form = "<f" if one.bits == 32 else "<d"
+        return float(struct.unpack(form, number.to_bytes(one.bits // 8, "little"))[0])
+    return number - (1 << one.bits) if one.signed and one.bits and number >> one.bits - 1 else number
