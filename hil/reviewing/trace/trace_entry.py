@@ -1,0 +1,61 @@
+"""One line of a decoded bus."""
+
+from typing import Any, Final, NamedTuple
+
+from hil.reviewing.trace.object_value import ObjectValue
+
+KINDS: Final = ("nmt", "sync", "emcy", "time", "heartbeat", "guarding", "sdo", "pdo", "lss", "error", "other")
+
+
+class TraceEntry(NamedTuple):
+    """What a frame said, or the frames of one SDO transfer."""
+
+    at_ns: int | None
+    """Of its last frame, as the log counts; None where the log has no times."""
+    began_ns: int | None
+    """Of its first frame."""
+    first: int
+    """Line or packet of the first frame."""
+    last: int
+    frames: int
+    """More than one for an SDO transfer only; frames of others may lie between them."""
+    channel: str
+    can_id: int
+    """Of the last frame."""
+    sent: str
+    """Who sent the last frame: T the bench or who logged, R another; empty if the log does not tell."""
+    kind: str
+    """One of KINDS."""
+    node: int | None
+    """None where no single node is meant."""
+    text: str
+    values: tuple[ObjectValue, ...] = ()
+    data: bytes = b""
+    """Of the frame; of an SDO transfer its value."""
+    details: tuple[tuple[str, Any], ...] = ()
+    """What else the kind has to tell, for programs."""
+
+    def as_json(self, zero_ns: int) -> dict[str, Any]:
+        """Plain values; ``at_s`` and ``began_s`` count from ``zero_ns``, ``stamp_ns`` as the log."""
+        at, began = self.at_ns, self.began_ns
+        told: dict[str, Any] = {
+            "at_s": None if at is None else (at - zero_ns) / 1e9,
+            "stamp_ns": at,
+            "kind": self.kind,
+            "node": self.node,
+            "can_id": self.can_id,
+            "channel": self.channel,
+            "sent": self.sent or None,
+            "frame": self.last,
+            "text": self.text,
+            "data": self.data.hex(),
+        }
+        if self.frames > 1:
+            told |= {
+                "began_s": None if began is None else (began - zero_ns) / 1e9,
+                "first_frame": self.first,
+                "frames": self.frames,
+            }
+        if self.values:
+            told["values"] = [value.as_json() for value in self.values]
+        return told | dict(self.details)
