@@ -43,6 +43,7 @@ from hil.terminal.runs import runs
 from hil.terminal.scan import scan
 from hil.terminal.simulate import simulate
 from hil.terminal.stop import stop
+from hil.terminal.trace import trace
 from hil.terminal.view import missing_display, view
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ app.command()(commission)
 app.command()(restore)
 app.command()(rehearse)
 app.command()(recover)
+app.command()(trace)
 app.command()(export)
 app.command()(runs)
 app.command()(picture)

@@ -100,7 +100,7 @@ def _running_hubs() -> list[str]:
     return [name for name in known_hubs() if HubPlace(name).serving]
 
 
-class _Opened(NamedTuple):
+class OpenedBus(NamedTuple):
     """A bus to be looked at."""
 
     bus: OpenBus
@@ -115,7 +115,7 @@ def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
     """
     if plan.passive and plan.assign:
         raise BadInput("--assign", "", plan.assign[0], "a scan that may send", "leave --passive out")
-    opened = _open(plan, say)
+    opened = open_to_look(plan, say)
     report = BusReport(str(plan.spec), opened.bitrate_bit_s, opened.detected)
     clock = MonotonicClock()
     try:
@@ -185,7 +185,8 @@ def _lss(network: CanopenNetwork) -> Iterator[LssMaster]:
         master.close()
 
 
-def _open(plan: ScanPlan, say: Callable[[str], None]) -> _Opened:
+def open_to_look(plan: ScanPlan, say: Callable[[str], None]) -> OpenedBus:
+    """The bus of ``plan``, its bit rate found out where it can be heard. Raises as :func:`scan_bus` does."""
     spec, wanted = plan.spec, plan.bitrate_bit_s
     if spec.simulated:
         raise BadInput("--bus", "", str(spec), "a bus that other processes can join", "use hub:NAME")
@@ -194,18 +195,18 @@ def _open(plan: ScanPlan, say: Callable[[str], None]) -> _Opened:
             bus = HubBus(spec.channel, bitrate=wanted)
         except can.CanError as error:
             raise BusDown(f"cannot join {spec}", str(error), "leave --bitrate out") from error
-        return _Opened(OpenBus(bus, StampSource.MONOTONIC, str(spec)), bus.bitrate_bit_s, wanted is None)
+        return OpenedBus(OpenBus(bus, StampSource.MONOTONIC, str(spec)), bus.bitrate_bit_s, wanted is None)
     if spec.interface == SOCKETCAN:
         rates = [link.bitrate_bit_s for link in can_links() if link.spec == str(spec)]
         rate = rates[0] if rates else None
-        return _Opened(open_bus(spec, wanted or rate or 1_000_000), rate, False)
+        return OpenedBus(open_bus(spec, wanted or rate or 1_000_000), rate, False)
     detected = wanted is None
     if wanted is None:
         wanted = _detect(spec, say)
     if plan.passive and can_listen_only(spec):
         bus_that_listens = open_listening(spec, wanted)
-        return _Opened(OpenBus(bus_that_listens, StampSource.RECEIPT, str(spec)), wanted, detected)
-    return _Opened(open_bus(spec, wanted), wanted, detected)
+        return OpenedBus(OpenBus(bus_that_listens, StampSource.RECEIPT, str(spec)), wanted, detected)
+    return OpenedBus(open_bus(spec, wanted), wanted, detected)
 
 
 def _detect(spec: BusSpec, say: Callable[[str], None]) -> int:

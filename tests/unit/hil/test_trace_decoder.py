@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
 
 from drivers.cia402.scaling import ScaleOverride
+from hil.cli import app
+from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.decoder import decode
 from hil.reviewing.trace.known_nodes import KnownNodes, SheetFile
 from hil.reviewing.trace.log_frame import LogFrame
@@ -175,6 +178,50 @@ def test_no_frames_make_it_fail_and_each_is_in_one_entry(content: list[tuple[int
     json.dumps([entry.as_json(0) for entry in entries])
 
 
+def hil_trace(*arguments: str) -> Result:
+    return CliRunner().invoke(app, ["trace", *arguments])
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "bus.log"
+    lines = (*FACTORS, READ_SPEED, SPEED, "000#0100", "702#05", "080#")
+    path.write_text(
+        "".join(f"(0000000100.{n:06d}) can0 {text}\n" for n, text in enumerate(lines)) + "rubbish\n"
+    )
+    return path
+
+
+def test_the_command_selects_by_node_kind_and_time(log: Path) -> None:
+    assert "606Ch:00 Velocity actual value = 209.44 rad/s (2000)" in hil_trace(str(log)).stdout
+    assert [line.split()[3] for line in hil_trace(str(log), "--node", "2").stdout.splitlines()] == [
+        "nmt",
+        "heartbeat",
+    ]
+    assert len(hil_trace(str(log), "--kind", "sync,nmt").stdout.splitlines()) == 2
+    last = hil_trace(str(log), "--from", "0.000013", "--json").stdout.splitlines()
+    assert [json.loads(line)["kind"] for line in last] == ["heartbeat", "sync"]
+    assert hil_trace(str(log), "--to", "0").stdout == ""
+    first = json.loads(hil_trace(str(log), "--json").stdout.splitlines()[0])
+    assert (first["began_s"], first["at_s"]) == (0.0, 1e-6)
+    assert "1 line or packet is no CAN frame: line 16: 'rubbish'" in hil_trace(str(log)).stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--kind", "pdo,xyz"], "expected of nmt, sync"),
+        (["--live"], "--bus SPEC, and no RUN or LOG"),
+        (["--bus", "hub:a"], "a RUN or LOG, or --live"),
+        (["--eds", "200=a.eds"], "a node-ID 1..127 before the ="),
+        (["--eds", "none.eds"], "none.eds"),
+    ],
+)
+def test_the_command_refuses_what_it_cannot_do(log: Path, arguments: list[str], said: str) -> None:
+    result = hil_trace(str(log), *arguments)
+    assert (result.exit_code, said in result.stderr) == (2, True), result.stderr
+
+
 def test_of_several_data_sheets_a_node_gets_that_of_its_identity(tmp_path: Path) -> None:
     head = "[FileInfo]\n[DeviceInfo]\nVendorNumber=0x{0}\nProductNumber=1\n"
     head += "[MandatoryObjects]\nSupportedObjects=1\n1=0x1000\n"
@@ -192,3 +239,10 @@ def test_of_several_data_sheets_a_node_gets_that_of_its_identity(tmp_path: Path)
     )
     entries = traced(*identity, "601#4000100000000000", "581#4300100001000000", known=KnownNodes(sheets))
     assert entries[-1].values[0].name == "Made by 22"
+
+
+def test_the_log_of_another_program_needs_no_times(tmp_path: Path) -> None:
+    path = tmp_path / "shown.log"
+    path.write_text("  can0  705   [1]  05\n  can0  705   [1]  04\n")
+    assert [entry.at_ns for entry in decode(BusLog(path))] == [None, None]
+    assert hil_trace(str(path)).stdout.split()[0] == "#1"

@@ -1,0 +1,87 @@
+"""The bus of a recording: its frames with who sent them, and what its bench file says of the drives."""
+
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Final
+
+from drivers.cia402.scaling import ScaleOverride
+from drivers.errors import BadInput, BenchError
+from hil.configuration.bench_file import load_bench
+from hil.reviewing.trace.bus_log import BusLog
+from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
+from hil.reviewing.trace.log_frame import LogFrame
+from hil.rows.record_columns import refuse_later_format
+from hil.rows.records_file import RECORDS_FILE, read_metadata
+from hil.rows.run_files import BENCH_FILE, DIRECTIONS_FILE, FRAMES_FILE
+
+_EPOCH: Final = "first_cycle_epoch_ns"
+_DIRECTION_BYTES: Final = 2
+_CHUNK: Final = 1 << 16
+"""Lines whose directions are held at once."""
+
+
+class RecordedBus:
+    """frames.log of a run, in run time."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises BadInput if there are no frames, or if a later version has written them."""
+        if not (folder / FRAMES_FILE).exists():
+            expected = f"a recording with {FRAMES_FILE} (recording.frames of its bench)"
+            raise BadInput(str(folder), "", "no frames", expected)
+        self.log = BusLog(folder / FRAMES_FILE)
+        self.notes: list[str] = []
+        """What the bench file did not tell, and why."""
+        self._folder = folder
+        records = folder / RECORDS_FILE
+        metadata = read_metadata(records) if records.exists() else {}
+        refuse_later_format(metadata, records)
+        self._interface = metadata.get("bus", "").rpartition(":")[2]
+        self.zero_ns = int(metadata[_EPOCH]) if _EPOCH in metadata else None
+        """The first cycle as frames.log counts; None if the run never came to one."""
+
+    def __iter__(self) -> Iterator[LogFrame]:
+        """Each frame with T or R."""
+        path = self._folder / DIRECTIONS_FILE
+        if not path.exists():
+            yield from self.log
+            return
+        first, letters = 1, b""
+        with path.open("rb") as directions:
+            for frame in self.log:
+                while frame.number >= first + len(letters) // _DIRECTION_BYTES:
+                    first += len(letters) // _DIRECTION_BYTES
+                    letters = directions.read(_CHUNK * _DIRECTION_BYTES)
+                    if not letters:
+                        break
+                place = (frame.number - first) * _DIRECTION_BYTES
+                yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
+
+    def known(self, sheets: list[SheetFile]) -> KnownNodes:
+        """``sheets``, those of the bench, and the factors of its commissioned drives.
+
+        Raises BadInput for one of ``sheets`` that cannot be read.
+        """
+        try:
+            bench = load_bench(self._folder / BENCH_FILE)
+        except BenchError as error:
+            self.notes.append(f"the bench file tells nothing of the drives: {error}")
+            return KnownNodes(sheets)
+        overrides: dict[NodeKey, ScaleOverride] = {}
+        own: list[SheetFile] = []
+        for drive in bench.drive.values():
+            channel = drive.segment or self._interface
+            if drive.commissioned is not None:
+                overrides[channel, drive.node] = drive.commissioned.override
+            if drive.eds is not None:
+                own.append(SheetFile(Path(drive.eds), drive.node, channel))
+        readable = [sheet for sheet in own if self._is_readable(sheet)]
+        return KnownNodes(list(chain(sheets, readable)), overrides)
+
+    def _is_readable(self, sheet: SheetFile) -> bool:
+        try:
+            KnownNodes([sheet])
+        except BenchError as error:
+            self.notes.append(f"{error}; --eds {sheet.node}=FILE gives it")
+            return False
+        return True

@@ -1,0 +1,154 @@
+"""``hil trace``: what was said on a bus, decoded: a recording, a log of another program, or live."""
+
+import json
+import os
+import sys
+from collections.abc import Iterable
+from contextlib import closing
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option
+from hil.terminal.output import say, write_line
+
+if TYPE_CHECKING:
+    from hil.reviewing.trace.known_nodes import SheetFile
+    from hil.reviewing.trace.selection import TraceSelection
+    from hil.reviewing.trace.trace_entry import TraceEntry
+
+
+def trace(
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[RUN|LOG]", help="A recording, or a log: candump, pcap, pcapng; .gz; - for stdin."
+        ),
+    ] = None,
+    eds: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--eds", metavar="[N=]FILE", help="EDS or DCF of node N, or of every node; may be repeated."
+        ),
+    ] = None,
+    node: Annotated[int | None, typer.Option("--node", min=1, max=127, help="Only this node.")] = None,
+    kind: Annotated[
+        str | None, typer.Option("--kind", metavar="KIND,...", help="Only these: pdo, sdo, emcy, nmt, ...")
+    ] = None,
+    from_s: Annotated[float | None, typer.Option("--from", metavar="T", help="From here on, s.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", metavar="T", help="Up to here, s.")] = None,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="The log's times count from frame to frame (candump -t d).")
+    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="Follow --bus until Ctrl-C; nothing is sent.")] = False,
+    bus: Annotated[str | None, bus_option("With --live: hub:NAME, socketcan:can0, slcan:PORT, ...")] = None,
+    bitrate: Annotated[
+        int | None, bitrate_option("With --live: bit rate, bit/s; found by listening if absent.")
+    ] = None,
+    as_json: JsonLinesOption = False,
+) -> None:
+    """Decode a CANopen bus: NMT, SYNC, EMCY, heartbeats, SDO transfers, PDOs in SI units, LSS, error frames.
+
+    Times are s since the first cycle of a recording, or since the first frame of a log.
+    """
+    with reported_errors():
+        from drivers.errors import BadInput
+        from hil.reviewing.trace.selection import TraceSelection
+
+        wanted = TraceSelection(node, _kinds(kind), from_s, to_s)
+        sheets = [_sheet(text) for text in eds or ()]
+        if live:
+            if source is not None or bus is None:
+                raise BadInput("--live", "", str(source or ""), "--bus SPEC, and no RUN or LOG beside it")
+            _follow(bus, bitrate, sheets, wanted, as_json)
+        elif source is None or bus is not None:
+            raise BadInput("hil trace", "", str(bus or ""), "a RUN or LOG, or --live --bus SPEC")
+        else:
+            _read(source, differences, sheets, wanted, as_json)
+
+
+def _read(
+    source: Path, differences: bool, sheets: "list[SheetFile]", wanted: "TraceSelection", as_json: bool
+) -> None:
+    from hil.reviewing.trace.bus_log import BusLog
+    from hil.reviewing.trace.decoder import decode
+    from hil.reviewing.trace.known_nodes import KnownNodes
+    from hil.reviewing.trace.run_trace import RecordedBus
+
+    if source.is_dir():
+        run = RecordedBus(source)
+        known, log, zero_ns = run.known(sheets), run.log, run.zero_ns
+        frames = iter(run)
+        for note in run.notes:
+            say(f"hil: note: {note}")
+    else:
+        log = BusLog(source, differences)
+        known, frames, zero_ns = KnownNodes(sheets), iter(log), None
+    if (first := next(frames, None)) is not None:
+        zero_ns = first.at_ns if zero_ns is None else zero_ns
+        _print(wanted, decode(chain((first,), frames), known), zero_ns or 0, as_json)
+    for note in log.notes():
+        say(f"hil: note: {source}: {note}")
+
+
+def _follow(
+    bus: str, bitrate: int | None, sheets: "list[SheetFile]", wanted: "TraceSelection", as_json: bool
+) -> None:
+    from drivers.wire.adapters import parse_bus_spec
+    from hil.inspecting.live_trace import live_frames
+    from hil.machine.stopping import stop_signals
+    from hil.reviewing.trace.decoder import decode
+    from hil.reviewing.trace.known_nodes import KnownNodes
+
+    spec, known = parse_bus_spec(bus, "--bus"), KnownNodes(sheets)
+    with stop_signals() as stop, closing(live_frames(spec, bitrate, stop, say)) as frames:
+        _print(wanted, decode(frames, known), 0, as_json)
+
+
+def _print(wanted: "TraceSelection", entries: "Iterable[TraceEntry]", zero_ns: int, as_json: bool) -> None:
+    """Line by line; whoever reads them may have enough (``| head``)."""
+    try:
+        for entry in wanted.of(entries, zero_ns):
+            write_line(json.dumps(entry.as_json(zero_ns)) if as_json else _line(entry, zero_ns))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit from None
+
+
+def _line(entry: "TraceEntry", zero_ns: int) -> str:
+    from drivers.printable import printable
+
+    at = f"#{entry.last}" if entry.at_ns is None else f"{(entry.at_ns - zero_ns) / 1e9:.6f}"
+    node = f"node {entry.node}" if entry.node is not None else ""
+    channel = f"{entry.channel:<8} " if entry.channel else ""
+    sent = entry.sent or " "
+    text = printable(entry.text)
+    return f"{at:>14} {channel}{sent} {entry.can_id:03X}  {entry.kind:<9} {node:<8} {text}"
+
+
+def _kinds(text: str | None) -> frozenset[str]:
+    from drivers.errors import BadInput
+    from hil.reviewing.trace.trace_entry import KINDS
+
+    kinds = frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
+    if unknown := sorted(kinds - set(KINDS)):
+        raise BadInput("--kind", "", unknown[0], f"of {', '.join(KINDS)}")
+    return kinds
+
+
+def _sheet(text: str) -> "SheetFile":
+    """``FILE``, or ``5=FILE`` for node 5."""
+    from drivers.canopen.nmt_states import NODE_ID_MAX
+    from drivers.errors import BadInput
+    from hil.reviewing.trace.known_nodes import SheetFile
+
+    number, equals, path = text.partition("=")
+    if not equals or not number.isdigit():
+        return SheetFile(Path(text))
+    if not 1 <= int(number) <= NODE_ID_MAX:
+        raise BadInput("--eds", "", text, "a node-ID 1..127 before the =")
+    return SheetFile(Path(path), int(number))
