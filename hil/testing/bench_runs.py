@@ -1,16 +1,16 @@
 """Runs of whole benches for tests: a bench file, what the test changes in it, and the bus of the test."""
 
 import itertools
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import NamedBy, read_toml
+from drivers.bounded_file import NamedBy
 from drivers.errors import BenchError
 from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.bench_file import bench_from, load_faults
+from hil.configuration.bench_tables import Bench, PathLike
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile
 from hil.execution.bench import run_bench
@@ -20,8 +20,6 @@ from hil.machine.stopping import Interrupted
 from hil.testing.hosted import DriveHost
 from hil.testing.run import Run
 from hil.verdict.verdict import VerdictKind
-
-PathLike = str | os.PathLike[str]
 
 
 class BenchRunner:
@@ -45,13 +43,9 @@ class BenchRunner:
         motor: PathLike | MotorFile | None = None,
     ) -> BenchConfig:
         """A checked bench: a file, or its tables; see :meth:`__call__`. Raises BadInput or BadInputs."""
-        if isinstance(bench, Mapping):
-            source, folder, tables = "bench", self._folder, deepcopy(dict(bench))
-        else:
-            path = Path(bench)
-            source, folder, tables = str(path), path.parent, read_toml(path, "bench file")
-        for key, value in (changes or {}).items():
-            _change(tables, key, value)
+        made = Bench(bench, folder=self._folder) if isinstance(bench, Mapping) else Bench.load(bench)
+        made = made.changed(changes or {})
+        tables = deepcopy(dict(made.tables))
         if motor is not None:
             named = (
                 motor.model_dump(mode="json") if isinstance(motor, MotorFile) else str(Path(motor).absolute())
@@ -62,7 +56,7 @@ class BenchRunner:
             tables.pop("faults", None)
             if faults:
                 tables["faults"] = dict(faults)
-        config = bench_from(tables, source, folder)
+        config = bench_from(tables, made.source, made.folder)
         if faults is not None and not isinstance(faults, Mapping):
             config = config.with_faults(load_faults(Path(faults), NamedBy("faults", "", str(faults))))
         return config
@@ -140,17 +134,3 @@ class BenchRunner:
                 missing.append((drive.motor, [drive.node]))
         for motor, nodes in missing:
             self._host.start(nodes, motor, seed=config.bench.seed, bitrate_bit_s=config.bus.bitrate_bit_s)
-
-
-def _change(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Put ``value`` at a dotted key; a number in it counts the entries of an array of tables."""
-    *path, last = key.split(".")
-    place: Any = tables
-    for part in path:
-        place = place[int(part)] if isinstance(place, Sequence) else place.setdefault(part, {})
-    if isinstance(place, list):
-        place[int(last)] = value
-    elif value is None:
-        place.pop(last, None)
-    else:
-        place[last] = value

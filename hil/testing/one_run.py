@@ -1,0 +1,83 @@
+"""A bench, run from Python; what it needs is imported when it is called."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hil.configuration.bench_tables import Bench
+    from hil.loop.axis_roles import Controller
+    from hil.machine.progress import Progress
+    from hil.machine.stopping import StopRequest
+    from hil.testing.run import Run
+
+
+def run(
+    bench: "Bench | str | os.PathLike[str] | Mapping[str, Any]",
+    changes: Mapping[str, Any] | None = None,
+    *,
+    record: bool | str | os.PathLike[str] = False,
+    seed: int | None = None,
+    bus: str | None = None,
+    time: str | None = None,
+    controllers: "Mapping[str, Controller] | None" = None,
+    network: str | os.PathLike[str] | None = None,
+    allow_uncertified: bool = False,
+    stop: "StopRequest | None" = None,
+    progress: "Progress | None" = None,
+) -> "Run":
+    """Run a bench to its end, and return what came of it: also of one that did not pass.
+
+    ``bench``: the path of a bench file, its tables, or a :class:`hil.Bench`. ``changes``: values for dotted
+    keys of it, see :meth:`hil.Bench.changed`. ``record``: the folder of the recording, new or empty; True:
+    one below ``runs``; False: nothing is written, and all but the frames is kept in memory. ``seed``,
+    ``bus``, ``time`` ("real" paces a simulated bus), ``network``, ``allow_uncertified``: as for ``hil run``.
+    ``controllers``: by axis, an object in place of the controller that the bench describes. ``stop``: by
+    which another thread ends the run; in the main thread Ctrl-C ends it, too, and the run says so.
+    ``progress``: called with the phase, and how many seconds of the loop are done.
+
+    From any thread; two runs at once only in simulated time. Raises BadInput or BadInputs before anything
+    moves, PeerFault if bus or drive failed, RecordingFailed; the drives are brought to rest first, and what
+    was recorded until then is kept.
+    """
+    from drivers.errors import BadInput
+    from drivers.timebase import utc_stamp
+    from drivers.wire.adapters import parse_bus_spec
+    from hil.configuration.bench_tables import Bench
+    from hil.execution.bench import RUNS_FOLDER, run_bench
+    from hil.machine.progress import no_progress
+    from hil.recording.memory_recorder import MemoryRecorder
+    from hil.recording.recorder_choice import recorder_of
+    from hil.rows.recording_plan import RecordingPlan
+    from hil.testing.run import Run
+
+    config = Bench.of(bench).changed(changes or {}).config
+    if record is True:
+        record = RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
+    folder = Path(record) if record else None
+    if folder is None and not parse_bus_spec(bus or config.bus.spec, "bus").simulated:
+        raise BadInput("run", "record", False, "a folder: on a bus in real time another process records")
+    memory: list[MemoryRecorder] = []
+
+    def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+        memory.append(MemoryRecorder(plan, keep_rows=True))
+        return memory[-1]
+
+    summary = run_bench(
+        config,
+        bus_spec=bus,
+        time=time,
+        seed=seed,
+        record=folder,
+        view=False,
+        progress=progress or no_progress,
+        keep=folder is not None,
+        controllers=controllers,
+        network=None if network is None else Path(network),
+        allow_uncertified=allow_uncertified,
+        privileged=False,
+        stop=stop,
+        recording=recorder_of if folder is not None else in_memory,
+    )
+    return Run(config, folder or memory[0], summary=summary)
