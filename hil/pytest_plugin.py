@@ -4,6 +4,7 @@ pytest loads this in every run on a machine with servobench, so nothing else is 
 for one of the fixtures.
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 BUS_OPTION = "--servo-bus"
 DRIVES_OPTION = "--servo-drives"
+RECORD_OPTION = "--servo-record"
 DEFAULT_BUS = "simulated"
 SIMULATED, PRESENT = "simulated", "present"
 ONLY_SIMULATED = ("faults", "eds", "store")
@@ -41,7 +43,7 @@ class StartDrive(Protocol):
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--servo-bus SPEC``, ``--servo-drives``."""
+    """``--servo-bus SPEC``, ``--servo-drives``, ``--servo-record DIR``."""
     group = parser.getgroup("servobench", "simulated servo drives")
     group.addoption(
         BUS_OPTION,
@@ -54,6 +56,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         choices=(SIMULATED, PRESENT),
         default=SIMULATED,
         help="simulated: put drives on the bus (default); present: use those that are there",
+    )
+    group.addoption(
+        RECORD_OPTION,
+        metavar="DIR",
+        default=None,
+        help="keep the recording of each run of servo_bench, in a folder of DIR named for the test",
     )
 
 
@@ -163,15 +171,35 @@ def servo_drive(servo_bus: str, servo_host: "DriveHost") -> Iterator[MakeDrive]:
         yield make
 
 
+def _recordings(request: pytest.FixtureRequest, temporary: pytest.TempPathFactory) -> Path:
+    """Where the runs of a test are recorded: a folder that no other test has."""
+    wanted = request.config.getoption(RECORD_OPTION)
+    if wanted is None:
+        return temporary.mktemp("bench")
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", request.node.nodeid).strip("_")
+    folder = Path(request.config.invocation_params.dir, wanted, name)
+    again = 1
+    while folder.exists():
+        again += 1
+        folder = folder.with_name(f"{name}-{again}")
+    folder.mkdir(parents=True)
+    return folder
+
+
 @pytest.fixture
 def servo_bench(
     servo_bus: str,
     servo_host: "DriveHost",
     tmp_path_factory: pytest.TempPathFactory,
     request: pytest.FixtureRequest,
-) -> "BenchRunner":
-    """Run a bench on the bus of the test: ``run = servo_bench("bench.toml", {"bench.seed": 7})``."""
+) -> Iterator["BenchRunner"]:
+    """Run a bench on the bus of the test: ``run = servo_bench("bench.toml", {"bench.seed": 7})``.
+
+    Where the runs are recorded is a property of the test in a JUnit report.
+    """
     from hil.testing.bench_runs import BenchRunner
 
-    folder = Path(request.path).parent
-    return BenchRunner(servo_bus, servo_host, tmp_path_factory.mktemp("bench"), folder)
+    recordings = _recordings(request, tmp_path_factory)
+    yield BenchRunner(servo_bus, servo_host, recordings, Path(request.path).parent)
+    for run in sorted(recordings.glob("run-*")):
+        request.node.user_properties.append(("recording", str(run)))

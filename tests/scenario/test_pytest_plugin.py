@@ -2,14 +2,17 @@
 
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 from textwrap import dedent
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from drivers.cia402.profile import State
 from drivers.errors import DriveInFault
@@ -49,11 +52,43 @@ def project(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_the_example_project_passes(tmp_path: Path) -> None:
-    shutil.copytree(PROJECT, tmp_path / "project", ignore=shutil.ignore_patterns("__pycache__"))
-    status, said = run_pytest(tmp_path / "project", "-q")
-    assert status == 0, said
-    assert "9 passed" in said
+def test_recordings_are_kept_and_named_in_the_report(tmp_path: Path) -> None:
+    copy = shutil.copytree(PROJECT, tmp_path / "project", ignore=shutil.ignore_patterns("__pycache__"))
+    keep = ("-k", "wrong_sign", "--servo-record", "kept", "--junitxml", "report.xml")
+    for _ in range(2):  # the second run leaves what the first has kept
+        status, said = run_pytest(copy, *keep)
+        assert status == 0, said
+    case = ElementTree.parse(copy / "report.xml").getroot().find(".//testcase")
+    assert case is not None
+    (told,) = (item.get("value", "") for item in case.iter("property") if item.get("name") == "recording")
+    folders = sorted(path for path in (copy / "kept").iterdir())
+    assert len(folders) == 2
+    assert Path(told) == folders[1] / "run-1"
+    assert all((folder / "run-1" / "summary.json").exists() for folder in folders)
+
+
+def test_the_workflow_is_yaml_and_names_files_that_are_there() -> None:
+    text = (PROJECT / "workflow.yml").read_text()
+    jobs = yaml.safe_load(text)["jobs"]
+    assert set(jobs) == {"simulated", "vcan"}
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert [word for line in commands for word in line.split() if word.endswith(".py")] == [
+        "failed_pictures.py"
+    ]
+    assert all("--servo-record recordings" in line for line in commands if line.startswith("pytest"))
+
+
+def test_only_failed_runs_are_drawn(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    report.write_text(
+        "<testsuites><testsuite>"
+        "<testcase><properties><property name='recording' value='good/run-1'/></properties></testcase>"
+        "<testcase><properties><property name='recording' value='bad/run-1'/></properties>"
+        "<failure/></testcase>"
+        "</testsuite></testsuites>"
+    )
+    drawn = runpy.run_path(str(PROJECT / "failed_pictures.py"))["failed_recordings"](report)
+    assert drawn == [Path("bad/run-1")]
 
 
 def test_its_tests_pass_on_another_bus_by_an_option(tmp_path: Path) -> None:
