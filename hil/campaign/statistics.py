@@ -1,0 +1,175 @@
+"""What runs drawn at random tell of a rate, a quantile and a difference, with intervals that hold.
+
+A rate after a planned number of runs has the interval of Clopper and Pearson: it holds the true rate at least
+as often as it says. A campaign that ends when it has seen enough must not use it: to look again and again,
+and end at a lucky moment, makes any interval of a fixed number of runs hold less often. There the interval
+comes from a confidence sequence: by Ville's inequality the mixture
+
+    M(p) = B(k + 1/2, n - k + 1/2) / (B(1/2, 1/2) p^k (1 - p)^(n - k))      (Robbins 1970, Jeffreys' prior)
+
+is above 1/alpha, at any time at all, with a probability of at most alpha where p is the true rate. The p with
+M(p) < 1/alpha are an interval that holds whenever one ends; it is one and a half times as wide after 100
+runs, twice after 10 000.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import betaln
+from scipy.stats import binomtest, bootstrap, spearmanr
+
+Floats = NDArray[np.float64]
+
+RESAMPLES: Final = 2000
+"""Of a bootstrap: the ends of a 95 % interval rest on 50 of them each."""
+_PRIOR: Final = 0.5
+_EDGE: Final = 1e-15
+
+
+class ConfidenceInterval(NamedTuple):
+    """An estimate and where the truth is, with the confidence that was asked for."""
+
+    estimate: float
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        return self.high - self.low
+
+
+def clopper_pearson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
+    """Of a rate after a number of runs that was planned; exact, never below ``confidence``."""
+    return _binomial(passed, runs, confidence, "exact")
+
+
+def wilson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
+    """The same, narrower: over all rates it holds about as often as it says, at some a little less often."""
+    return _binomial(passed, runs, confidence, "wilson")
+
+
+def _binomial(passed: int, runs: int, confidence: float, method: Any) -> ConfidenceInterval:
+    if not runs:
+        return ConfidenceInterval(math.nan, 0.0, 1.0)
+    found = binomtest(passed, runs).proportion_ci(confidence, method)
+    return ConfidenceInterval(passed / runs, float(found.low), float(found.high))
+
+
+def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
+    """Of a rate after runs that ended when enough was seen, by whatever rule (see above)."""
+    if not runs:
+        return ConfidenceInterval(math.nan, 0.0, 1.0)
+    rate, failed = passed / runs, runs - passed
+    mixture = betaln(passed + _PRIOR, failed + _PRIOR) - betaln(_PRIOR, _PRIOR) + math.log(1.0 - confidence)
+
+    def excess(p: float) -> float:
+        return float(mixture - passed * math.log(p) - failed * math.log1p(-p))
+
+    low = 0.0 if not passed else _root(excess, _EDGE, min(rate, 1.0 - _EDGE))
+    high = 1.0 if not failed else _root(excess, max(rate, _EDGE), 1.0 - _EDGE)
+    return ConfidenceInterval(rate, low, high)
+
+
+def _root(excess: Any, low: float, high: float) -> float:
+    """Where ``excess`` changes its sign; where it does not, the end at which it is positive or nearest."""
+    if excess(low) * excess(high) > 0.0:
+        return low if abs(excess(low)) < abs(excess(high)) else high
+    return float(brentq(excess, low, high, xtol=1e-12))
+
+
+def quantile(values: Floats, share: float, confidence: float, seed: int = 0) -> ConfidenceInterval:
+    """Of a figure, (n,); by bootstrap, so that nothing is presumed of its distribution.
+
+    It cannot tell more than the values do: a share beyond 1 - 10/n rests on the few largest.
+    """
+    if values.size < 2:
+        return ConfidenceInterval(float(values[0]) if values.size else math.nan, -math.inf, math.inf)
+    estimate = float(np.quantile(values, share))
+    if np.ptp(values) == 0.0:
+        return ConfidenceInterval(estimate, estimate, estimate)
+    found = bootstrap(
+        (values,),
+        lambda sample, axis: np.quantile(sample, share, axis=axis),
+        confidence_level=confidence,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return ConfidenceInterval(estimate, float(found.low), float(found.high))
+
+
+class Paired(NamedTuple):
+    """Two points of a grid on the same draws and seeds: the second less the first."""
+
+    runs: int
+    passed_first_alone: int
+    passed_second_alone: int
+    p_value: float
+    """Of the pass rates being the same, exact (McNemar): pairs with the same outcome say nothing of it."""
+    difference: ConfidenceInterval
+    """Mean difference of the figure over the pairs that have it in both, by bootstrap."""
+
+
+def paired(
+    passed: tuple[NDArray[np.bool_], NDArray[np.bool_]], figure: tuple[Floats, Floats], confidence: float
+) -> Paired:
+    """``passed``, ``figure``: (n,) of each point, in the same order of draws and seeds."""
+    first, second = passed
+    first_alone, second_alone = int((first & ~second).sum()), int((second & ~first).sum())
+    apart = first_alone + second_alone
+    p_value = float(binomtest(second_alone, apart).pvalue) if apart else 1.0
+    change = figure[1] - figure[0]
+    return Paired(
+        first.size, first_alone, second_alone, p_value, mean(change[np.isfinite(change)], confidence)
+    )
+
+
+def mean(values: Floats, confidence: float, seed: int = 0) -> ConfidenceInterval:
+    """Of a figure, (n,); by bootstrap, bias-corrected and accelerated."""
+    if values.size < 2:
+        return ConfidenceInterval(float(values[0]) if values.size else math.nan, -math.inf, math.inf)
+    estimate = float(values.mean())
+    if np.ptp(values) <= 1e-12 * abs(estimate):
+        return ConfidenceInterval(estimate, estimate, estimate)
+    found = bootstrap(
+        (values,),
+        np.mean,
+        confidence_level=confidence,
+        n_resamples=RESAMPLES,
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return ConfidenceInterval(estimate, float(found.low), float(found.high))
+
+
+class Sensitivity(NamedTuple):
+    """How a figure goes with a key."""
+
+    share: float
+    """Of the variance of the figure, what the key's value explains by itself (correlation ratio), 0 to 1."""
+    rank_correlation: float
+    """Spearman's, -1 to 1; NaN for a key that is no number."""
+
+
+_BINS: Final = 10
+"""For a key whose values are drawn: each bin should hold some ten runs of a small campaign."""
+
+
+def sensitivity(key: NDArray[Any], figure: Floats) -> Sensitivity:
+    """``key``: (n,) numbers or texts. ``figure``: (n,), NaN where there is none."""
+    there = np.isfinite(figure)
+    key, figure = key[there], figure[there]
+    if figure.size < 3 or np.ptp(figure) == 0.0 or np.unique(key).size < 2:
+        return Sensitivity(0.0, math.nan)
+    number = key.dtype.kind == "f"
+    classes = np.unique(key, return_inverse=True)[1]
+    if number and classes.max() >= _BINS:
+        edges = np.quantile(key, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+        classes = np.digitize(key, edges)
+    counts = np.bincount(classes)
+    means = np.bincount(classes, figure)[counts > 0] / counts[counts > 0]
+    between = float((counts[counts > 0] * (means - figure.mean()) ** 2).sum())
+    total = float(((figure - figure.mean()) ** 2).sum())
+    return Sensitivity(between / total, float(spearmanr(key, figure).statistic) if number else math.nan)
