@@ -1,0 +1,213 @@
+"""A campaign from its sweep to its table: runs, stops, goes on, and says what came of it."""
+
+import os
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from drivers.errors import BadInput, BenchError
+from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.campaign.plan import CampaignPlan
+from hil.campaign.pool import rows_of
+from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson
+from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
+from hil.campaign.worker import Row, Workshop
+from hil.machine.stopping import StopRequest, stop_signals
+from hil.verdict.summary import Summary
+
+STORED_EVERY_NS: Final = 5 * NS_PER_S
+"""So much work at most is done again after a kill."""
+FAILURES_FOLDER: Final = "failures"
+REPLAYS_FOLDER: Final = "replays"
+
+
+class CampaignProgress(NamedTuple):
+    """How far a campaign is."""
+
+    done: int
+    planned: int
+    passed: int
+    runs_per_s: float
+    left_s: float
+    """Until all planned runs are done; a stopping rule may end it before."""
+
+
+class NotTheSame(BenchError):
+    """A run that was repeated came to another digest: something in it is not deterministic."""
+
+    exit_status = 70
+
+
+class Campaign:
+    """The runs of a campaign that are stored, and what may be claimed of them."""
+
+    def __init__(self, folder: Path, plan: CampaignPlan) -> None:
+        """``folder``: of the campaign."""
+        self.folder = folder
+        self.plan = plan
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> "Campaign":
+        """The one in ``folder``. Raises BadInput."""
+        return cls(Path(folder), plan_in(Path(folder)))
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """A row a run, in order of their numbers; units and meanings are metadata of the fields."""
+        return RunStore(self.folder, schema_of(self.plan)).table()
+
+    def column(self, name: str) -> NDArray[Any]:
+        """(n,) of a column; NaN where a figure was not measured."""
+        found: NDArray[Any] = self.table.column(name).to_numpy()
+        return found
+
+    @property
+    def sequential(self) -> bool:
+        """Whether the campaign was to end when it had seen enough: its intervals are those that then hold."""
+        return self.plan.sweep.stop.rate_width is not None
+
+    def pass_rate(self, point: int = 0, confidence: float | None = None) -> ConfidenceInterval:
+        """At a point of the grid; ``confidence``: else that of the sweep file.
+
+        There is none over several points: they share their seeds, and no point is more likely than another.
+        """
+        passed = self.column("passed")[self.column("point") == point]
+        confidence = confidence or self.plan.sweep.stop.confidence
+        of_runs = anytime if self.sequential else clopper_pearson
+        return of_runs(int(passed.sum()), passed.size, confidence)
+
+    def assert_pass_rate(self, *, at_least: float, confidence: float = 0.95) -> None:
+        """At every point of the grid the true rate of passed runs is at least ``at_least``.
+
+        With this one-sided confidence, for all points together: each is held against it. It fails where there
+        are too few runs to say so, too. The rate is over the seeds and what is drawn.
+        """
+        __tracebackhide__ = True
+        for point in range(self.plan.points):
+            found = self.pass_rate(point, 1.0 - 2.0 * (1.0 - confidence))
+            if found.low < at_least:
+                runs = np.flatnonzero(self.column("point") == point)
+                failed = runs[~self.column("passed")[runs].astype(bool)]
+                first = f", the first of them run {failed[0]}" if failed.size else ""
+                where = self.plan.point_title(point)
+                raise AssertionError(
+                    f"{where + ': ' if where else ''}{runs.size - failed.size} of {runs.size} runs passed "
+                    f"({failed.size} did not{first}): with {100 * confidence:g} % confidence the rate is at "
+                    f"least {found.low:.6g}, {at_least:g} asked for\ncampaign: {self.folder}"
+                )
+
+    def replay(self, number: int, record: Path | None = None) -> Summary:
+        """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.
+
+        Raises BadInput: there is no such run; NotTheSame: its digest is another one.
+        """
+        if not 0 <= number < self.table.num_rows:
+            raise BadInput("--run", "", number, f"a run of the campaign: 0 to {self.table.num_rows - 1}")
+        folder = record or self.folder / REPLAYS_FOLDER / f"run-{number:09d}"
+        summary = Workshop(self.plan).summary(self.plan.run(number), folder)
+        digest = self.table.column("digest")[number].as_py()
+        if summary.digest != digest:
+            raise NotTheSame(f"run {number}: digest {summary.digest}, in the campaign {digest}; see {folder}")
+        return summary
+
+
+class Enough:
+    """The stopping rule, fed with rows in order of their number: it cannot depend on who ran them when."""
+
+    def __init__(self, plan: CampaignPlan) -> None:
+        self._plan = plan
+        self._passed = [0] * plan.points
+        self._next = 1
+
+    def __call__(self, row: Mapping[str, Any]) -> bool:
+        """Take in the next row; whether it was the last that is needed."""
+        width = self._plan.sweep.stop.rate_width
+        self._passed[row["point"]] += bool(row["passed"])
+        replicates, rest = divmod(row["run"] + 1, self._plan.points)
+        if width is None or rest or replicates < self._next:
+            return False
+        # the sequence holds at any time; each look costs two roots for each point
+        self._next = replicates + max(1, replicates // 20)
+        confidence = self._plan.sweep.stop.confidence
+        return all(anytime(passed, replicates, confidence).width <= width for passed in self._passed)
+
+
+def run_campaign(
+    sweep: str | os.PathLike[str] | CampaignPlan,
+    out: str | os.PathLike[str],
+    *,
+    workers: int | None = None,
+    resume: bool = False,
+    stop: StopRequest | None = None,
+    progress: Callable[[CampaignProgress], None] = lambda _: None,
+) -> Campaign:
+    """Run a sweep file to its end; from any thread.
+
+    ``out``: folder of the campaign, new or empty; with ``resume`` also that of the same sweep, which goes on
+    where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
+    Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, Interrupted; what is
+    stored then stays, and can be resumed.
+    """
+    plan = sweep if isinstance(sweep, CampaignPlan) else CampaignPlan.load(Path(sweep))
+    campaign = Campaign(Path(out), plan)
+    store = open_campaign(campaign.folder, plan, resume)
+    with stop_signals(stop) as asked:
+        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress)
+        _record_failures(campaign)
+    return campaign
+
+
+def _run(
+    plan: CampaignPlan,
+    store: RunStore,
+    workers: int,
+    stop: StopRequest,
+    progress: Callable[[CampaignProgress], None],
+) -> None:
+    enough = Enough(plan)
+    passed = 0
+    for row in store.table().select(["run", "point", "passed"]).to_pylist():
+        passed += row["passed"]
+        if enough(row):
+            return
+    clock = MonotonicClock()
+    began = stored_at = clock.now()
+    first, fresh = store.count, list[Row]()
+    rows = rows_of(plan, range(first, plan.count), workers, stop)
+    try:
+        for row in rows:
+            fresh.append(row)
+            passed += row["passed"]
+            now, done = clock.now(), row["run"] + 1
+            runs_per_s = (done - first) * NS_PER_S / max(1, now - began)
+            progress(CampaignProgress(done, plan.count, passed, runs_per_s, (plan.count - done) / runs_per_s))
+            if enough(row):
+                break
+            if now - stored_at >= STORED_EVERY_NS:
+                store.append(fresh)
+                fresh, stored_at = [], now
+    finally:
+        store.append(fresh)
+        rows.close()
+
+
+def _record_failures(campaign: Campaign) -> None:
+    """The first runs that did not pass leave a recording."""
+    wanted = campaign.plan.sweep.campaign.failures_recorded
+    for number in np.flatnonzero(~campaign.column("passed").astype(bool))[:wanted]:
+        folder = campaign.folder / FAILURES_FOLDER / f"run-{number:09d}"
+        if not (folder / "summary.json").exists():
+            _clear(folder)
+            campaign.replay(int(number), folder)
+
+
+def _clear(folder: Path) -> None:
+    """What a killed campaign has left of a recording."""
+    if folder.is_dir():
+        for each in folder.iterdir():
+            each.unlink()

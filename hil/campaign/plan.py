@@ -1,0 +1,182 @@
+"""From a sweep to its runs: run k of a campaign is the same whoever runs it, and when.
+
+    run k:  replicate k // points, point k % points
+    replicate r:  draw r, seed first_seed + r
+
+Every point of the grid meets the same draws and seeds in the same order, so that two of them can be compared
+in pairs, and a campaign that ends early has seen all points equally often. At one point no two runs share a
+seed: which frames are lost follows from it alone, and runs that lose the same frames are no two witnesses.
+"""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from drivers.bounded_file import NamedBy, read_toml
+from drivers.errors import BadInput
+from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, load_sweep
+from hil.configuration.bench_tables import Bench
+
+Changes = dict[str, Any]
+
+
+class GridAxis(NamedTuple):
+    """One axis of the grid."""
+
+    title: str
+    """Its key; of several the first."""
+    choices: tuple[Changes, ...]
+    labels: tuple[str, ...]
+    numbers: tuple[float, ...] | None
+    """The values; None if they are no numbers."""
+
+
+class PlannedRun(NamedTuple):
+    """What makes one run of a campaign."""
+
+    number: int
+    point: int
+    replicate: int
+    seed: int
+    changes: Changes
+    """Of the bench, the seed left out."""
+    labels: dict[str, float | str]
+    """What varies, for tables: numbers as they are, everything else by its label."""
+
+
+class CampaignPlan:
+    """All runs of a sweep."""
+
+    def __init__(self, sweep: SweepFile, source: Path) -> None:
+        """``source``: the sweep file. Raises BadInput or BadInputs: the bench, or a key that it has not."""
+        self.sweep = sweep
+        self.source = source
+        self.axes = tuple(_axis(vary) for vary in sweep.vary)
+        self._points = list(itertools.product(*(range(len(axis.choices)) for axis in self.axes)))
+        self.points = len(self._points)
+        """Of the grid."""
+        self.count = self.points * sweep.campaign.seeds
+        """Runs, if nothing ends it before."""
+        if self.count > RUNS_MAX:
+            raise BadInput(str(source), "campaign", f"{self.count} runs", f"at most {RUNS_MAX}")
+        path = source.parent / sweep.campaign.bench
+        tables = read_toml(path, "bench file", NamedBy(str(source), "campaign.bench", sweep.campaign.bench))
+        self.bench = Bench(tables, source=str(path), folder=path.parent).changed(sweep.change)
+        spec = self.bench.config.bus.spec
+        if spec != "simulated":
+            raise BadInput(str(path), "bus.spec", spec, "'simulated': a campaign runs in simulated time")
+        self._check_choices()
+
+    @classmethod
+    def load(cls, path: Path) -> "CampaignPlan":
+        """Of the sweep file at ``path``. Raises BadInput or BadInputs."""
+        return cls(load_sweep(path), path)
+
+    def run(self, number: int) -> PlannedRun:
+        """Run ``number``, counted from 0."""
+        replicate, point = divmod(number, self.points)
+        changes: Changes = {}
+        labels: dict[str, float | str] = {}
+        for axis, place in zip(self.axes, self._points[point], strict=True):
+            changes |= axis.choices[place]
+            labels[axis.title] = axis.labels[place] if axis.numbers is None else axis.numbers[place]
+        for each, values in zip(self.sweep.draw, self._drawn.T, strict=True):
+            value = float(values[replicate])
+            changes[each.key] = round(value) if each.whole else value
+            labels[each.key] = float(changes[each.key])
+        seed = self.sweep.campaign.first_seed + replicate
+        return PlannedRun(number, point, replicate, seed, changes, labels)
+
+    def point_title(self, point: int) -> str:
+        """A point of the grid in words; empty where there is one alone."""
+        labels = self.run(point).labels
+        shown = {axis.title: labels[axis.title] for axis in self.axes}
+        return ", ".join(
+            f"{key} = {value if isinstance(value, str) else format(value, 'g')}"
+            for key, value in shown.items()
+        )
+
+    @cached_property
+    def identity(self) -> str:
+        """BLAKE2b over the sweep and all that the files say that it names: a campaign goes on with the same
+        one alone."""
+        found = hashlib.blake2b(digest_size=16)
+        found.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
+        found.update(self.bench.config.resolved_text().encode())
+        for axis in self.axes:
+            for choice in axis.choices:
+                if not all(isinstance(value, int | float) for value in choice.values()):
+                    found.update(self.bench.changed(choice).config.resolved_text().encode())
+        return found.hexdigest()
+
+    def _check_choices(self) -> None:
+        """Each choice, the others at their first: no key that the bench has not, no value out of range."""
+        first: Changes = {}
+        for axis in self.axes:
+            first |= axis.choices[0]
+        if self.sweep.draw:
+            first |= {each.key: self.run(0).changes[each.key] for each in self.sweep.draw}
+        for axis in self.axes:
+            for choice in axis.choices:
+                _ = self.bench.changed({**first, **choice}).config
+        if not self.axes:
+            _ = self.bench.changed(first).config
+
+    @cached_property
+    def _drawn(self) -> NDArray[np.float64]:
+        """(replicates, keys)."""
+        drawing, keys, count = self.sweep.drawing, len(self.sweep.draw), self.sweep.campaign.seeds
+        if not keys:
+            return np.empty((count, 0))
+        stream = np.random.default_rng(drawing.seed)
+        if drawing.method == "random":
+            even = stream.random((count, keys))
+        elif drawing.method == "sobol":
+            even = qmc.Sobol(keys, scramble=True, rng=stream).random(count)
+        else:
+            even = qmc.LatinHypercube(keys, rng=stream).random(count)
+        return np.column_stack([_spread(each, even[:, place]) for place, each in enumerate(self.sweep.draw)])
+
+
+def _spread(draw: Draw, even: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Even values in [0, 1) as the distribution has them."""
+    if draw.distribution == "normal":
+        tiny = np.finfo(np.float64).tiny  # Sobol points may be 0, whose quantile is -infinity
+        found: NDArray[np.float64] = norm.ppf(np.maximum(even, tiny), draw.mean, draw.deviation)
+        return found
+    low, high = draw.low or 0.0, draw.high or 0.0
+    if draw.distribution == "uniform":
+        return low + (high - low) * even
+    return np.asarray(low * (high / low) ** even)
+
+
+def _axis(vary: Vary) -> GridAxis:
+    keys = vary.keys or (vary.key or "",)
+    rows = vary.rows or tuple((value,) for value in vary.values or _range(vary))
+    choices = tuple(dict(zip(keys, row, strict=True)) for row in rows)
+    plain = all(len(row) == 1 and type(row[0]) in (int, float) for row in rows)
+    numbers = tuple(float(row[0]) for row in rows) if plain and not vary.labels else None
+    labels = vary.labels or tuple(", ".join(_label(value) for value in row) for row in rows)
+    return GridAxis(keys[0], choices, labels, numbers)
+
+
+def _range(vary: Vary) -> tuple[float | int, ...]:
+    assert vary.start is not None
+    assert vary.to is not None
+    spread = np.geomspace if vary.spacing == "log" else np.linspace
+    values = spread(vary.start, vary.to, vary.count or 2).tolist()
+    return tuple(round(value) for value in values) if vary.whole else tuple(values)
+
+
+def _label(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return str(value.get("kind") or value.get("plan") or json.dumps(value, sort_keys=True))
+    return Path(value).stem if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,147 @@
+"""Sweep files: which bench, what varies in it, how often, and when it is enough."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from drivers.bounded_file import read_toml
+from drivers.errors import BadInput
+from hil.configuration.config_files import Section, validated
+
+RUNS_MAX = 10_000_000
+"""More is a slip of the pen: at 20 runs a second and core it takes 100 cores more than an hour."""
+
+Key = Annotated[str, Field(min_length=1, description="a dotted key of the bench, e.g. loop.deadline_us")]
+
+
+class CampaignSection(Section):
+    """``[campaign]``"""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="a name of letters, digits, . _ -")
+    bench: str = Field(min_length=1, description="the path of a bench file, from the sweep file on")
+    seeds: int = Field(default=1, ge=1, le=RUNS_MAX)
+    """How often each point is run, each time with a seed and a draw of its own, the same at all points."""
+    first_seed: int = Field(default=1, ge=0, lt=2**62)
+    allow_uncertified: bool = False
+    """As --allow-uncertified of hil run."""
+    failures_recorded: int = Field(default=3, ge=0, le=1000)
+    """So many of the first runs that did not pass are run once more, with everything recorded."""
+
+
+class Vary(Section):
+    """``[[vary]]``: an axis of the grid, as values, as a range, or as rows of several keys."""
+
+    key: Key | None = None
+    keys: Annotated[tuple[Key, ...], Field(strict=False)] = ()
+    values: Annotated[tuple[Any, ...], Field(strict=False)] = ()
+    rows: Annotated[tuple[Annotated[tuple[Any, ...], Field(strict=False)], ...], Field(strict=False)] = ()
+    start: float | None = Field(default=None, alias="from")
+    to: float | None = None
+    count: int | None = Field(default=None, ge=2, le=RUNS_MAX)
+    spacing: Literal["linear", "log"] = "linear"
+    whole: bool = False
+    """Whether a range is rounded to whole numbers."""
+    labels: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """What reports say in place of the values."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "Vary":
+        ranged = [self.start is not None, self.to is not None, self.count is not None]
+        kinds = [bool(self.values), bool(self.rows), all(ranged)]
+        if sum(kinds) != 1 or (any(ranged) and not all(ranged)):
+            raise ValueError("one of: values; rows beside keys; or from, to and count")
+        if bool(self.rows) != bool(self.keys) or (self.key is None) == (not self.keys):
+            raise ValueError("key beside values or a range, keys beside rows")
+        if any(len(row) != len(self.keys) for row in self.rows):
+            raise ValueError(f"in each of rows {len(self.keys)} values, one for each of keys")
+        if self.spacing == "log" and all(ranged) and min(self.start or 0.0, self.to or 0.0) <= 0.0:
+            raise ValueError("from and to above 0 where the spacing is log")
+        if self.labels and len(self.labels) != max(len(self.values), len(self.rows), self.count or 0):
+            raise ValueError("as many labels as values")
+        return self
+
+
+class Draw(Section):
+    """``[[draw]]``: a key whose values are drawn."""
+
+    key: Key
+    distribution: Literal["uniform", "log_uniform", "normal"]
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    deviation: float | None = Field(default=None, gt=0)
+    whole: bool = False
+    """Whether values are rounded to whole numbers."""
+
+    @model_validator(mode="after")
+    def _its_parameters(self) -> "Draw":
+        normal = self.distribution == "normal"
+        needed = ("mean", "deviation") if normal else ("low", "high")
+        for name in ("mean", "deviation", "low", "high"):
+            given = getattr(self, name) is not None
+            if given != (name in needed):
+                raise ValueError(f"{' and '.join(needed)} for {self.distribution}, and no other of them")
+        if self.low is not None and self.high is not None:
+            if self.low >= self.high:
+                raise ValueError("low below high")
+            if self.distribution == "log_uniform" and self.low <= 0.0:
+                raise ValueError("low above 0 for log_uniform")
+        return self
+
+
+class Drawing(Section):
+    """``[drawing]``: how the keys of ``[[draw]]`` are drawn together."""
+
+    method: Literal["random", "latin_hypercube", "sobol"] = "random"
+    seed: int = Field(default=0, ge=0, lt=2**63)
+
+
+class Stop(Section):
+    """``[stop]``: when it is enough before all planned runs are done."""
+
+    rate_width: float | None = Field(default=None, gt=0, lt=1)
+    """The pass rate of every point of the grid is known to an interval no wider than this."""
+    confidence: float = Field(default=0.95, gt=0.5, lt=1)
+    """Of that interval, and of those of the report."""
+
+
+class SweepFile(Section):
+    """A whole sweep file."""
+
+    campaign: CampaignSection = Field(description="the table [campaign] with name and bench")
+    change: dict[str, Any] = Field(default_factory=dict)
+    """Dotted keys of the bench and their values, the same in every run."""
+    vary: Annotated[tuple[Vary, ...], Field(strict=False)] = ()
+    draw: Annotated[tuple[Draw, ...], Field(strict=False)] = ()
+    drawing: Drawing = Drawing()
+    stop: Stop = Stop()
+
+
+def load_sweep(path: Path) -> SweepFile:
+    """The sweep file at ``path``. Raises BadInput or BadInputs."""
+    return sweep_from(read_toml(path, "sweep file"), str(path))
+
+
+def sweep_from(tables: Any, source: str) -> SweepFile:
+    """A sweep from the tables of a file. Raises BadInput or BadInputs."""
+    sweep = validated(SweepFile, tables, source)
+    varied = [key for axis in sweep.vary for key in (axis.keys or (axis.key or "",))]
+    varied += [draw.key for draw in sweep.draw]
+    for number, key in enumerate(varied):
+        if key in varied[:number]:
+            raise BadInput(source, "vary", key, "each key once")
+    if "bench.seed" in (*varied, *sweep.change):
+        raise BadInput(source, "vary", "bench.seed", "campaign.seeds and campaign.first_seed for the seeds")
+    _check_drawing(sweep, source)
+    return sweep
+
+
+def _check_drawing(sweep: SweepFile, source: str) -> None:
+    method, seeds = sweep.drawing.method, sweep.campaign.seeds
+    if method == "sobol" and seeds & (seeds - 1):
+        expected = "a power of two: points of drawing.method sobol are balanced only then"
+        raise BadInput(source, "campaign.seeds", seeds, expected)
+    if method != "random" and sweep.stop.rate_width is not None:
+        expected = "random: an end when enough was seen takes draws that do not depend on each other"
+        raise BadInput(source, "drawing.method", method, expected)

@@ -1,0 +1,154 @@
+"""Runs of a campaign back to back in one process, without logger, disk or viewer."""
+
+import gc
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from drivers.errors import BadInput, BenchError
+from hil.campaign.plan import CampaignPlan, PlannedRun
+from hil.configuration.config import BenchConfig
+from hil.configuration.config_errors import BadInputs
+from hil.execution.bench import run_bench
+from hil.machine.progress import no_progress
+from hil.machine.stopping import Interrupted, StopRequest
+from hil.verdict.summary import Summary
+from hil.verdict.verdict import VerdictKind
+
+COLLECTED_EVERY: Final = 50
+"""Runs between two collections of garbage: a run leaves some hundred kB in circles, a collection takes some
+milliseconds once what was imported is frozen."""
+
+
+class Figure(NamedTuple):
+    """What is kept of a run, as a column."""
+
+    unit: str
+    meaning: str
+    of: Callable[[Summary, int], float | None]
+    """Of a summary, and the number of axes."""
+
+
+def _gain(summary: Summary, which: str) -> float | None:
+    """Of the axis whose seen gain is nearest to its certificate."""
+    pairs = [each["gain_rad_s_nm"] for each in summary.certificates.values()]
+    known = [pair for pair in pairs if pair["certified"] is not None and pair["seen"] is not None]
+    return max(known, key=lambda pair: pair["seen"] / pair["certified"])[which] if known else None
+
+
+FIGURES: Final[Mapping[str, Figure]] = {
+    "speed_error_peak_rad_s": Figure("rad/s", "largest speed error", lambda s, _: s.speed_error.peak_rad_s),
+    "speed_error_peak_percent": Figure(
+        "%", "the same, of the largest reference", lambda s, _: s.speed_error.peak_percent
+    ),
+    "speed_error_rms_rad_s": Figure("rad/s", "speed error, rms", lambda s, _: s.speed_error.rms_rad_s),
+    "after_load_percent": Figure(
+        "%", "speed error after a load step", lambda s, _: s.speed_error.after_load_percent
+    ),
+    "torque_rms_nm": Figure("N m", "torque about its mean, rms", lambda s, _: s.torque_rms_nm),
+    "dropouts_percent": Figure(
+        "%",
+        "cycles without a usable reading",
+        lambda s, axes: 100.0 * s.dropouts.total / (s.cycles * axes) if s.cycles else None,
+    ),
+    "delay_p99_us": Figure("us", "delay of the readings, 99 %", lambda s, _: s.delay_us.p99),
+    "delay_max_us": Figure("us", "delay of the readings, largest", lambda s, _: s.delay_us.max),
+    "bus_load_percent": Figure("%", "bus load", lambda s, _: s.bus_load_percent),
+    "load_gain_rad_s_nm": Figure(
+        "rad/s per N m",
+        "gain from load torque to speed error, seen; of a certified controller",
+        lambda s, _: _gain(s, "seen"),
+    ),
+    "load_gain_certified_rad_s_nm": Figure(
+        "rad/s per N m", "the same, as its certificate has it", lambda s, _: _gain(s, "certified")
+    ),
+    "cycles": Figure("", "control cycles", lambda s, _: float(s.cycles)),
+}
+"""By name of the column; the names are those of the limits in ``[verdict]`` where there is one."""
+
+Row = dict[str, Any]
+"""A row of the table of a campaign: plain values by column."""
+
+
+class Workshop:
+    """Runs any run of a plan, in any order; what they share is loaded once."""
+
+    def __init__(self, plan: CampaignPlan, stop: StopRequest | None = None) -> None:
+        self._plan = plan
+        self._stop = stop
+        self._since_collected = 0
+        gc.collect()
+        gc.freeze()
+
+    def row(self, number: int) -> Row:
+        """Run ``number``. Raises BadInput or BadInputs for one that cannot be run, Interrupted."""
+        planned = self._plan.run(number)
+        summary = self.summary(planned)
+        self._since_collected += 1
+        if self._since_collected == COLLECTED_EVERY:
+            self._since_collected = 0
+            gc.collect()
+        return row_of_run(planned, summary, len(self._plan.bench.config.axes))
+
+    def summary(self, planned: PlannedRun, record: Path | None = None) -> Summary:
+        """What a run comes to; ``record``: the folder of its recording.
+
+        Raises as :meth:`row`; what else ends a run is told by its verdict.
+        """
+        try:
+            config = self._config(planned)
+            return _run(config, planned, record, self._plan.sweep.campaign.allow_uncertified, self._stop)
+        except (BadInput, BadInputs) as error:
+            error.add_note(f"run {planned.number}: {planned.labels}")
+            raise
+
+    def _config(self, planned: PlannedRun) -> BenchConfig:
+        return self._plan.bench.changed(planned.changes).config
+
+
+def _run(
+    config: BenchConfig, planned: PlannedRun, record: Path | None, uncertified: bool, stop: StopRequest | None
+) -> Summary:
+    concluded: list[Summary] = []
+    try:
+        return run_bench(
+            config,
+            bus_spec=None,
+            time=None,
+            seed=planned.seed,
+            record=record,
+            view=False,
+            progress=no_progress,
+            keep=record is not None,
+            allow_uncertified=uncertified,
+            privileged=False,
+            stop=stop,
+            concluded=concluded.append,
+        )
+    except (BadInput, BadInputs, Interrupted):
+        raise
+    except BenchError:
+        if not concluded:
+            raise
+        return concluded[-1]
+
+
+def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
+    """What the table keeps. Raises Interrupted: such a run tells nothing."""
+    verdict = summary.verdict
+    if ended_by := verdict.of(VerdictKind.INTERRUPTED):
+        raise Interrupted("; ".join(ended_by))
+    return {
+        "run": planned.number,
+        "point": planned.point,
+        "replicate": planned.replicate,
+        "seed": planned.seed,
+        **planned.labels,
+        "outcome": str(verdict.outcome),
+        "passed": verdict.passed,
+        "completed": verdict.completed,
+        "reason": verdict.reason,
+        "premises_left": "; ".join(summary.network_notes),
+        "digest": summary.digest,
+        **{name: figure.of(summary, axes) for name, figure in FIGURES.items()},
+    }

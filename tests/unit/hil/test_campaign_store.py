@@ -1,0 +1,109 @@
+"""The table of a campaign on disk: whole at any moment, and what is damaged is told."""
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+
+from drivers.errors import BadInput
+from hil.campaign.plan import CampaignPlan
+from hil.campaign.store import RunStore, open_campaign
+from hil.campaign.sweep_file import sweep_from
+from hil.campaign.worker import FIGURES
+
+LING = Path(__file__).parents[3] / "examples" / "ling2012.toml"
+KEY = "faults.loss.0.probability"
+
+
+def plan(seeds: int = 100, source: str = "sweep.toml") -> CampaignPlan:
+    tables = {
+        "campaign": {"name": "try", "bench": str(LING), "seeds": seeds},
+        "vary": [{"key": KEY, "values": [0.1, 0.2]}],
+    }
+    return CampaignPlan(sweep_from(tables, source), Path(source))
+
+
+def row(number: int) -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "outcome": "passed",
+        "passed": True,
+        "completed": True,
+        "reason": "",
+        "premises_left": "",
+        "digest": f"{number:032x}",
+    }
+    figures = dict.fromkeys(FIGURES, 1.5) | {"after_load_percent": None}
+    return {"run": number, "point": 0, "replicate": 0, "seed": number, KEY: 0.1, **told, **figures}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> RunStore:
+    return open_campaign(tmp_path / "campaign", plan(), resume=False)
+
+
+def reopened(tmp_path: Path) -> RunStore:
+    return open_campaign(tmp_path / "campaign", plan(), resume=True)
+
+
+def test_what_was_appended_is_read_with_units(store: RunStore, tmp_path: Path) -> None:
+    store.append([row(number) for number in range(3)])
+    store.append([row(number) for number in range(3, 5)])
+    table = reopened(tmp_path).table()
+    assert table.to_pylist() == [row(number) for number in range(5)]
+    assert table.schema.field("torque_rms_nm").metadata[b"unit"] == b"N m"
+    assert table.schema.metadata[b"campaign"] == b"try"
+
+
+def test_runs_are_appended_in_order_and_once(store: RunStore) -> None:
+    store.append([row(0)])
+    for numbers in ([0], [2], [1, 3]):
+        with pytest.raises(ValueError, match="expected those from 1 on"):
+            store.append([row(number) for number in numbers])
+
+
+def test_a_file_that_was_being_written_is_not_there(store: RunStore, tmp_path: Path) -> None:
+    store.append([row(0)])
+    (tmp_path / "campaign" / "runs" / "part-000000001.writing").write_bytes(b"PAR1 half a fi")
+    again = reopened(tmp_path)
+    assert again.count == 1
+    again.append([row(1)])
+    assert [path.suffix for path in (tmp_path / "campaign" / "runs").iterdir()] == [".parquet"] * 2
+
+
+def test_every_byte_that_changes_is_noticed(store: RunStore, tmp_path: Path) -> None:
+    store.append([row(number) for number in range(50)])
+    (path,) = (tmp_path / "campaign" / "runs").iterdir()
+    whole = path.read_bytes()
+    for place in range(0, len(whole), 97):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+        with pytest.raises(BadInput, match="it is damaged"):
+            reopened(tmp_path)
+    path.write_bytes(whole)
+    assert reopened(tmp_path).count == 50
+
+
+def test_a_missing_or_shortened_file_is_told(store: RunStore, tmp_path: Path) -> None:
+    for number in range(3):
+        store.append([row(number)])
+    paths = sorted((tmp_path / "campaign" / "runs").iterdir())
+    paths[2].write_bytes(paths[2].read_bytes()[:-20])
+    with pytest.raises(BadInput, match="it is damaged"):
+        reopened(tmp_path)
+    paths[2].unlink()
+    assert reopened(tmp_path).count == 2
+    paths[0].unlink()
+    with pytest.raises(BadInput, match="expected the part that begins with run 0"):
+        reopened(tmp_path)
+
+
+def test_a_folder_is_of_one_campaign(store: RunStore, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="--resume goes on with it"):
+        open_campaign(tmp_path / "campaign", plan(), resume=False)
+    with pytest.raises(BadInput, match=r"it holds the campaign of .*sweep.toml"):
+        open_campaign(tmp_path / "campaign", plan(seeds=7), resume=True)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").touch()
+    with pytest.raises(BadInput, match="a new or empty folder"):
+        open_campaign(tmp_path / "other", plan(), resume=False)
+    assert isinstance(store.schema, pa.Schema)
