@@ -26,6 +26,7 @@ import typer
 from drivers.compiled import notice, use_fresh
 from drivers.errors import BadInput
 from hil.terminal.adapter import adapter
+from hil.terminal.campaign import campaign
 from hil.terminal.commission import commission, rehearse, restore
 from hil.terminal.compare import compare
 from hil.terminal.eds import eds
@@ -74,7 +75,7 @@ app.command()(picture)
 app.command()(review)
 app.command()(compare)
 app.command()(view)
-for group in (reproduce, analyse, design, motor):
+for group in (reproduce, analyse, design, motor, campaign):
     app.add_typer(group)
 
 

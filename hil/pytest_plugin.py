@@ -14,6 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hil.testing.bench_runs import BenchRunner
+    from hil.testing.campaign_runs import CampaignRunner
     from hil.testing.drive_rig import DriveRig
     from hil.testing.hosted import DriveHost, DriveProcess
 
@@ -203,3 +204,13 @@ def servo_bench(
     yield BenchRunner(servo_bus, servo_host, recordings, Path(request.path).parent)
     for run in sorted(recordings.glob("run-*")):
         request.node.user_properties.append(("recording", str(run)))
+
+
+@pytest.fixture
+def servo_campaign(
+    tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
+) -> "CampaignRunner":
+    """Run a sweep in simulated time: ``servo_campaign("sweep.toml").assert_pass_rate(at_least=0.99)``."""
+    from hil.testing.campaign_runs import CampaignRunner
+
+    return CampaignRunner(tmp_path_factory.mktemp("campaign"), Path(request.path).parent)

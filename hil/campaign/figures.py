@@ -1,0 +1,168 @@
+"""What a campaign came to: rates, quantiles, worst cases, sensitivities, pairs; plain values."""
+
+import math
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.campaign.campaign import Campaign
+from hil.campaign.plan import GridAxis
+from hil.campaign.statistics import ConfidenceInterval, paired, quantile, sensitivity
+from hil.campaign.worker import FIGURES
+
+PEAK = "speed_error_peak_percent"
+"""The figure of heat maps and worst cases."""
+WORST_SHOWN = 10
+QUANTILES = (0.5, 0.95)
+
+
+def figures_of(done: Campaign) -> dict[str, Any]:
+    """For JSON and reports."""
+    stop = done.plan.sweep.stop
+    kind = "a confidence sequence: it holds whenever one ends" if done.sequential else "Clopper-Pearson"
+    return {
+        "name": done.plan.sweep.campaign.name,
+        "folder": str(done.folder),
+        "planned": done.plan.count,
+        "confidence": stop.confidence,
+        "interval": kind,
+        "runs": done.table.num_rows,
+        "passed": int(done.column("passed").sum()),
+        "points": [_point(done, number) for number in range(done.plan.points)],
+        "outcomes": _outcomes(done),
+        "quantiles": _quantiles(done),
+        "sensitivity": _sensitivities(done),
+        "worst": worst_runs(done),
+        "pairs": _pairs(done),
+    }
+
+
+def _point(done: Campaign, number: int) -> dict[str, Any]:
+    labels = done.plan.run(number).labels
+    where = done.column("point") == number
+    peak = done.column(PEAK).astype(float)[where]
+    interval = quantile(peak[np.isfinite(peak)], QUANTILES[-1], done.plan.sweep.stop.confidence)
+    return {
+        "point": done.plan.point_title(number),
+        "keys": {axis.title: labels[axis.title] for axis in done.plan.axes},
+        "runs": int(where.sum()),
+        "passed": int(done.column("passed")[where].sum()),
+        **_plain(done.pass_rate(number), "rate"),
+        f"{PEAK}_q95": _plain(interval, "value"),
+    }
+
+
+def _plain(found: ConfidenceInterval, name: str) -> dict[str, float | None]:
+    """Without what JSON has no word for."""
+    values = zip((name, "low", "high"), found, strict=True)
+    return {key: float(value) if math.isfinite(value) else None for key, value in values}
+
+
+def _outcomes(done: Campaign) -> dict[str, int]:
+    names, counts = np.unique(done.column("outcome").astype(str), return_counts=True)
+    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+
+
+def _quantiles(done: Campaign) -> dict[str, Any]:
+    """Over all runs, each figure that was measured in some; no intervals, as points share their seeds."""
+    found: dict[str, Any] = {}
+    for name, figure in FIGURES.items():
+        values = done.column(name).astype(float)
+        values = values[np.isfinite(values)]
+        if values.size and name != "cycles":
+            shares = {f"{100 * share:g} %": float(np.quantile(values, share)) for share in QUANTILES}
+            found[name] = {
+                "unit": figure.unit,
+                "runs": int(values.size),
+                **shares,
+                "largest": float(values.max()),
+            }
+    return found
+
+
+def _sensitivities(done: Campaign) -> dict[str, Any]:
+    """By key, of passing and of the peak error."""
+    found = {}
+    for key in done.plan.run(0).labels:
+        values = done.column(key)
+        values = values.astype(float) if values.dtype.kind == "f" else values.astype(str)
+        each = {}
+        for name in ("passed", PEAK):
+            share, correlation = sensitivity(values, done.column(name).astype(float))
+            each[name] = {
+                "share_of_variance": share,
+                "rank_correlation": correlation if math.isfinite(correlation) else None,
+            }
+        found[key] = each
+    return found
+
+
+def worst_runs(done: Campaign) -> list[dict[str, Any]]:
+    """Those that were not completed first, then by their peak error."""
+    peak = done.column(PEAK).astype(float)
+    order = np.lexsort((-np.nan_to_num(peak, nan=np.inf), done.column("completed").astype(bool)))
+    keys = list(done.plan.run(0).labels)
+    columns = ["run", "seed", *keys, "outcome", PEAK, "reason", "digest"]
+    rows: list[dict[str, Any]] = done.table.select(columns).take(order[:WORST_SHOWN]).to_pylist()
+    return rows
+
+
+def _pairs(done: Campaign) -> list[dict[str, Any]]:
+    """Each choice of the first axis without numbers against the first one, all else being the same."""
+    axis = next((each for each in done.plan.axes if each.numbers is None), None)
+    if axis is None:
+        return []
+    return [_pair(done, axis, place) for place in range(1, len(axis.labels))]
+
+
+def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
+    labels = done.column(axis.title).astype(str)
+    others = [each.title for each in done.plan.axes if each is not axis]
+    keys = ["replicate", *others]
+    rows = {}
+    for label in (axis.labels[0], axis.labels[place]):
+        chosen = np.flatnonzero(labels == label)
+        columns = [done.column(key)[chosen].tolist() for key in keys]
+        rows[label] = dict(zip(zip(*columns, strict=True), chosen.tolist(), strict=True))
+    first, second = rows[axis.labels[0]], rows[axis.labels[place]]
+    both = [key for key in first if key in second]
+    sides = [np.array([side[key] for key in both], int) for side in (first, second)]
+    passed = done.column("passed").astype(bool)
+    peak = done.column(PEAK).astype(float)
+    found = paired(
+        (passed[sides[0]], passed[sides[1]]),
+        (peak[sides[0]], peak[sides[1]]),
+        done.plan.sweep.stop.confidence,
+    )
+    return {
+        "key": axis.title,
+        "first": axis.labels[0],
+        "second": axis.labels[place],
+        "pairs": found.runs,
+        "passed_first_alone": found.passed_first_alone,
+        "passed_second_alone": found.passed_second_alone,
+        "p_value": found.p_value,
+        "peak_percent_second_less_first": _plain(found.difference, "mean"),
+    }
+
+
+def grid_of(done: Campaign, rows: GridAxis, across: GridAxis) -> dict[str, NDArray[np.float64]]:
+    """(rows, columns) over two axes, all others pooled: pass rate, largest peak error; NaN: no run."""
+    shape = (len(rows.labels), len(across.labels))
+    rate, peak = np.full(shape, np.nan), np.full(shape, np.nan)
+    passed, error = done.column("passed").astype(float), done.column(PEAK).astype(float)
+    for row, column in product(range(shape[0]), range(shape[1])):
+        where = _at(done, rows, row) & _at(done, across, column)
+        if where.any():
+            rate[row, column] = passed[where].mean()
+            finite = error[where][np.isfinite(error[where])]
+            peak[row, column] = finite.max() if finite.size else np.nan
+    return {"pass rate": rate, "largest peak error, %": peak}
+
+
+def _at(done: Campaign, axis: GridAxis, place: int) -> NDArray[np.bool_]:
+    value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
+    found: NDArray[np.bool_] = done.column(axis.title) == value
+    return found

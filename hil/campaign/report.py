@@ -1,0 +1,164 @@
+"""A campaign as one HTML file that needs nothing beside it."""
+
+import io
+from collections.abc import Iterable, Iterator
+from html import escape
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+from numpy.typing import NDArray
+
+from hil.campaign.campaign import Campaign
+from hil.campaign.figures import PEAK, figures_of, grid_of
+from hil.campaign.plan import GridAxis
+
+CELLS_NAMED_MAX = 200
+"""Beyond that the numbers in the cells of a heat map do not fit them."""
+_STYLE = """body{font:15px/1.5 sans-serif;max-width:72em;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:.5em 0 1.5em}th,td{padding:.15em .8em;text-align:left;border-bottom:1px
+solid #ddd}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}h2{margin-top:2em}.b{font-size:1.3em}
+svg{max-width:100%;height:auto}code{background:#f3f3f3;padding:0 .2em}"""
+
+
+def write_report(done: Campaign, place: Path) -> None:
+    """Write it. Error: OSError."""
+    found = figures_of(done)
+    place.write_text(
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{escape(found['name'])}</title>"
+        f"<style>{_STYLE}</style><body>{''.join(_parts(done, found))}</body></html>\n",
+        encoding="utf-8",
+    )
+
+
+def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
+    confidence = 100 * found["confidence"]
+    yield f"<h1>Campaign {escape(found['name'])}</h1>"
+    yield (
+        f"<p class='b'>{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned.</p>"
+        f"<p>Intervals of {confidence:g} %; of pass rates: {escape(found['interval'])}; of quantiles and "
+        "means: bootstrap. Points of the grid share their draws and seeds: there is none over several.</p>"
+    )
+    outcomes = (f"{count} {escape(name)}" for name, count in found["outcomes"].items())
+    yield f"<p>{', '.join(outcomes)}</p>"
+    for rows, across in combinations(done.plan.axes, 2):
+        yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(done, rows, across)}"
+    yield "<h2>Points</h2>" + _table(
+        ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
+        map(_point, found["points"]),
+    )
+    if found["pairs"]:
+        yield _pairs(found["pairs"])
+    yield "<h2>Figures of all runs</h2>" + _table(
+        ("figure", "unit", "runs", "median", "95 %", "largest"), _quantiles(found)
+    )
+    if found["sensitivity"]:
+        yield _sensitivity(found["sensitivity"])
+    yield _worst(done, found["worst"])
+
+
+def _pairs(pairs: list[dict[str, Any]]) -> str:
+    titles = ("first", "second", "pairs", "only first passed", "only second passed", "p", "peak, mean change")
+    rows = []
+    for each in pairs:
+        change = each["peak_percent_second_less_first"]
+        told = f"{_number(change['mean'])} % ({_number(change['low'])} to {_number(change['high'])})"
+        told = told if change["mean"] is not None else "-"
+        shown = [
+            each[key] for key in ("first", "second", "pairs", "passed_first_alone", "passed_second_alone")
+        ]
+        rows.append((*shown, f"{each['p_value']:.3g}", told))
+    return "<h2>Pairs on the same draws and seeds</h2>" + _table(titles, rows)
+
+
+def _point(each: dict[str, Any]) -> tuple[Any, ...]:
+    rates = (_percent(each[key]) for key in ("rate", "low", "high"))
+    peaks = (_number(value) for value in each[f"{PEAK}_q95"].values())
+    return each["point"] or "all", each["runs"], each["passed"], *rates, *peaks
+
+
+def _quantiles(found: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+    for name, each in found["quantiles"].items():
+        values = (_number(each[key]) for key in ("50 %", "95 %", "largest"))
+        yield name, each["unit"], each["runs"], *values
+
+
+def _sensitivity(found: dict[str, Any]) -> str:
+    titles = ("key", "of passing: share of variance", "rank correlation", "of the peak error: share", "rank")
+    rows = []
+    for key, each in found.items():
+        cells: list[str] = []
+        for name in ("passed", PEAK):
+            cells += [
+                _percent(each[name]["share_of_variance"]),
+                _number(each[name]["rank_correlation"]),
+            ]
+        rows.append((key, *cells))
+    return "<h2>What matters</h2>" + _table(titles, rows)
+
+
+def _worst(done: Campaign, worst: list[dict[str, Any]]) -> str:
+    rows = []
+    for each in worst:
+        command = f"hil campaign replay {done.folder} --run {each['run']}"
+        keys = ", ".join(f"{key} = {_number(each[key])}" for key in done.plan.run(0).labels)
+        rows.append((each["run"], keys, each["seed"], each["outcome"], _number(each[PEAK]), command))
+    return "<h2>Worst runs</h2>" + _table(("run", "keys", "seed", "outcome", "peak, %", "again"), rows)
+
+
+def heat_maps(done: Campaign, rows: GridAxis, across: GridAxis) -> str:
+    """Pass rate and largest peak error as one SVG; other axes are pooled."""
+    picture = Picture(figsize=(12.0, 0.8 + 0.5 * max(6, len(rows.labels))), layout="constrained")
+    for axes, (title, values) in zip(
+        np.atleast_1d(picture.subplots(1, 2)), grid_of(done, rows, across).items(), strict=True
+    ):
+        _heat_map(axes, title, values, rows, across)
+    text = io.StringIO()
+    picture.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def _heat_map(axes: Axes, title: str, values: NDArray[np.float64], rows: GridAxis, across: GridAxis) -> None:
+    is_rate = title == "pass rate"
+    image = axes.imshow(
+        values,
+        origin="lower",
+        aspect="auto",
+        cmap="RdYlGn" if is_rate else "viridis_r",
+        vmin=0.0 if is_rate else None,
+        vmax=1.0 if is_rate else None,
+    )
+    axes.set(title=title, xlabel=across.title, ylabel=rows.title)
+    axes.set_xticks(range(len(across.labels)), across.labels, rotation=30, ha="right")
+    axes.set_yticks(range(len(rows.labels)), rows.labels)
+    axes.figure.colorbar(image, ax=axes)
+    if values.size <= CELLS_NAMED_MAX:
+        for (row, column), value in np.ndenumerate(values):
+            if np.isfinite(value):
+                axes.text(
+                    column, row, f"{value:.2f}" if is_rate else f"{value:.3g}", ha="center", va="center"
+                )
+
+
+def _table(titles: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    head = "".join(f"<th>{escape(title)}</th>" for title in titles)
+    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _cell(value: Any) -> str:
+    kind = " class='n'" if isinstance(value, int | float) else ""
+    return f"<td{kind}>{escape(str(value))}</td>"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.2f} %"
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.4g}"

@@ -1,0 +1,164 @@
+"""``hil campaign``: thousands of runs, what they tell, and one of them again."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import JsonOption
+from hil.terminal.output import columns, say, say_written
+
+if TYPE_CHECKING:
+    from hil.campaign.campaign import Campaign, CampaignProgress
+
+
+class SweepGroup(TyperGroup):
+    """A sweep file may stand where its commands do: ``hil campaign SWEEP.toml``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As click does."""
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+campaign = typer.Typer(name="campaign", cls=SweepGroup, help="Many runs of a bench.", no_args_is_help=True)
+
+DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the campaign.")]
+
+
+@campaign.command("run")
+def run(
+    sweep: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="The sweep file.")],
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where the campaign in the folder was ended.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder of the campaign; campaigns/NAME if absent."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a sweep file to its end. Results do not depend on how many workers there are, nor on their fate.
+
+    Exit status: 0 it was run to its end, whatever became of its runs; 2 bad input; 130 ended by a signal,
+    --resume goes on. docs/campaigns.md
+    """
+    with reported_errors():
+        from hil.campaign.campaign import run_campaign
+        from hil.campaign.plan import CampaignPlan
+
+        plan = CampaignPlan.load(sweep)
+        folder = out or Path("campaigns") / plan.sweep.campaign.name
+        line = _ProgressLine()
+        try:
+            done = run_campaign(plan, folder, workers=workers, resume=resume, progress=line.show)
+        finally:
+            line.end()
+        _print(done, as_json)
+
+
+@campaign.command("report")
+def report(folder: DirArgument, as_json: JsonOption = False) -> None:
+    """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters."""
+    with reported_errors():
+        from hil.campaign.campaign import Campaign
+        from hil.campaign.report import write_report
+
+        found = Campaign.load(folder)
+        place = folder / "report.html"
+        write_report(found, place)
+        _print(found, as_json)
+        say_written(place)
+
+
+@campaign.command("replay")
+def replay(
+    folder: DirArgument,
+    number: Annotated[int, typer.Option("--run", metavar="K", min=0, help="Number of the run.")],
+    record: Annotated[
+        Path | None,
+        typer.Option("--into", metavar="DIR", help="Folder of the recording; DIR/replays/run-K if absent."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one of them again with everything recorded; its digest must be that of the campaign.
+
+    Exit status: that of the run's verdict; 70 if the digest is another.
+    """
+    with reported_errors():
+        from hil.campaign.campaign import Campaign
+
+        summary = Campaign.load(folder).replay(number, record)
+        if as_json:
+            typer.echo(json.dumps(summary.as_json(), allow_nan=False))
+        else:
+            typer.echo(
+                f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign"
+            )
+            say_written(Path(summary.recording))
+        raise typer.Exit(summary.verdict.exit_status)
+
+
+class _ProgressLine:
+    """On stderr: one line on a terminal, else one in so many runs."""
+
+    def __init__(self) -> None:
+        self._shown = False
+        self._percent = -1
+        self._on_terminal = sys.stderr.isatty()
+
+    def show(self, at: "CampaignProgress") -> None:
+        percent = 100 * at.done // at.planned
+        if percent == self._percent and not self._on_terminal:
+            return
+        self._percent, self._shown = percent, True
+        text = (
+            f"{at.done}/{at.planned} runs  {at.passed} passed  {at.runs_per_s:.1f}/s  "
+            f"{_duration(at.left_s)} left at most"
+        )
+        if self._on_terminal:
+            print(f"\r{text:<78}", end="", file=sys.stderr, flush=True)
+        else:
+            say(text)
+
+    def end(self) -> None:
+        if self._shown and self._on_terminal:
+            print(file=sys.stderr, flush=True)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def _print(done: "Campaign", as_json: bool) -> None:
+    from hil.campaign.figures import figures_of
+
+    found = figures_of(done)
+    if as_json:
+        typer.echo(json.dumps(found, allow_nan=False))
+        return
+    from rich.console import Console
+
+    table = columns("point", "runs", "passed", "pass rate", "interval", right=("runs", "passed", "pass rate"))
+    for point in found["points"]:
+        table.add_row(point["point"] or "all", *_cells(point))
+    Console(width=110, soft_wrap=True).print(table)
+    typer.echo(f"{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned")
+    typer.echo(f"intervals of {100 * found['confidence']:g} %, {found['interval']}; campaign {done.folder}")
+
+
+def _cells(point: dict[str, Any]) -> tuple[str, ...]:
+    rate, low, high = (point[name] for name in ("rate", "low", "high"))
+    shown = "-" if rate is None else f"{100 * rate:.2f} %"
+    return str(point["runs"]), str(point["passed"]), shown, f"{100 * low:.2f} to {100 * high:.2f} %"

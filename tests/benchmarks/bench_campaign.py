@@ -1,0 +1,142 @@
+"""What a run of a campaign costs beside its cycles, and what a second worker costs.
+
+Processor time of the demo bench (2 s simulated, faults, one axis), medians of some runs of the same process:
+the whole of a run as a campaign does it, its cycles alone, and its bring-up (connect, configure, calibrate,
+enable, and at the end to bring the drive to rest). The target is at most 1.3 for what is neither.
+"""
+
+import resource
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from hashlib import blake2b
+from pathlib import Path
+from statistics import median
+from typing import Any
+from unittest.mock import patch
+
+from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.campaign.plan import CampaignPlan
+from hil.campaign.pool import WorkerPool
+from hil.campaign.store import open_campaign
+from hil.campaign.sweep_file import sweep_from
+from hil.campaign.worker import Workshop
+from hil.configuration.toml_text import toml_text
+from hil.execution.bench import _Run
+from hil.machine.stopping import StopRequest
+
+ROOT = Path(__file__).parents[2]
+WARM, MEASURED = 3, 10
+FEW, MANY = 4, 44
+BRING_UP = ("_prepare", "_calibrate_and_run", "_release")
+"""The second holds the cycles, which are taken out of it."""
+
+
+def main() -> None:
+    """Print three tables."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "sweep.toml"
+        campaign = {"name": "bench", "bench": str(ROOT / "examples" / "ling2012.toml"), "seeds": 1000}
+        tables = {"campaign": campaign, "vary": [{"key": "loop.deadline_us", "values": [2000]}]}
+        path.write_text(toml_text(tables), encoding="utf-8")
+        plan = CampaignPlan(sweep_from(tables, str(path)), path)
+        _print_one_process(plan)
+        _print_workers(plan)
+        _print_store(plan, Path(scratch) / "out")
+
+
+def processor_s(who: int = resource.RUSAGE_SELF) -> float:
+    """User and system time so far."""
+    used = resource.getrusage(who)
+    return used.ru_utime + used.ru_stime
+
+
+@contextmanager
+def metered(names: tuple[str, ...]) -> Iterator[dict[str, list[float]]]:
+    """Processor time of each call of these methods of a run."""
+    spent: dict[str, list[float]] = {name: [] for name in names}
+
+    def meter(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any, **named: Any) -> Any:
+            began = processor_s()
+            try:
+                return method(*given, **named)
+            finally:
+                spent[name].append(processor_s() - began)
+
+        return called
+
+    with ExitStack() as stack:
+        for name in names:
+            stack.enter_context(patch.object(_Run, name, meter(name, getattr(_Run, name))))
+        yield spent
+
+
+def _print_one_process(plan: CampaignPlan) -> None:
+    workshop = Workshop(plan)
+    for number in range(WARM):
+        workshop.row(number)
+    whole = []
+    with metered(("_cycles", *BRING_UP)) as spent:
+        for number in range(WARM, WARM + MEASURED):
+            began = processor_s()
+            workshop.row(number)
+            whole.append(processor_s() - began)
+    cycles = median(spent["_cycles"])
+    brought = [
+        sum(parts) - loop
+        for loop, *parts in zip(spent["_cycles"], *(spent[name] for name in BRING_UP), strict=True)
+    ]
+    bring_up, total = median(brought), median(whole)
+    print(f"{'processor time of a run, ms':40} {'':>8}   x cycles alone")
+    for title, value in (
+        ("cycles alone", cycles),
+        ("bring-up and rest", bring_up),
+        ("whole run, figures included", total),
+        ("whole run without bring-up", total - bring_up),
+    ):
+        print(f"{title:40} {1e3 * value:8.1f}   {value / cycles:8.2f}")
+    print(f"{'runs per second and core':40} {1 / total:8.1f}")
+
+
+def _print_workers(plan: CampaignPlan) -> None:
+    """The start of a process is taken out by two campaigns of different length."""
+    print(f"\n{'workers':40} {'ms a run':>8}   runs/s by the clock")
+    first = 0.0
+    for workers in (1, 2):
+        (few_s, few_ns), (many_s, many_ns) = (_pooled(plan, workers, count) for count in (FEW, MANY))
+        cost = (many_s - few_s) / (MANY - FEW)
+        first = first or cost
+        pace = (MANY - FEW) * NS_PER_S / max(1, many_ns - few_ns)
+        print(
+            f"{workers:<40} {1e3 * cost:8.1f}   {pace:8.1f}   processor time x one worker {cost / first:.2f}"
+        )
+
+
+def _pooled(plan: CampaignPlan, workers: int, count: int) -> tuple[float, int]:
+    """Processor time of the workers, and time by the clock, ns."""
+    clock = MonotonicClock()
+    before, began = processor_s(resource.RUSAGE_CHILDREN), clock.now()
+    for _ in WorkerPool(plan, workers, StopRequest()).rows(range(count)):
+        pass
+    return processor_s(resource.RUSAGE_CHILDREN) - before, clock.now() - began
+
+
+def _print_store(plan: CampaignPlan, folder: Path) -> None:
+    """A thousand rows of different digests and figures."""
+    row = Workshop(plan).row(0)
+    store = open_campaign(folder, plan, resume=False)
+    rows = []
+    for number in range(1000):
+        digest = blake2b(str(number).encode(), digest_size=16).hexdigest()
+        figures = {"speed_error_peak_rad_s": 1.0 / (1 + number), "speed_error_rms_rad_s": 1.0 / (2 + number)}
+        rows.append(row | {"run": number, "digest": digest, **figures})
+    began = processor_s()
+    store.append(rows)
+    spent = processor_s() - began
+    size = sum(path.stat().st_size for path in folder.rglob("*.parquet"))
+    print(f"\n{'table, bytes a run':40} {size / len(rows):8.1f}\n{'table, us a run':40} {1e3 * spent:8.1f}")
+
+
+if __name__ == "__main__":
+    main()

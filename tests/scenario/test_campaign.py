@@ -1,0 +1,231 @@
+"""Campaigns on the simulated bench: the same table whoever runs it and whatever is killed; replay, claims."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.errors import BadInput
+from hil import run as run_bench
+from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
+from hil.campaign.campaign import NotTheSame
+from hil.campaign.figures import figures_of
+from hil.campaign.pool import RunRefused, WorkerPool
+from hil.cli import app
+from hil.configuration.toml_text import toml_text
+from hil.machine.stopping import Interrupted, StopRequest
+from hil.testing.campaign_runs import CampaignRunner
+
+ROOT = Path(__file__).parents[2]
+LING = ROOT / "examples" / "ling2012.toml"
+LOSS = "faults.loss.0.probability"
+CHANGES = {
+    "bench.duration_s": 0.3,
+    "reference.axis1.0.at_s": 0.05,
+    "load": {},
+    "faults": {"loss": [{"probability": 0.02}]},
+    "verdict": {"dropouts_percent_max": 10.0, "settling_ms": 100},
+}
+
+
+def sweep(seeds: int = 6, **more: Any) -> dict[str, Any]:
+    return {
+        "campaign": {"name": "short", "bench": str(LING), "seeds": seeds, "failures_recorded": 1},
+        "change": CHANGES,
+        "vary": [{"key": LOSS, "values": [0.02, 0.2]}],
+        **more,
+    }
+
+
+def written(folder: Path, tables: dict[str, Any]) -> Path:
+    path = folder / "sweep.toml"
+    path.write_text(toml_text(tables))
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    folder = tmp_path_factory.mktemp("campaign")
+    return run_campaign(written(folder, sweep()), folder / "out", workers=1)
+
+
+def rows(campaign: Campaign) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = campaign.table.to_pylist()
+    return found
+
+
+def test_a_row_says_what_the_run_says(done: Campaign) -> None:
+    table = rows(done)
+    assert [row["run"] for row in table] == list(range(12))
+    assert [row["passed"] for row in table] == [True, False] * 6
+    planned = done.plan.run(7)
+    alone = run_bench(done.plan.bench, planned.changes, seed=planned.seed)
+    assert alone.digest == table[7]["digest"]
+    assert alone.verdict.reason == table[7]["reason"]
+    assert alone.summary.speed_error.peak_percent == table[7]["speed_error_peak_percent"]
+    assert 100 * (alone.column("fate") != 0).mean() == pytest.approx(table[7]["dropouts_percent"])
+    assert len({row["digest"] for row in table}) == 12
+
+
+def test_a_failure_is_recorded_and_a_run_can_be_had_again(done: Campaign, tmp_path: Path) -> None:
+    (failure,) = (done.folder / "failures").iterdir()
+    assert failure.name == "run-000000001"
+    assert json.loads((failure / "summary.json").read_text())["digest"] == rows(done)[1]["digest"]
+    ran = CliRunner().invoke(
+        app, ["campaign", "replay", str(done.folder), "--run", "4", "--into", str(tmp_path / "again")]
+    )
+    assert ran.exit_code == 0, ran.output
+    assert (tmp_path / "again" / "records.arrow").exists()
+
+
+def test_a_run_that_comes_to_another_digest_is_told(done: Campaign, tmp_path: Path) -> None:
+    other = Campaign(done.folder, done.plan)
+    column = other.table.schema.get_field_index("digest")
+    vars(other)["table"] = other.table.set_column(column, "digest", [["0" * 32] * 12])
+    with pytest.raises(NotTheSame, match="run 3: digest"):
+        other.replay(3, tmp_path / "again")
+
+
+def killing(pool: WorkerPool, got: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """The rows of ``got``; after the third a worker is killed, after the sixth the other."""
+    for number, row in enumerate(got):
+        if number in (3, 6):
+            os.kill(pool.process_ids[0], signal.SIGKILL)
+        yield row
+
+
+def test_killed_workers_are_replaced_and_nothing_changes(done: Campaign) -> None:
+    pool = WorkerPool(done.plan, 2, StopRequest())
+    numbers = range(12)
+    found = list(killing(pool, pool.rows(numbers)))
+    assert found == rows(done)
+
+
+KILLED = """
+import os, signal, sys
+from hil.campaign import campaign, store
+
+campaign.STORED_EVERY_NS = 0  # every row is stored at once
+sync, calls = os.fsync, []
+
+def killing(descriptor):
+    calls.append(descriptor)
+    if len(calls) == int(sys.argv[3]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    sync(descriptor)
+
+store.os.fsync = killing
+campaign.run_campaign(sys.argv[1], sys.argv[2], workers=1)
+"""
+"""The third argument: at which sync of a file, or of the folder that it is then in, it is killed."""
+
+
+@pytest.mark.parametrize(("sync", "stored"), [(7, 3), (8, 4)])
+def test_a_campaign_that_was_killed_goes_on_to_the_same_table(
+    done: Campaign, tmp_path: Path, sync: int, stored: int
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", KILLED, str(done.plan.source), str(out), str(sync)]
+    assert subprocess.run(command, cwd=ROOT, check=False).returncode == -signal.SIGKILL
+    assert len(list(out.glob("runs/*.parquet"))) == stored
+    assert len(list(out.glob("runs/*.writing"))) == sync % 2
+    resumed = run_campaign(done.plan.source, out, workers=1, resume=True)
+    assert rows(resumed) == rows(done)
+    parts = {path.name for path in out.glob("runs/*")}
+    run_campaign(done.plan.source, out, workers=1, resume=True)
+    assert {path.name for path in out.glob("runs/*")} == parts, "nothing is run twice"
+
+
+def asking(stop: StopRequest, after: int) -> Callable[[CampaignProgress], None]:
+    """Asks for the end when so many runs are done."""
+    return lambda at: stop.ask() if at.done == after else None
+
+
+def test_one_who_asks_for_the_end_keeps_what_is_done(done: Campaign, tmp_path: Path) -> None:
+    stop = StopRequest()
+    with pytest.raises(Interrupted):
+        run_campaign(done.plan, tmp_path / "out", workers=1, stop=stop, progress=asking(stop, 4))
+    assert rows(Campaign(tmp_path / "out", done.plan)) == rows(done)[:4]
+
+
+def test_enough_is_enough_wherever_it_was_interrupted(tmp_path: Path) -> None:
+    tables = sweep(400, stop={"rate_width": 0.5})
+    whole = run_campaign(written(tmp_path, tables), tmp_path / "whole", workers=1)
+    assert whole.sequential
+    assert 10 < whole.table.num_rows < 60
+    assert whole.table.num_rows % 2 == 0
+    stop = StopRequest()
+    with pytest.raises(Interrupted):
+        run_campaign(
+            whole.plan,
+            tmp_path / "cut",
+            workers=1,
+            stop=stop,
+            progress=asking(stop, 7),
+        )
+    resumed = run_campaign(whole.plan, tmp_path / "cut", workers=1, resume=True)
+    assert rows(resumed) == rows(whole)
+
+
+def test_what_cannot_be_run_ends_the_campaign(tmp_path: Path) -> None:
+    """A draw that the check of a few values has not seen."""
+    draw = {
+        "key": "loop.deadline_us",
+        "distribution": "uniform",
+        "low": -400.0,
+        "high": 4000.0,
+        "whole": True,
+    }
+    path = written(tmp_path, sweep(32, draw=[draw], drawing={"seed": 2}))
+    for number, workers in enumerate((1, 2)):
+        with pytest.raises((BadInput, RunRefused), match=r"loop.deadline_us: found -?\d+"):
+            run_campaign(path, tmp_path / f"out-{number}", workers=workers)
+
+
+def test_the_command_runs_reports_and_tells(tmp_path: Path) -> None:
+    path = written(tmp_path, sweep(3))
+    command = ["campaign", str(path), "--out", str(tmp_path / "out")]
+    ran = CliRunner().invoke(app, [*command, "--workers", "1", "--json"])
+    assert ran.exit_code == 0, ran.output
+    found = json.loads(ran.stdout)
+    assert [(point["runs"], point["passed"]) for point in found["points"]] == [(3, 3), (3, 0)]
+    assert found["points"][0]["low"] == pytest.approx(0.025 ** (1 / 3))
+    assert found["sensitivity"][LOSS]["passed"]["share_of_variance"] == pytest.approx(1.0)
+    told = CliRunner().invoke(app, ["campaign", "report", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "3 of 6 runs passed, 6 were planned" in page
+    assert "src=" not in page
+    assert "href=" not in page
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code == 2
+    assert "--resume goes on with it" in refused.stderr
+
+
+def test_claims_hold_with_their_confidence(servo_campaign: CampaignRunner, done: Campaign) -> None:
+    fair = servo_campaign(sweep(8, vary=[]))
+    fair.assert_pass_rate(at_least=0.68, confidence=0.95)
+    with pytest.raises(AssertionError, match=r"8 of 8 runs passed .* at least 0.687656, 0.7 asked for"):
+        fair.assert_pass_rate(at_least=0.7, confidence=0.95)
+    with pytest.raises(
+        AssertionError, match=r"= 0.2: 0 of 6 runs passed \(6 did not, the first of them run 1\)"
+    ):
+        done.assert_pass_rate(at_least=0.5)
+
+
+def test_controllers_are_compared_in_pairs(tmp_path: Path) -> None:
+    gain = "drive.axis1.controller.proportional_nm_s_rad"
+    vary = [{"key": gain, "values": [0.12, 0.06], "labels": ["eager", "careful"]}]
+    plan = CampaignPlan.load(written(tmp_path, sweep(4, vary=vary)))
+    found = run_campaign(plan, tmp_path / "out", workers=1)
+    (pair,) = figures_of(found)["pairs"]
+    assert (pair["first"], pair["second"], pair["pairs"]) == ("eager", "careful", 4)
+    peak = found.column("speed_error_peak_percent").reshape(4, 2)
+    assert pair["peak_percent_second_less_first"]["mean"] == pytest.approx((peak[:, 1] - peak[:, 0]).mean())
