@@ -192,7 +192,18 @@ class BuildGroups(build_ext):
         return digests
 
 
-class NoteLack(build_py):
+class WithExamples(build_py):
+    """``hil init`` writes examples from a wheel as from a checkout."""
+
+    def run(self) -> None:
+        super().run()
+        unwanted = shutil.ignore_patterns("__pycache__", ".*")
+        shutil.copytree(
+            ROOT / "examples", Path(self.build_lib, "hil", "examples"), ignore=unwanted, dirs_exist_ok=True
+        )
+
+
+class NoteLack(WithExamples):
     """A wheel that is not compiled tells why."""
 
     lack = ""
@@ -218,7 +229,7 @@ def build_wheel() -> None:
         shutil.rmtree(left)
     lack = f"{PURE} was set" if os.environ.get(PURE) else compiler_lack()
     if lack is None:
-        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups})
+        setup(ext_modules=extensions(), cmdclass={"build_ext": BuildGroups, "build_py": WithExamples})
         return
     if REQUIRED:
         sys.exit(f"SERVOBENCH_COMPILE is set, but {lack}")

@@ -34,6 +34,7 @@ from hil.terminal.exit_status import reported_errors
 from hil.terminal.export import export
 from hil.terminal.fault import fault
 from hil.terminal.groups import analyse, design, reproduce
+from hil.terminal.init import init
 from hil.terminal.measure import measure
 from hil.terminal.motor import motor
 from hil.terminal.picture import picture
@@ -53,10 +54,10 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="hil",
     help="Hardware-in-the-loop bench for networked PMSM servo drives over CANopen.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
+app.command()(init)
 app.command()(adapter)
 app.command()(scan)
 app.command()(simulate)

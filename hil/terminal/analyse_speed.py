@@ -37,7 +37,7 @@ class StrategyName(StrEnum):
 
 GainOption = Annotated[
     str,
-    typer.Option("--gain", metavar="K1,K2", help="Gain on [i_q error, speed error]; K3: its integral."),
+    typer.Option("--gain", metavar="K1,K2", help=r"Gain on \[i_q error, speed error]; K3: its integral."),
 ]
 DelayMsOption = Annotated[
     float | None,

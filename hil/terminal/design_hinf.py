@@ -20,7 +20,7 @@ def hinf(
     ] = 1.1,
     as_json: JsonOption = False,
 ) -> None:
-    """Design the central controller of x' = A x + B [w; u], [z; y] = C x + D [w; u] for ||z/w|| < gamma."""
+    r"""The central controller of x' = A x + B \[w; u], \[z; y] = C x + D \[w; u] for ||z/w|| < gamma."""
     with reported_errors():
         from design.hinf.synthesis import gamma_min, synthesise, verified_norm
         from hil.configuration.plant_file import load_plant
