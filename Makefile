@@ -18,6 +18,7 @@
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
 #   make pure        take the compiled modules away (SERVOBENCH_PURE=1 with any command leaves them unused)
 #   make wheel       sdist and wheel for this Python, compiled, into dist/
+#   make docs        the documentation as a site, into build/site; strict: a link that leads nowhere fails
 #   make lock        renew the lock files from pyproject.toml (UPGRADE=1: newest versions)
 #   make clean       remove the virtual environment and the tools' caches
 
@@ -35,7 +36,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm rehearsals mutate exits bench lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm rehearsals mutate exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -137,6 +138,9 @@ bench: $(TOOLS) compile $(PEERS)/.installed
 	@for name in $(notdir $(basename $(wildcard tests/benchmarks/bench_*.py))); do \
 	  echo; echo "python -m tests.benchmarks.$$name"; \
 	  SERVOBENCH_PEERS=$(PEERS)/bin/python $(BIN)/python -m tests.benchmarks.$$name || exit; done
+
+docs: $(TOOLS)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet && echo "written build/site"
 
 # The build backend is in the lock too: the editable install runs without build isolation.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \

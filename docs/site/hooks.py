@@ -1,0 +1,58 @@
+"""What ``make docs`` does beside mkdocs: README and changelog as pages, the reference, links out of docs/."""
+
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[2]
+API = """# Python
+
+What `from hil import ...` has. Everything else may change from one version to the next.
+
+::: hil
+    options:
+      show_root_heading: false
+      show_root_toc_entry: false
+      members_order: alphabetical
+      show_source: false
+"""
+_OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!#)([^)]+)\)")
+"""A link to a file of the repository that is no page."""
+_OF_README = re.compile(r"\]\((?:docs/([^)]+)|([^):#]+))\)")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made."""
+    pages = {
+        path: made() for path, made in runpy.run_path(str(ROOT / "docs/site/reference.py"))["PAGES"].items()
+    }
+    pages["reference/python.md"] = API
+    pages["index.md"] = _OF_README.sub(_readme_link, (ROOT / "README.md").read_text())
+    pages["changelog.md"] = _OF_README.sub(_readme_link, (ROOT / "CHANGELOG.md").read_text())
+    pages["contributing.md"] = _OF_README.sub(_readme_link, (ROOT / "CONTRIBUTING.md").read_text())
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:  # noqa: ARG001
+    """A link to what is no page becomes the name of the file."""
+    return _OUTSIDE.sub(lambda found: _file_link(*found.groups()), markdown)
+
+
+def _readme_link(found: re.Match[str]) -> str:
+    page, outside = found.groups()
+    if page is not None:
+        return f"]({page})"
+    known = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
+    return f"]({known[outside]})" if outside in known else f"](../{outside})"
+
+
+def _file_link(text: str, path: str) -> str:
+    bare = text.strip("`")
+    return f"`{path}`" if bare in path else f"{text} (`{path}`)"

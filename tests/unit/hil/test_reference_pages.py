@@ -1,0 +1,69 @@
+"""The reference pages of the documentation say all that there is to say."""
+
+import runpy
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from virtual_bus.faults.register import TABLES
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def pages() -> Mapping[str, Callable[[], str]]:
+    made: Mapping[str, Callable[[], str]] = runpy.run_path(str(ROOT / "docs/site/reference.py"))["PAGES"]
+    return made
+
+
+def _keys(table: Mapping[str, Any], names: frozenset[str]) -> set[str]:
+    """Every key of a file, but for names that its writer chose."""
+    found = set()
+    for key, value in table.items():
+        if key not in names:
+            found.add(key)
+        for inner in value if isinstance(value, list) else [value]:
+            if isinstance(inner, dict):
+                found |= _keys(inner, names)
+    return found
+
+
+@pytest.mark.parametrize(
+    "name", ["ling2012", "three_axes", "two_segments", "azaiz2007_hinf", "load_machine", "any_bus"]
+)
+def test_every_key_of_the_examples_is_on_the_page(pages: Mapping[str, Callable[[], str]], name: str) -> None:
+    bench = tomllib.loads((ROOT / "examples" / f"{name}.toml").read_text())
+    bench.pop("faults", None)  # they have a page of their own
+    page = pages["reference/bench.md"]()
+    axes = frozenset({*bench["drive"], *bench.get("reference", {}), *bench.get("load", {})})
+    missing = {
+        key for key in _keys(bench, axes) - {"kind"} if f"`{key}`" not in page and f"{key}]" not in page
+    }
+    assert {key for key in missing if f".{key}" not in page and f"[{key}" not in page} == set()
+
+
+def test_every_fault_and_every_command_has_its_section(pages: Mapping[str, Callable[[], str]]) -> None:
+    faults = pages["reference/faults.md"]()
+    for name, table in TABLES.items():
+        assert f"## [[{name}]]" in faults
+        assert all(f"`{key}`" in faults for key in table.model_fields)
+    commands = pages["reference/commands.md"]()
+    readme = (ROOT / "README.md").read_text()
+    for line in readme.splitlines():
+        if line.startswith("| `hil "):
+            words = line.split("`")[1].split()
+            lower = [word for word in words if word.islower() and word.isalpha()]
+            assert f"## {' '.join(lower)}" in commands, line
+
+
+def test_a_page_holds_defaults_bounds_and_words(pages: Mapping[str, Callable[[], str]]) -> None:
+    page = pages["reference/bench.md"]()
+    assert "| `period_us` | integer >= 100, <= 1000000 | `1000` |" in page
+    assert (
+        "| `deadline_us` | integer > 0 | `2000` | A reading older than this when it arrives is LATE. |"
+        in page
+    )
+    assert "## [[load.NAME]]" in page
