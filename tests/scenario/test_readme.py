@@ -1,21 +1,31 @@
-"""What the README tells a user to type does work, and names only what is there."""
+"""What the README and the pages in docs/ tell a user to type does work, and names only what is there."""
 
 import os
 import re
+import shutil
 import subprocess
 import sysconfig
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
-from tests.readme import Block, blocks, make_targets
+from hil.cli import app
+from tests.readme import INDENTED, Block, blocks, make_targets, script, shell_blocks, squeezed
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(sysconfig.get_path("scripts"))
-BLOCKS = blocks((ROOT / "README.md").read_text(encoding="utf-8"))
-TIMEOUT_S = 100
-GROUPS = ("analyse", "design", "reproduce")
-"""Commands that have commands."""
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FOLLOWED = [
+    path for path in DOCUMENTS if any(block.runs for block in blocks(path.read_text(encoding="utf-8")))
+]
+TUTORIALS = {"tutorial-pytest.md", "tutorial-commissioning.md", "tutorial-review.md"}
+REAL_TIME = {"tutorial-commissioning.md", "tutorial-pytest.md"}
+"""They use a hub: not beside what else is measured in real time."""
+TIMEOUT_S = 110
+MISUSE: type[Exception] = typer.BadParameter.__bases__[0]
 
 SAMPLE = """
 ```sh
@@ -26,9 +36,16 @@ cd x && hil run a.toml \\
 <!-- runs -->
 ```sh
 hil doctor
+hil review "a b"   # not passed, status 1
 ```
+<!-- file a.toml -->
 ```toml
 [bench]
+```
+<!-- printed -->
+```text
+│ one   two │
+...
 ```
 """
 
@@ -38,69 +55,140 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PATH": f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}", "CI": "true"}
 
 
-def help_of(*command: str) -> str:
-    """What ``hil COMMAND --help`` prints."""
-    done = subprocess.run(
-        [SCRIPTS / "hil", *command, "--help"],
-        env={**environment(), "COLUMNS": "200", "NO_COLOR": "1"},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, f"hil {' '.join(command)}: {done.stderr}"
-    return done.stdout
+def name(path: Path) -> str:
+    """Of a document."""
+    return str(path.relative_to(ROOT))
+
+
+def commands_of(path: Path) -> list[list[str]]:
+    """All commands of a document."""
+    return [
+        command for block in shell_blocks(path.read_text(encoding="utf-8")) for command in block.commands()
+    ]
 
 
 def test_commands_are_found_in_a_document() -> None:
-    first, second = blocks(SAMPLE)
-    assert (first.runs, second.runs) == (False, True)
+    first, second, file, printed = blocks(SAMPLE)
+    assert [block.runs for block in (first, second, file, printed)] == [False, True, False, False]
     assert first.commands() == [["make", "demo"], ["cd", "x"], ["hil", "run", "a.toml", "--json"]]
-    assert second.commands() == [["hil", "doctor"]]
+    assert second.commands() == [["hil", "doctor"], ["hil", "review", "a b"]]
+    assert file.file == "a.toml"
+    assert printed.printed() == ["onetwo"]
+    assert shell_blocks(SAMPLE) == [first, second]
 
 
-def test_the_readme_shows_commands_that_are_run() -> None:
-    assert any(block.runs for block in BLOCKS)
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("true", 0),
+        ("false", 1),
+        ("false   # status 1", 0),
+        ("true   # status 1", 1),
+        ("(exit 3)   # stopped: status 3", 0),
+        ("sh -c 'echo Ctrl-C ends it; exec sleep 60' &", 0),
+        ("sh -c 'exit 2' &", 1),
+    ],
+)
+def test_a_command_is_held_to_its_status(line: str, status: int, tmp_path: Path) -> None:
+    parts = [Block(f"{line}\n", "sh", "runs"), Block("one\n", "toml", "file x", "x")]
+    parts += [Block("two\n", "toml", "append x", "x"), Block("grep -c . x\n", "sh", "runs")]
+    done = subprocess.run(
+        ["bash", "-c", script(parts)], cwd=tmp_path, capture_output=True, text=True, timeout=20, check=False
+    )
+    assert done.returncode == status, done
+    assert ("2" in done.stdout.split()) == (status == 0)
 
 
-def test_every_target_and_file_named_is_there() -> None:
+def test_the_readme_and_the_tutorials_show_commands_that_are_run() -> None:
+    assert {"README.md", *TUTORIALS} <= {path.name for path in FOLLOWED}
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name)
+def test_every_target_and_file_named_is_there(path: Path) -> None:
     targets = make_targets((ROOT / "Makefile").read_text(encoding="utf-8"))
-    words = [command for block in BLOCKS for command in block.commands()]
-
+    words = commands_of(path)
     unknown = {
         target for command in words if command[0] == "make" for target in command[1:] if "=" not in target
     }
     assert unknown - targets == set()
-    files = {word for command in words for word in command if re.match(r"(?:examples|docs|\.ci)/", word)}
-    assert {file for file in files if not (ROOT / file).exists()} == set()
+    named = {word for command in words for word in command if re.match(r"(?:examples|docs|\.ci)/", word)}
+    assert {file for file in named if not (ROOT / file).exists()} == set()
 
 
-def test_every_subcommand_and_option_named_is_there() -> None:
-    used: dict[tuple[str, ...], set[str]] = {}
-    for block in BLOCKS:
-        for command in block.commands():
-            if command[0].endswith("hil") and len(command) > 1 and not command[1].startswith("-"):
-                named = 3 if command[1] in GROUPS else 2
-                options = {word.partition("=")[0] for word in command[named:] if word.startswith("--")}
-                used.setdefault(tuple(command[1:named]), set()).update(options)
-
-    shown = {name: set(re.findall(r"--[a-z-]+", help_of(*name))) for name in used}
-    assert {name: options - shown[name] for name, options in used.items() if options - shown[name]} == {}
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name)
+def test_every_command_is_one_that_the_program_takes(path: Path, pytestconfig: pytest.Config) -> None:
+    wrong = {}
+    for command in commands_of(path):
+        try:
+            if Path(command[0]).name == "hil":
+                parse(command[1:])
+            elif command[0] == "pytest":
+                for word in command[1:]:
+                    if word.startswith("--"):
+                        pytestconfig.getoption(word.partition("=")[0])
+        except (MISUSE, ValueError) as error:
+            wrong[" ".join(command)] = getattr(error, "message", str(error))
+    assert wrong == {}
 
 
 @pytest.mark.parametrize(
-    "block", [block for block in BLOCKS if block.runs], ids=lambda block: block.text.strip()
+    "line", ["hil no-such", "hil run", "hil run x.toml --bad", "hil export r --to xls", "hil design nothing"]
 )
-def test_a_block_marked_so_runs_as_printed(block: Block, tmp_path: Path) -> None:
-    for name in ("examples", "docs", ".ci", "README.md"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", block.text],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+def test_a_command_that_the_program_refuses_is_seen(line: str) -> None:
+    with pytest.raises(MISUSE):
+        parse(line.split()[1:])
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=name)
+def test_no_command_escapes_for_want_of_a_fence(path: Path) -> None:
+    assert INDENTED.findall(path.read_text(encoding="utf-8")) == []
+
+
+def parse(words: list[str]) -> None:
+    """Hold a command's words against the program; raises MISUSE. Nothing is run."""
+    command: Any = typer.main.get_command(app)
+    context = None
+    try:
+        while hasattr(command, "resolve_command"):
+            context = command.make_context("hil", list(words), parent=context)
+            _, command, words = command.resolve_command(context, [*context._protected_args, *context.args])
+        command.make_context(command.name, list(words), parent=context)
+    except typer.Exit:  # --help, --version
+        return
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of the examples, to work in."""
+    ignored = shutil.ignore_patterns("__pycache__", ".pytest_cache", "runs")
+    shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=ignored)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.xdist_group("real time")] if path.name in REAL_TIME else [])
+        for path in FOLLOWED
+    ],
+    ids=name,
+)
+def test_a_document_is_followed_word_by_word(path: Path, folder: Path) -> None:
+    parts = blocks(path.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory(prefix="hub-") as place:  # a socket's path has to be short
+        done = subprocess.run(
+            ["bash", "-c", script(parts)],
+            cwd=folder,
+            env={**environment(), "XDG_RUNTIME_DIR": place},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    assert done.returncode == 0, done.stdout
+    said = {squeezed(line) for line in done.stdout.splitlines()}
+    missing = [
+        line for block in parts if block.mark == "printed" for line in block.printed() if line not in said
+    ]
+    assert missing == [], done.stdout
