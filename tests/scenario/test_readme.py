@@ -191,4 +191,4 @@ def test_a_document_is_followed_word_by_word(path: Path, folder: Path) -> None:
     missing = [
         line for block in parts if block.mark == "printed" for line in block.printed() if line not in said
     ]
-    assert missing == [], done.stdout
+    assert missing == [], f"{done.stdout}\nnot said: {missing}"

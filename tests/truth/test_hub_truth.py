@@ -16,8 +16,9 @@ from tests.truth.rows import LOST, TOLD_DTYPE, Told
 from tests.truth.stalls import Stalls
 
 CYCLES = 2_000
-UNCERTAIN_MAX = 0.05
-"""A run that is in doubt everywhere would tell nothing wrong, and nothing at all."""
+UNCERTAIN_MAX, UNCERTAIN_STALLED_MAX = 0.05, 0.15
+"""A run that is in doubt everywhere would tell nothing wrong, and nothing at all. Where processes are made to
+stand still, what stood still together is in doubt: some 4 % of the rows, and more beside other work."""
 PERIOD = Duration(NS_PER_MS)
 PLAN = torque_plan(1, device_stamp=True)
 NO_COMMANDS: FrameTable = np.empty(0, FRAME_DTYPE)
@@ -43,7 +44,7 @@ def test_what_a_run_on_a_hub_tells_is_what_happened(axes: int, stalls: Stalls | 
         raise Untrue("by its stamps a SYNC was on the bus before it was handed over")
     assert found.status in (0, 6), found.said  # 6: cycles were missed, and no limit says how many may
     assert readings.rows == axes * CYCLES
-    assert readings.uncertain <= UNCERTAIN_MAX * readings.rows
+    assert readings.uncertain <= (UNCERTAIN_STALLED_MAX if stalls else UNCERTAIN_MAX) * readings.rows
     assert (readings.unaccounted, spacings.handed) == (0, 0)
 
 
