@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.exchange import Command, SpeedCommand
+from drivers.exchange import Command, PositionCommand, SpeedCommand
 from drivers.timebase import Instant
-from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
+from hil.loop.context import PositionSetPoint, SetPoint, SpeedSetPoint, TorqueSetPoint, WrongSetPoint
+from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import AT_REST
 
 
@@ -52,10 +53,12 @@ def test_consecutive_dropouts_are_counted_from_the_last_fresh_sample() -> None:
     assert reasons[2] is not None
 
 
-@pytest.mark.parametrize("limits", [TorqueLimits(5.0, 100.0), SpeedLimits(30.0, 40.0)])
-def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said(
-    limits: TorqueLimits | SpeedLimits,
-) -> None:
+ANY = (TorqueLimits(5.0, 100.0), SpeedLimits(30.0, 40.0), PositionLimits(50.0, 60.0))
+"""Of each quantity, with what else stands for itself."""
+
+
+@pytest.mark.parametrize("limits", ANY)
+def test_a_tenth_of_a_second_without_reading_is_borne_where_nothing_else_is_said(limits: Limits) -> None:
     checked = SafetyGuard(limits, 0.001)
     assert [checked.miss_cycle() for _ in range(100)] == [None] * 100
     assert "101 cycles (limit 100)" in str(checked.miss_cycle())
@@ -95,3 +98,53 @@ def test_a_speed_that_is_not_a_number_stops_the_run_and_sends_none() -> None:
     checked = speeds()
     assert checked.command(7, math.nan, AT, UNTIL) == SpeedCommand(7, 0.0, AT, UNTIL)
     assert "speed is not a number" in str(checked.check_cycle(True, math.nan, AT_REST))
+
+
+# ---- an axis that is given positions ----------------------------------------------------------------------
+
+
+def positions() -> SafetyGuard:
+    """Set-points that move by 0.05 rad a cycle at most; the shaft to 60 rad/s."""
+    return SafetyGuard(PositionLimits(50.0, 60.0, None, 3), 0.001)
+
+
+def test_a_position_is_reached_at_its_own_rate_from_where_the_shaft_is() -> None:
+    checked = positions()
+    checked.start_from(3.0)
+    assert checked.command(7, 9.0, AT, UNTIL) == PositionCommand(7, 3.05, AT, UNTIL)
+    assert checked.limit(3.07) == 3.07
+    assert "limit of 60.0 rad/s" in str(checked.check_speed(-60.1))
+
+
+def test_a_position_changes_its_rate_by_its_acceleration() -> None:
+    checked = SafetyGuard(PositionLimits(50.0, 60.0, 2000.0), 0.001)
+    checked.start_from(0.0)
+    assert [checked.limit(1.0), checked.limit(1.0)] == pytest.approx([0.002, 0.006])
+
+
+def test_a_position_that_is_not_a_number_stops_the_run_where_the_set_point_was() -> None:
+    checked = positions()
+    checked.start_from(3.0)
+    assert checked.command(7, math.nan, AT, UNTIL) == PositionCommand(7, 3.0, AT, UNTIL)
+    assert "position is not a number" in str(checked.check_cycle(True, math.nan, AT_REST))
+
+
+SET_POINTS = (TorqueSetPoint(1.5), SpeedSetPoint(1.5), PositionSetPoint(1.5))
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_each_axis_takes_the_quantity_that_its_limits_are_for(place: int) -> None:
+    checked = SafetyGuard(ANY[place], 0.001)
+    assert checked.takes_positions is (place == 2)
+    assert checked.demand(SET_POINTS[place]) == 1.5
+    others: list[SetPoint] = [asked for asked in SET_POINTS if asked is not SET_POINTS[place]]
+    for asked in others:
+        with pytest.raises(WrongSetPoint, match=f"takes a {type(SET_POINTS[place]).__name__}"):
+            checked.demand(asked)
+
+
+def test_an_axis_of_torques_or_speeds_starts_anywhere() -> None:
+    for limits in ANY[:2]:
+        checked = SafetyGuard(limits, 0.001)
+        checked.start_from(3.0)
+        assert checked.limit(1.5) == 1.5
