@@ -46,8 +46,7 @@ class DriveWatch:
         self._boot_ups = self._status.boot_ups
         self._control.emergency_came = False
         # Some drives never set the bit "voltage enabled": it can be lost only where it was.
-        word = self._told.statusword
-        voltage = _VOLTAGE if word >= 0 and word & _VOLTAGE else 0
+        voltage = max(self._told.statusword, 0) & _VOLTAGE
         self._bits, self._wanted = _ENABLED_BITS | voltage, _ENABLED | voltage
         self.active = True
 
@@ -98,7 +97,7 @@ class DriveWatch:
         state = state_of(word) if word >= 0 else None
         if state in FAULTY:
             return control.in_fault()
-        if self._bits & _VOLTAGE and word >= 0 and not word & _VOLTAGE:
+        if self._bits & _VOLTAGE & ~word:
             return self._power_lost()
         named = "an unknown state" if state is None else repr(state.value)
         seen_at = self._told.at
@@ -111,8 +110,12 @@ class DriveWatch:
         inputs: int | None = None
         with suppress(PeerFault):
             inputs = control.objects.read_if_there(Object.DIGITAL_INPUTS, 0, "I")
-        shown = inputs is not None and inputs & _INTERLOCK
-        cause = "safe torque off: 60FDh shows an interlock" if shown else "60FDh shows no interlock"
+        if inputs is None:
+            cause = "it has no 60FDh that could tell why"
+        elif inputs & _INTERLOCK:
+            cause = "safe torque off: 60FDh shows an interlock"
+        else:
+            cause = "60FDh shows no interlock"
         return PowerLost(
             f"{control.title} lost the power of its stage while it was enabled",
             f"the bit 'voltage enabled' of the statusword is gone; {cause}; {control.evidence()}",

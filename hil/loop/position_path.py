@@ -16,8 +16,7 @@ class PositionPath:
         self._step_max = rate_max_rad_s * period_s
         self._change = math.inf if acceleration_max_rad_s2 is None else acceleration_max_rad_s2 * period_s**2
         """Largest change of a step."""
-        self._position = self._demand = 0.0
-        self._step = self._moved = self._rate = 0.0
+        self.start_from(0.0)
 
     def start_from(self, position_rad: float) -> None:
         """The path begins there, at rest."""

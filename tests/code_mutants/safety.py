@@ -39,6 +39,7 @@ _SERVO: Final = (
     _UNIT + "test_servo_stopping.py",
     _UNIT + "test_drive_watch.py",
     _UNIT + "test_supervision.py",
+    _UNIT + "test_modes.py",
 )
 _LIMITS: Final = ("tests/unit/hil/test_commissioning_limits.py",)
 _EXERCISE: Final = ("tests/unit/hil/test_commissioning_exercise.py",)
@@ -48,6 +49,11 @@ _TURN: Final = ("tests/unit/hil/test_commissioning_turn.py",)
 
 SAFETY: Final = (
     Guarded("hil/loop/safety.py", ("*",), _LOOP),
+    Guarded(
+        "hil/loop/position_path.py",
+        ("PositionPath.__init__", "PositionPath.start_from", "PositionPath.towards"),  # the others: how soon
+        ("tests/unit/hil/test_position_path.py",),
+    ),
     Guarded("hil/loop/axis.py", ("Axis.miss", "Axis._check"), _LOOP),
     Guarded("hil/loop/axis.py", ("Axis.decide",), _LOOP, words=("guard", "_fresh", "_drive")),
     Guarded("hil/loop/axis.py", ("Axis._take",), _LOOP, words=("check_speed",)),

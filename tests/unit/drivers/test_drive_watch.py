@@ -83,10 +83,11 @@ def test_check_names_a_drive_that_left_operation(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("word", "inputs", "said"),
     [
-        (0x0227, None, "60FDh shows no interlock"),
-        (0x0240, 0x8, "safe torque off: 60FDh shows an interlock"),
+        (0x0227, 0x4, "60FDh shows no interlock"),
+        (0x0240, 0xC, "safe torque off: 60FDh shows an interlock"),
+        (0x0000, None, "it has no 60FDh"),
     ],
-    ids=["no voltage, still enabled", "safe torque off"],
+    ids=["no voltage, still enabled", "safe torque off", "nothing to ask"],
 )
 def test_check_names_a_drive_that_lost_its_power(
     bench: Bench, word: int, inputs: int | None, said: str

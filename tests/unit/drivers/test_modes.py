@@ -258,8 +258,9 @@ def test_cyclic_set_points_go_out_in_one_frame_each(rig: Rig) -> None:
     assert rig.servo.values[0x60FF, 0] == int(200.0 / TURN * 60_000)
     rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION, rig.soon())
     before = len(rig.bus.sent)
-    rig.drive.write(PositionCommand(1, -TURN, NOW, rig.soon()))
-    assert rig.servo.values[0x607A, 0] == -65536
+    sent_position = rig.drive.write(PositionCommand(1, -TURN, NOW, rig.soon()))
+    assert sent_position is not None
+    assert rig.servo.values[0x607A, 0] == sent_position.raw == -65536
     # As the position in a reading runs on where 0x6064 wraps, so does the set-point.
     rig.drive.write(PositionCommand(1, TURN * 2**15, NOW, rig.soon()))
     assert rig.servo.values[0x607A, 0] == -(2**31)
@@ -269,6 +270,15 @@ def test_cyclic_set_points_go_out_in_one_frame_each(rig: Rig) -> None:
     assert rig.drive.write(PositionCommand(1, 0.0, NOW, late)) is None
     assert rig.drive.write(SpeedCommand(1, 0.0, NOW, late)) is None
     assert set(rig.words()) <= {ENABLED}
+
+
+def test_no_frame_of_a_stop_carries_the_speed_of_before(rig: Rig) -> None:
+    """The controlword that stops it goes out in the frame of the set-point."""
+    rig.drive.change_mode(Mode.CYCLIC_SYNCHRONOUS_VELOCITY, rig.soon())
+    assert rig.drive.write(SpeedCommand(1, TURN, NOW, rig.soon())) is not None
+    assert rig.servo.values[0x60FF, 0] == 60_000
+    rig.drive.disable(rig.soon())
+    assert rig.servo.values[0x60FF, 0] == 0
 
 
 @pytest.mark.parametrize(("velocity", "torque"), [(-1, 1), (1, -1), (-1, -1)])

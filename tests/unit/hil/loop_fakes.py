@@ -164,8 +164,11 @@ class Proportional(Controller):
 
     def __init__(self, quantity: Callable[[float], SetPoint] = TorqueSetPoint) -> None:
         self._quantity = quantity
+        self.dropouts: list[int] = []
+        """What each call was told."""
 
     def output(self, context: Context) -> SetPoint:
+        self.dropouts.append(context.dropouts)
         error_rad_s = context.reference_rad_s - context.estimate.velocity_rad_s
         return self._quantity(error_rad_s)
 
@@ -175,6 +178,8 @@ def make_axis(
     records: list[CycleRecord],
     compensator: Compensator | None = None,
     limits: TorqueLimits | SpeedLimits | None = None,
+    controller: Controller | None = None,
+    *,
     syncs: SyncLog | None = None,
     told: list[str] | None = None,
 ) -> Axis:
@@ -183,7 +188,8 @@ def make_axis(
     parts = AxisParts(
         name="axis1",
         drive=drive,
-        controller=Proportional(SpeedSetPoint if isinstance(limits, SpeedLimits) else TorqueSetPoint),
+        controller=controller
+        or Proportional(SpeedSetPoint if isinstance(limits, SpeedLimits) else TorqueSetPoint),
         compensator=compensator or Arrival(),
         guard=SafetyGuard(limits or TorqueLimits(5.0, 200.0), 0.001),
         reference=ReferenceProfile([LevelStep(0.01, 2.0)]),

@@ -90,6 +90,41 @@ def test_power_and_energy() -> None:
         drive_along(watched(), [0.06 * k for k in range(90)], torque_nm=-1.0)
 
 
+@pytest.mark.parametrize(("step_rad", "kept"), [(0.06, True), (0.07, False)])
+def test_the_power_of_a_drive_that_tells_no_torque_is_that_of_its_commands(
+    step_rad: float, kept: bool
+) -> None:
+    watch = watched()
+
+    def turn() -> None:
+        for cycle in range(1, 60):
+            silent = estimate(cycle, step_rad * cycle, math.nan)
+            torque_of(watch, silent)
+            advance(watch, silent, 1.0)
+
+    if kept:
+        turn()
+        return
+    with pytest.raises(LimitExceeded, match="power"):
+        turn()
+
+
+def test_before_a_drive_without_torque_was_commanded_it_has_done_no_work() -> None:
+    energy = EnergyMeter()
+    drive_along(watched(energy=energy), [0.0, 0.06], torque_nm=math.nan)
+    assert energy.spent_j == 0.0
+
+
+def test_a_drive_that_is_given_speeds_and_tells_no_torque_is_held_by_its_path() -> None:
+    energy = EnergyMeter()
+    watch = watched(energy=energy)
+    for cycle in range(1, 20):
+        silent = estimate(cycle, 0.06 * cycle, math.nan)
+        torque_of(watch, silent)
+        advance(watch, silent, math.nan)
+    assert energy.spent_j == 0.0
+
+
 def test_the_energy_of_a_step_is_that_of_all_its_exercises() -> None:
     step = EnergyMeter()
     drive_along(watched(energy=step), [0.06 * k for k in range(60)], torque_nm=1.0)

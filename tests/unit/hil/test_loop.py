@@ -10,6 +10,7 @@ from drivers.errors import DriveInFault, LimitExceeded, NoAnswer
 from drivers.exchange import Command, SentCommand, SpeedCommand
 from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.control.compensation import Stamp
+from hil.loop.axis_roles import Controller
 from hil.loop.loop import Actuation, LoopOutcome
 from hil.loop.pace import CALIBRATION_SYNCS, CALIBRATION_SYNCS_MAX
 from hil.loop.safety import SpeedLimits, TorqueLimits
@@ -20,6 +21,7 @@ from tests.unit.hil.loop_fakes import (
     TIMING,
     FakeBus,
     FakeDrive,
+    Proportional,
     make_axis,
     make_loop,
     reading_at,
@@ -52,14 +54,14 @@ def run(
     limits: TorqueLimits | None = None,
     stop_after: int | None = None,
     prepare: Callable[[FakeDrive], None] = lambda drive: None,
+    controller: Controller | None = None,
 ) -> tuple[LoopOutcome, list[CycleRecord], FakeDrive]:
     """Calibrate without delay trouble, then run with ``delay(cycle)``, cycles counted from 1."""
-    records: list[CycleRecord] = []
-    drive = FakeDrive(lambda sequence: 250_000)
+    records, drive = list[CycleRecord](), FakeDrive(lambda sequence: 250_000)
     bus = FakeBus([drive])
     compensator = Stamp(Duration(stamp_delay), Duration(PERIOD)) if stamp_delay else None
     actuation = Actuation.ON_SYNC if stamp_delay else Actuation.ON_ARRIVAL
-    loop = make_loop(bus, [make_axis(drive, records, compensator, limits)], stall, actuation)
+    loop = make_loop(bus, [make_axis(drive, records, compensator, limits, controller)], stall, actuation)
     loop.calibrate()
     drive.delay = lambda sequence: delay(sequence - CALIBRATION_SYNCS)
     bus.oversleep = oversleep
@@ -166,6 +168,12 @@ def test_missed_ticks_are_skipped_counted_and_the_grid_kept() -> None:
     assert causes == dict.fromkeys((10, 11, 12), DropoutCause.MISSED)
     missed = records[10]
     assert (missed.woke_at, missed.sync_handed_at, missed.sync_on_bus_at, missed.command) == (None,) * 4
+
+
+def test_a_controller_is_told_of_all_cycles_without_reading_missed_ones_too() -> None:
+    controller, lost, late = Proportional(), {10: None, 11: None}, CALIBRATION_SYNCS + 9
+    run(lambda n: lost.get(n, n), 20, oversleep=lambda n: 3_200_000 * (n == late), controller=controller)
+    assert controller.dropouts == [*[0] * 9, 4, 5, *[0] * 6], "three are missed after the ninth"
 
 
 @pytest.mark.parametrize("first", [1, 2, 9, 13])
