@@ -155,8 +155,8 @@ def test_a_limit_where_eigenvalues_meet_on_the_axis_is_not_halved(
         tried.add(gamma)
         return evaluated(problem, gamma)
 
-    evaluated = synthesis._evaluated
-    monkeypatch.setattr(synthesis, "_evaluated", counted)
+    evaluated = synthesis.evaluated
+    monkeypatch.setattr(synthesis, "evaluated", counted)
     least = gamma_min(stiff_plant(seed))
     assert len(tried) <= 26
     assert max(gamma for gamma in tried if gamma < least) > least * (1.0 - 1e-10)
@@ -198,4 +198,4 @@ def test_a_slow_weight_beside_a_fast_one_is_no_integrator() -> None:
         for static_error in (1e-6, 1e-8, 1e-10, 1e-12)
     ]
     least = [gamma_min(plant) for plant in plants]
-    assert least[1:] == pytest.approx([least[0]] * 3, rel=1e-6)
+    assert least[1:] == pytest.approx([least[0]] * 3, rel=3e-6)
