@@ -46,7 +46,8 @@ _CERTAIN = 0.01
 """Rounding errors change from gamma to gamma: at gamma_min they are this part of what is borne elsewhere."""
 _VERIFIED = (1.0, math.inf), (1.001, 1.02), (1.02, 1.02 * (1.0 + 1e-6))
 """Times gamma_min: a gamma for which the loop is closed, and what its norm is to be below."""
-_RAISES = (0.0, *(10.0**k for k in range(-9, -2)), 3e-3, 0.01, 0.03, *(10.0**k for k in range(1, 7)))
+_RAISED_MAX = 0.03
+_RAISES = (*(10.0**k for k in range(-9, -2)), 3e-3, 0.01, _RAISED_MAX, *(10.0**k for k in range(1, 7)))
 """Steps above the least gamma by the conditions alone, until what it promises can be verified."""
 _NOTHING = 1e-6
 """Of where the search starts: a gamma below it is raised as far, for there is no limit to keep."""
@@ -105,22 +106,25 @@ def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> 
     """The least gamma that a controller reaches, to ``relative``, from above: the value returned is feasible.
 
     The loops with the controllers at 1.001 and 1.02 of it keep their norm; where rounding lets them only
-    further up, up to twice the least gamma, that is returned. 1e-12 and less: there is no lower limit.
+    further up, by 3 % at most, that is returned. 1e-12 and less: there is no lower limit.
 
     Raises SingularPlant (A1 to A4), and NoSolution where nothing can be verified.
     """
     normal = normal_form(plant)
     problem = problem_of(normal)
     start = max(2.0 * problem.direct_gain, 1.0)
-    least = _least_feasible(problem, start, relative)
+    least = gamma = _least_feasible(problem, start, relative)
+    doubt = _doubt(plant, normal, problem, gamma)
     for step in _RAISES:
-        gamma = least * (1.0 + step)
-        if step > 0.03 and gamma > _NOTHING * start:
-            break
-        doubt = _doubt(plant, normal, problem, gamma)
         if doubt is None:
             return gamma
-    raise doubt
+        if step > _RAISED_MAX and (1.0 + step) * least > _NOTHING * start:
+            break
+        gamma = (1.0 + step) * least
+        doubt = _doubt(plant, normal, problem, gamma)
+    if doubt is not None:
+        raise doubt
+    return gamma
 
 
 def _doubt(

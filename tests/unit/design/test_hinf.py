@@ -9,6 +9,7 @@ import pytest
 from design.current.current_design import printed_weights, rule_weights
 from design.errors import InfeasibleDesign, SingularPlant
 from design.hinf import synthesis
+from design.hinf.feasibility import evaluated
 from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.hinf.plant import GeneralisedPlant
 from design.hinf.riccati import NoRiccatiSolution, RiccatiSolution, stabilising_solution
@@ -155,7 +156,6 @@ def test_a_limit_where_eigenvalues_meet_on_the_axis_is_not_halved(
         tried.add(gamma)
         return evaluated(problem, gamma)
 
-    evaluated = synthesis.evaluated
     monkeypatch.setattr(synthesis, "evaluated", counted)
     least = gamma_min(stiff_plant(seed))
     assert len(tried) <= 26
