@@ -42,6 +42,8 @@ class _Side:
     direct_gain: LongArray
     sizes: Array
     """(n, n) |C1'| |C1|, of which Q is a part."""
+    nothing: tuple[RiccatiSolution, LongArray] | None
+    """X = 0 and its F, where they are so for every gamma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,21 +106,27 @@ def _side(A: Array, B1: Array, B2: Array, C1: Array, D11: Array) -> _Side:
     m2 = b2.shape[1]
     free, direct, free_gain, direct_gain = c[:-m2], c[-m2:], d[:-m2], d[-m2:]
     sizes = np.abs(C1.T) @ np.abs(C1)
-    return _Side(a - b2 @ direct, b1 - b2 @ direct_gain, b2, free, direct, free_gain, direct_gain, sizes)
+    E, nothing = a - b2 @ direct, None
+    if not free.any():
+        solution = stabilising_solution(E, np.zeros_like(E), np.zeros_like(E), sizes)
+        if isinstance(solution, RiccatiSolution):
+            nothing = solution, np.vstack([np.zeros_like(b1.T), -direct])
+    return _Side(E, b1 - b2 @ direct_gain, b2, free, direct, free_gain, direct_gain, sizes, nothing)
 
 
-def evaluated(problem: Problem, gamma: float) -> Solved | Fails:
+def evaluated(problem: Problem, gamma: float, thorough: bool = True) -> Solved | Fails:
     """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails.
 
     Feasibility is decided by the signs of X and Y and by the radius of their product; eigenvalues near the
-    imaginary axis are no safe sign when modes lie eight decades apart.
+    imaginary axis are no safe sign when modes lie eight decades apart. Less than ``thorough``: for a search,
+    which needs the signs alone.
     """
     if gamma <= problem.direct_gain:
         return Fails(DIRECT_GAIN)
-    X, F = _solution(problem.control, gamma)
+    X, F = _solution(problem.control, gamma, thorough)
     if not isinstance(X, RiccatiSolution) or not X.is_nonnegative:
         return _no_solution("X", X, lambda solved: solved.X)
-    Y, Lt = _solution(problem.observer, gamma)
+    Y, Lt = _solution(problem.observer, gamma, thorough)
     if not isinstance(Y, RiccatiSolution) or not Y.is_nonnegative:
         return _no_solution("Y", Y, lambda solved: solved.Y)
     product = np.asarray(X.X @ Y.X, dtype=float)
@@ -152,8 +160,12 @@ def _no_solution(
     return Fails(condition, -(end.half_gap**2), off_axis)
 
 
-def _solution(side: _Side, gamma: float) -> tuple[RiccatiSolution | NoRiccatiSolution, LongArray]:
+def _solution(
+    side: _Side, gamma: float, thorough: bool
+) -> tuple[RiccatiSolution | NoRiccatiSolution, LongArray]:
     """X and F of (20); or Y and L' of (21)."""
+    if side.nothing is not None:
+        return side.nothing
     R = -side.free_gain.T @ side.free_gain
     R[np.diag_indices_from(R)] += np.longdouble(gamma) ** 2
     try:
@@ -164,7 +176,8 @@ def _solution(side: _Side, gamma: float) -> tuple[RiccatiSolution | NoRiccatiSol
     cross = N @ back
     W: LongArray = side.B2 @ side.B2.T - side.G @ N @ side.G.T
     Q: LongArray = side.free.T @ side.free + back.T @ cross
-    solution = stabilising_solution(side.E + side.G @ cross, (W + W.T) / _TWO, (Q + Q.T) / _TWO, side.sizes)
+    W, Q = (W + W.T) / _TWO, (Q + Q.T) / _TWO
+    solution = stabilising_solution(side.E + side.G @ cross, W, Q, side.sizes, thorough)
     if not isinstance(solution, RiccatiSolution):
         return solution, side.E[:0]
     worst = cross + N @ side.G.T @ solution.X

@@ -72,11 +72,12 @@ class NoRiccatiSolution:
 
 
 def stabilising_solution(
-    E: LongArray, W: LongArray, Q: LongArray, terms: Array
+    E: LongArray, W: LongArray, Q: LongArray, terms: Array, thorough: bool = True
 ) -> RiccatiSolution | NoRiccatiSolution:
     """The stabilising X, if there is one (no eigenvalue of H on the axis, and X1 regular).
 
-    ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel.
+    ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel. ``thorough``: to
+    the last digit also where X is nearly infinite.
     """
     if len(E) == 0:
         empty = np.zeros((0, 0))
@@ -87,8 +88,10 @@ def stabilising_solution(
         start = _by_schur(_double(E), _double(W), _double(Q))
     if isinstance(start, NoRiccatiSolution):
         return start
+    if not start.X.any():
+        return RiccatiSolution(_long(start.X), np.zeros(len(E)), True, start.modes, 0.0, 0.0)
     X, schur, step = _refined(E, W, Q, _long(start.X))
-    if _norm(step) > _ROUGH * _norm(X):
+    if thorough and _norm(step) > _ROUGH * _norm(X):
         X, step = _refined_in_own_axes(E, W, Q, X)
     S = _lyapunov(schur, _PRECISION * np.diag(terms.sum(axis=1)))
     noise = np.zeros(len(X)) if S is None else np.abs(np.diag(S))

@@ -165,7 +165,7 @@ def _least_feasible(problem: Problem, start: float, relative: float) -> float:
     """By the conditions alone, ``start`` being above condition (a)."""
     low, high, fails = problem.direct_gain, start, Fails(DIRECT_GAIN)
     for _ in range(_DOUBLINGS_MAX):
-        found = evaluated(problem, high)
+        found = evaluated(problem, high, thorough=False)
         if not isinstance(found, Fails):
             break
         low, high, fails = high, 2.0 * high, found
@@ -173,7 +173,7 @@ def _least_feasible(problem: Problem, start: float, relative: float) -> float:
         raise InfeasibleDesign("a finite gamma", f"none up to {high:.3g}", "check the scaling of w and z")
     least = 1e-12 * high
     while low == 0.0:
-        lower = evaluated(problem, 0.5 * high)
+        lower = evaluated(problem, 0.5 * high, thorough=False)
         if isinstance(lower, Fails):
             low, fails = 0.5 * high, lower
         else:
@@ -206,7 +206,7 @@ def _last_feasible(
             middle = min(max((low * right - high * left) / (right - left), low + step), high - step)
         if not low < middle < high:
             break
-        new = evaluated(problem, middle)
+        new = evaluated(problem, middle, thorough=False)
         if isinstance(new, Fails):
             low, fails, ratio = middle, new, new.distance / (below or math.inf)
         else:

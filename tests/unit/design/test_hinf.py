@@ -152,9 +152,9 @@ def test_a_limit_where_eigenvalues_meet_on_the_axis_is_not_halved(
     """X or Y exists no more below the limit, and is finite at it; halving would need 33 steps for 1e-10."""
     tried = set()
 
-    def counted(problem: Any, gamma: float) -> Any:
+    def counted(problem: Any, gamma: float, thorough: bool = True) -> Any:
         tried.add(gamma)
-        return evaluated(problem, gamma)
+        return evaluated(problem, gamma, thorough)
 
     monkeypatch.setattr(synthesis, "evaluated", counted)
     least = gamma_min(stiff_plant(seed))
