@@ -88,6 +88,7 @@ def direct_gain_bound(D11: Array, controls: int, measurements: int) -> float:
 
 
 def problem_of(normal: NormalPlant) -> Problem:
+    """What is the same for every gamma."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     return Problem(
         _side(normal.A, normal.B1, normal.B2, normal.C1, normal.D11),
