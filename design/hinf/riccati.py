@@ -27,6 +27,8 @@ _AXIS = 1e-12
 _RECIPROCAL_CONDITION = 1e-15
 """Of X1, below which it counts as singular."""
 _STEPS_MAX = 4
+_ROUGH = 1e-9
+"""Relative size of the last step of Newton above which others are tried, in better coordinates."""
 _DERIVATIVE_HOLDS = 1e-3
 """A step of Newton that leaves less of the residual had a derivative that is as good for the next one."""
 _PRECISION = 16.0 * float(np.finfo(np.longdouble).eps)
@@ -40,10 +42,23 @@ class RiccatiSolution:
     X: LongArray
     noise: Array
     """(n,) diagonal of a matrix S >= 0 that the rounding errors of Q alone move X by, at most."""
+    is_nonnegative: bool
+    """Whether X >= 0."""
     closed_loop: ComplexArray
     """Eigenvalues of E - W X."""
     error: float
     """Norm of the last Newton step beside that of X: how far X may be off, relative."""
+    moved: float
+    """How far the X found in double precision alone is from it: what rounding of the plant's figures does."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """X in double precision, the eigenvalues of E - W X, and whether X >= 0 where that is known."""
+
+    X: Array
+    modes: ComplexArray
+    is_nonnegative: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,23 +72,33 @@ class NoRiccatiSolution:
 
 
 def stabilising_solution(
-    E: LongArray, W: LongArray, Q: LongArray, terms: Array
+    E: LongArray, W: LongArray, Q: LongArray, terms: Array, thorough: bool = True
 ) -> RiccatiSolution | NoRiccatiSolution:
     """The stabilising X, if there is one (no eigenvalue of H on the axis, and X1 regular).
 
-    ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel.
+    ``terms``: (n, n) magnitudes of the terms that Q is the difference of; they may cancel. ``thorough``: to
+    the last digit also where X is nearly infinite.
     """
     if len(E) == 0:
         empty = np.zeros((0, 0))
-        return RiccatiSolution(_long(empty), np.zeros(0), np.zeros(0, dtype=complex), 0.0)
-    found = _nothing(_double(E), _double(Q), terms) or _by_schur(_double(E), _double(W), _double(Q))
-    if isinstance(found, NoRiccatiSolution):
-        return found
-    X, schur, step = _refined(E, W, Q, _long(found[0]))
-    moved = _lyapunov(schur, _PRECISION * np.diag(terms.sum(axis=1)))
-    noise = np.zeros(len(X)) if moved is None else np.abs(np.diag(moved))
+        return RiccatiSolution(_long(empty), np.zeros(0), True, np.zeros(0, dtype=complex), 0.0, 0.0)
+    if (np.abs(Q) <= _PRECISION * terms).all():
+        start = _without_constant(_double(E), _double(W))
+    else:
+        start = _by_schur(_double(E), _double(W), _double(Q))
+    if isinstance(start, NoRiccatiSolution):
+        return start
+    if not start.X.any():
+        return RiccatiSolution(_long(start.X), np.zeros(len(E)), True, start.modes, 0.0, 0.0)
+    X, schur, step = _refined(E, W, Q, _long(start.X))
+    if thorough and _norm(step) > _ROUGH * _norm(X):
+        X, step = _refined_in_own_axes(E, W, Q, X)
+    S = _lyapunov(schur, _PRECISION * np.diag(terms.sum(axis=1)))
+    noise = np.zeros(len(X)) if S is None else np.abs(np.diag(S))
     size = max(_norm(X), 4e6 * _norm(noise), 1e-300)
-    return RiccatiSolution(X, noise, found[1], step / size)
+    moved = _norm(X - start.X) / size
+    is_nonnegative = _is_nonnegative(X, noise) if start.is_nonnegative is None else start.is_nonnegative
+    return RiccatiSolution(X, noise, is_nonnegative, start.modes, _norm(step) / size, moved)
 
 
 def _long(matrix: Array) -> LongArray:
@@ -101,22 +126,22 @@ def _lyapunov(schur: tuple[Array, Array], Q: Array) -> Array | None:
 
 def _refined(
     E: LongArray, W: LongArray, Q: LongArray, X: LongArray
-) -> tuple[LongArray, tuple[Array, Array], float]:
+) -> tuple[LongArray, tuple[Array, Array], LongArray]:
     """X after Newton's steps, each found in double precision, the last Schur form of (E - W X)', and the
-    size of the last step.
+    last step.
 
     A step is taken while it halves the residual at least. After one that nearly removes it the derivative
     still holds: the next step needs no other Schur form.
     """
     C = E - W @ X
-    residual, size, shrunk = E.T @ X + X @ C + Q, np.inf, 1.0
+    residual, last, shrunk = E.T @ X + X @ C + Q, np.full_like(X, np.inf), 1.0
     for _ in range(_STEPS_MAX):
         if shrunk > _DERIVATIVE_HOLDS:
             T, _, _, _, U, *_ = lapack.dgees(_is_left, _double(C.T))
         step = _lyapunov((T, U), _double(residual))
         if step is None:
             break
-        size = _norm(step)
+        last = _long(step)
         next_X = X + step
         C = E - W @ next_X
         next_residual = E.T @ next_X + next_X @ C + Q
@@ -124,26 +149,64 @@ def _refined(
         if not after < 0.5 * before:
             break
         X, residual, shrunk = next_X, next_residual, after / before
-    return X, (T, U), size
+    return X, (T, U), last
+
+
+def _refined_in_own_axes(
+    E: LongArray, W: LongArray, Q: LongArray, X: LongArray
+) -> tuple[LongArray, LongArray]:
+    """X after Newton's steps in the states of its eigenvectors, scaled, and the last step.
+
+    Near the gamma at which X is infinite E - W X is large in that direction and its eigenvalues are not:
+    only in these states has its Schur form true digits.
+    """
+    _, vectors = np.linalg.eigh(_double(X))
+    axes = _long(vectors)
+    back = axes.T @ (2.0 * np.eye(len(X)) - axes @ axes.T)
+    scale = _long(balancing_scales(_double(back @ (E - W @ X) @ axes)))
+    axes, back = axes * scale, back / scale[:, None]
+    own, _, step = _refined(back @ E @ axes, back @ W @ back.T, axes.T @ Q @ axes, axes.T @ X @ axes)
+    return back.T @ own @ back, back.T @ step @ back
+
+
+def _is_right(real: float, _imaginary: float) -> bool:
+    return real > 0.0
 
 
 def _is_left(real: float, _imaginary: float) -> bool:
     return real < 0.0
 
 
-def _nothing(E: Array, Q: Array, terms: Array) -> tuple[Array, ComplexArray] | None:
-    """X = 0 and the eigenvalues of E where Q is nothing but rounding and E stable.
+def _without_constant(E: Array, W: Array) -> _Start | NoRiccatiSolution:
+    """X and the eigenvalues of E - W X where Q = 0, in double precision.
 
-    The Schur form would have to tell H's eigenvalues from their mirror images, which for a mode fourteen
-    decades slower than another it cannot.
+    X = V P^-1 V' with V a basis of the unstable modes of E', E' V = V T, and P T + T' P = V' W V: linear, and
+    X >= 0 where P > 0. The Schur form of H would have to tell its eigenvalues from their mirror
+    images, which for a mode fourteen decades slower than another it cannot.
     """
-    if (np.abs(Q) > _PRECISION * terms).any():
-        return None
     values = np.linalg.eigvals(E).astype(complex)
-    return (np.zeros_like(E), values) if np.all(-values.real > _AXIS * np.abs(values)) else None
+    if np.any(np.abs(values.real) <= _AXIS * np.abs(values)):
+        return _meeting(np.concatenate([values, -values.conj()]))
+    modes = np.where(values.real > 0.0, -values.conj(), values)
+    unstable = int(np.sum(values.real > 0.0))
+    if not unstable:
+        return _Start(np.zeros_like(E), modes, True)
+    scale = balancing_scales(E)
+    T, found, _, _, U, *_ = lapack.dgees(_is_right, (E * scale / scale[:, None]).T, sort_t=1)
+    if found != unstable:
+        return _meeting(np.concatenate([values, -values.conj()]))
+    T, V = T[:unstable, :unstable], U[:, :unstable] / scale[:, None]
+    Y, factor, _ = lapack.dtrsyl(T, T, V.T @ W @ V, trana="T")
+    P = 0.5 * (Y + Y.T) * factor
+    size = np.sqrt(np.maximum(np.abs(np.diag(P)), 1e-300))
+    values, vectors = np.linalg.eigh(P / size[:, None] / size)
+    if not np.abs(values).min() > 0.0:
+        return NoRiccatiSolution(0.0, 0.0)
+    half = V / size @ vectors
+    return _Start((half / values) @ half.T, modes, bool(values.min() > 0.0))
 
 
-def _by_schur(E: Array, W: Array, Q: Array) -> tuple[Array, ComplexArray] | NoRiccatiSolution:
+def _by_schur(E: Array, W: Array, Q: Array) -> _Start | NoRiccatiSolution:
     """X and the eigenvalues of E - W X in double precision."""
     n = len(E)
     H = np.empty((2 * n, 2 * n))
@@ -165,7 +228,7 @@ def _by_schur(E: Array, W: Array, Q: Array) -> tuple[Array, ComplexArray] | NoRi
     ):
         return _meeting(values)
     X = lapack.dgetrs(LU, pivots, X2.T, trans=1)[0].T
-    return 0.5 * (X + X.T) / scale[:, None] / scale, values[:n]
+    return _Start(0.5 * (X + X.T) / scale[:, None] / scale, values[:n])
 
 
 def _meeting(values: ComplexArray) -> NoRiccatiSolution:
@@ -186,15 +249,12 @@ def _symplectic_scale(H: Array) -> Array:
     return np.asarray(2.0 ** np.round((logs[:n] - logs[n:]) / 2.0), dtype=float)
 
 
-def is_positive_semidefinite(solution: RiccatiSolution, tolerance: float = 1e-6) -> bool:
+def _is_nonnegative(X: LongArray, noise: Array, tolerance: float = 1e-6) -> bool:
     """Whether X >= 0 up to ``tolerance``, each state measured by its own size.
 
     An entry below the rounding errors counts as zero. An X that stops being >= 0 does so through
     infinity, so a loose tolerance does not hide it.
     """
-    if not len(solution.X):
-        return True
-    X = solution.X
-    size = np.sqrt(np.maximum(np.abs(np.diag(_double(X))), 4.0 / tolerance * solution.noise + 1e-300))
+    size = np.sqrt(np.maximum(np.abs(np.diag(_double(X))), 4.0 / tolerance * noise + 1e-300))
     scaled = _double(X / _long(np.outer(size, size)))
     return bool(np.linalg.eigvalsh(scaled).min() >= -tolerance)

@@ -9,21 +9,23 @@ last columns as many as measurements.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from design.errors import InfeasibleDesign, SingularPlant
-from design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
-from design.hinf.riccati import (
-    LongArray,
-    NoRiccatiSolution,
-    RiccatiSolution,
-    is_positive_semidefinite,
-    stabilising_solution,
+from design.errors import DesignError, InfeasibleDesign, NoSolution, SingularPlant
+from design.hinf.feasibility import (
+    COUPLING,
+    DIRECT_GAIN,
+    Fails,
+    Problem,
+    Solved,
+    evaluated,
+    inverse,
+    problem_of,
 )
-from design.hinf.system_norm import hinf_norm
+from design.hinf.plant import GeneralisedPlant, NormalPlant, normal_form
+from design.hinf.system_norm import hinf_norm, norm_is_below
 from design.statespace import Array, ComplexArray, StateSpace, connect, lower_lft
 
 GAMMA_MIN_RELATIVE = 1e-10
@@ -33,12 +35,22 @@ _TRIES = 3
 """Steps of regula falsi in which the interval is to shrink to a quarter, as two halvings would."""
 _KEPT_MIN = 0.2
 """Of the distance at the end that stays: Anderson and Bjorck keep none of it where the function is flat."""
-_DIRECT_GAIN = "condition (a): the direct gain from w to z"
 _BESIDE = 0.4
 """Of the width asked for: so far inside the interval the zero is tried at least."""
-_TWO = np.longdouble(2)
 _ERROR_MAX = 0.02
 """Relative error of X or Y beyond which no figure is given, but the reason."""
+
+_MOVED_MAX = 0.05
+"""The same of what rounding the plant's own figures does, away from gamma_min, where X or Y is infinite."""
+_CERTAIN = 0.01
+"""Rounding errors change from gamma to gamma: at gamma_min they are this part of what is borne elsewhere."""
+_VERIFIED = (1.0, math.inf), (1.001, 1.02), (1.02, 1.02 * (1.0 + 1e-6))
+"""Times gamma_min: a gamma for which the loop is closed, and what its norm is to be below."""
+_RAISED_MAX = 0.03
+_RAISES = (*(10.0**k for k in range(-9, -2)), 3e-3, 0.01, _RAISED_MAX, *(10.0**k for k in range(1, 7)))
+"""Steps above the least gamma by the conditions alone, until what it promises can be verified."""
+_NOTHING = 1e-6
+"""Of where the search starts: a gamma below it is raised as far, for there is no limit to keep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,105 +77,114 @@ class Synthesis:
         return lower_lft(self.generator, parameter)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """One of the two Riccati equations, as far as it is the same for every gamma: :func:`_side`."""
-
-    a: LongArray
-    b: LongArray
-    dd: LongArray
-    dc: LongArray
-    cc: LongArray
-    size_cc: Array
-    size_cd: Array
-    disturbances: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """The equations of X and of Y, and condition (a)."""
-
-    control: _Side
-    observer: _Side
-    direct_gain: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """What a gamma gives: the Riccati solutions, F and L of (20) to (22)."""
-
-    X: RiccatiSolution
-    Y: RiccatiSolution
-    F: Array
-    L: Array
-    coupling: float
-    """gamma^2 over the spectral radius of X Y, less 1."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Fails:
-    """Which condition of theorem 1 fails.
-
-    ``distance``: below 0 and nearly straight in gamma near the limit that the condition sets; ``before``
-    continues it at a gamma that is feasible. 0 and infinity where they are not known.
-    """
-
-    condition: str
-    distance: float = 0.0
-    before: Callable[[_Solved], float] = lambda _: math.inf
-
-
 def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
     """All controllers with ||F_l(P, K)|| < ``gamma``.
 
-    Raises SingularPlant (A1 to A4), and InfeasibleDesign with gamma_min if ``gamma`` is not above it.
+    Where rounding hides what a ``gamma`` above gamma_min gives, they are those of a smaller gamma.
+    Raises SingularPlant (A1 to A4), InfeasibleDesign with gamma_min if ``gamma`` is below it, and NoSolution
+    where that cannot be verified.
     """
     normal = normal_form(plant)
-    found = _evaluated(_problem(normal), gamma)
-    if isinstance(found, _Fails):
+    problem = problem_of(normal)
+    found = evaluated(problem, gamma)
+    if isinstance(found, Fails) or _inaccuracy(found, _ERROR_MAX, math.inf):
         least = gamma_min(plant)
-        raise InfeasibleDesign(
-            f"gamma = {gamma:.9g}",
-            f"gamma_min is {least:.9g} ({found.condition})",
-            "take a larger gamma, or relax the weights",
-        )
-    _require_accurate(found)
+        if gamma < least:
+            condition = found.condition if isinstance(found, Fails) else "by rounding"
+            raise InfeasibleDesign(
+                f"gamma = {gamma:.9g}",
+                f"gamma_min is {least:.9g} ({condition})",
+                "take a larger gamma, or relax the weights",
+            )
+        gamma = max(factor * least for factor, _ in _VERIFIED if factor * least <= gamma)
+        found = evaluated(problem, gamma)
+    assert isinstance(found, Solved)
     return _controllers(normal, gamma, found, plant.controls)
 
 
 def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> float:
     """The least gamma that a controller reaches, to ``relative``, from above: the value returned is feasible.
 
-    Raises SingularPlant (A1 to A4).
+    The loops with the controllers at 1.001 and 1.02 of it keep their norm; where rounding lets them only
+    further up, by 3 % at most, that is returned. 1e-12 and less: there is no lower limit.
+
+    Raises SingularPlant (A1 to A4), and NoSolution where nothing can be verified.
     """
-    problem = _problem(normal_form(plant))
-    low = problem.direct_gain
-    high = max(2.0 * low, 1.0)
-    fails = _Fails(_DIRECT_GAIN)
+    normal = normal_form(plant)
+    problem = problem_of(normal)
+    start = max(2.0 * problem.direct_gain, 1.0)
+    least = gamma = _least_feasible(problem, start, relative)
+    doubt = _doubt(plant, normal, problem, gamma)
+    for step in _RAISES:
+        if doubt is None:
+            return gamma
+        if step > _RAISED_MAX and (1.0 + step) * least > _NOTHING * start:
+            break
+        gamma = (1.0 + step) * least
+        doubt = _doubt(plant, normal, problem, gamma)
+    if doubt is not None:
+        raise doubt
+    return gamma
+
+
+def _doubt(
+    plant: GeneralisedPlant, normal: NormalPlant, problem: Problem, gamma: float
+) -> DesignError | None:
+    """Why it cannot be said that every gamma above ``gamma`` is feasible; None if it can."""
+    for factor, level in _VERIFIED:
+        found = evaluated(problem, factor * gamma)
+        if isinstance(found, Fails):
+            return _hidden(found, factor * gamma)
+        inaccurate = _inaccuracy(found, _ERROR_MAX * _CERTAIN, _MOVED_MAX if factor > 1.0 else math.inf)
+        if inaccurate:
+            return inaccurate
+        if found.coupling * _CERTAIN < found.X.error + found.Y.error:
+            return _hidden(Fails(COUPLING), factor * gamma)
+        if factor == 1.0:
+            continue
+        K = _controllers(normal, factor * gamma, found, plant.controls).controller
+        if not norm_is_below(closed_loop(plant, K), level * gamma):
+            return NoSolution(
+                f"gamma_min near {gamma:.6g}",
+                "the loop with the controller does not keep the norm that the synthesis promises",
+                f"that for {factor * gamma:.6g} not {level * gamma:.6g}; rounding outweighs the plant: "
+                "bring weights, modes and direct gains nearer together",
+            )
+    return None
+
+
+def _hidden(fails: Fails, gamma: float) -> NoSolution:
+    return NoSolution(
+        f"the synthesis at gamma = {gamma:.9g}",
+        f"{fails.condition}, by rounding, though a smaller gamma is feasible",
+        "take a larger gamma, or bring weights, modes and direct gains nearer together",
+    )
+
+
+def _least_feasible(problem: Problem, start: float, relative: float) -> float:
+    """By the conditions alone, ``start`` being above condition (a)."""
+    low, high, fails = problem.direct_gain, start, Fails(DIRECT_GAIN)
     for _ in range(_DOUBLINGS_MAX):
-        found = _evaluated(problem, high)
-        if not isinstance(found, _Fails):
+        found = evaluated(problem, high, thorough=False)
+        if not isinstance(found, Fails):
             break
         low, high, fails = high, 2.0 * high, found
     else:
         raise InfeasibleDesign("a finite gamma", f"none up to {high:.3g}", "check the scaling of w and z")
     least = 1e-12 * high
     while low == 0.0:
-        lower = _evaluated(problem, 0.5 * high)
-        if isinstance(lower, _Fails):
+        lower = evaluated(problem, 0.5 * high, thorough=False)
+        if isinstance(lower, Fails):
             low, fails = 0.5 * high, lower
         else:
             high, found = 0.5 * high, lower
-            low = 0.5 * high if high <= least else 0.0
-    high = _last_feasible(problem, (low, fails), (high, found), relative)
-    beside = _evaluated(problem, high * (1.0 + 1e-4))
-    if not isinstance(beside, _Fails):
-        _require_accurate(beside)
-    return high
+            if high <= least:
+                return high
+    return _last_feasible(problem, (low, fails), (high, found), relative)
 
 
 def _last_feasible(
-    problem: _Problem, infeasible: tuple[float, _Fails], feasible: tuple[float, _Solved], relative: float
+    problem: Problem, infeasible: tuple[float, Fails], feasible: tuple[float, Solved], relative: float
 ) -> float:
     """The feasible gamma next to an infeasible one, between the two given.
 
@@ -178,15 +199,15 @@ def _last_feasible(
         below, above = fails.distance, fails.before(found)
         step = _BESIDE * relative * high
         middle = math.sqrt(low * high)
-        if fails.condition is _DIRECT_GAIN and last:
+        if fails.condition is DIRECT_GAIN and last:
             middle = low + step
         elif tries < _TRIES and below < 0.0 < above < math.inf:
             left, right = below * (weight if last else 1.0), above * (1.0 if last else weight)
             middle = min(max((low * right - high * left) / (right - left), low + step), high - step)
         if not low < middle < high:
             break
-        new = _evaluated(problem, middle)
-        if isinstance(new, _Fails):
+        new = evaluated(problem, middle, thorough=False)
+        if isinstance(new, Fails):
             low, fails, ratio = middle, new, new.distance / (below or math.inf)
         else:
             high, found, ratio = middle, new, fails.before(new) / above if above < math.inf else 0.0
@@ -198,22 +219,19 @@ def _last_feasible(
     return high
 
 
-def _double(matrix: LongArray) -> Array:
-    return np.asarray(matrix, dtype=float)
-
-
-def _require_accurate(found: _Solved) -> None:
-    """Raises SingularPlant where rounding leaves X or Y without true digits."""
+def _inaccuracy(found: Solved, error_max: float, moved_max: float) -> SingularPlant | None:
+    """What to say where rounding leaves X or Y without true digits."""
     for solution, name, assumption, end in (
         (found.X, "X", "A2 or A3", "control a larger direct weight, D12"),
         (found.Y, "Y", "A2 or A4", "measurement a larger direct disturbance, D21"),
     ):
-        if solution.error > _ERROR_MAX:
-            raise SingularPlant(
+        if solution.error > error_max or solution.moved > moved_max:
+            return SingularPlant(
                 assumption,
-                f"nearly broken: {name} is known to {solution.error:.1g} of itself only",
+                f"nearly broken: {name} is known to {max(solution.error, solution.moved):.1g} of itself only",
                 f"give every {end}, or move modes that lie more than ten decades apart together",
             )
+    return None
 
 
 def closed_loop(plant: GeneralisedPlant, controller: StateSpace) -> StateSpace:
@@ -226,128 +244,29 @@ def verified_norm(plant: GeneralisedPlant, controller: StateSpace) -> float:
     return hinf_norm(closed_loop(plant, controller)).gain
 
 
-def direct_gain_bound(D11: Array, controls: int, measurements: int) -> float:
-    """Condition (a) of theorem 1: what the direct gain from w to z leaves out of the controls' reach."""
-    rows, columns = D11[:-controls], D11[:, :-measurements]
-    sizes = [float(np.linalg.norm(part, 2)) if part.size else 0.0 for part in (rows, columns)]
-    return max(sizes)
-
-
-def _problem(normal: NormalPlant) -> _Problem:
-    m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
-    D1s = np.hstack([normal.D11, np.eye(len(normal.D11))[:, -m2:]])
-    Ds1 = np.vstack([normal.D11, np.eye(normal.D11.shape[1])[-p2:]])
-    B, C = np.hstack([normal.B1, normal.B2]), np.vstack([normal.C1, normal.C2])
-    return _Problem(
-        _side(normal.A, B, normal.C1, D1s, normal.B1.shape[1]),
-        _side(normal.A.T, C.T, normal.B1.T, Ds1.T, len(normal.C1)),
-        direct_gain_bound(normal.D11, m2, p2),
-    )
-
-
-def _side(A: Array, B: Array, C1: Array, D: Array, disturbances: int) -> _Side:
-    """The equation of X (18); with A', C', B1' and Ds1' for their arguments: of Y (19)."""
-    a, b, c, d = (np.asarray(part, dtype=np.longdouble) for part in (A, B, C1, D))
-    sizes = np.abs(C1.T) @ np.abs(C1), np.abs(C1.T @ D)
-    return _Side(a, b, d.T @ d, d.T @ c, c.T @ c, *sizes, disturbances)
-
-
-def _evaluated(problem: _Problem, gamma: float) -> _Solved | _Fails:
-    """X, Y, F and L for ``gamma``, or which condition of theorem 1 fails.
-
-    Feasibility is decided by the signs of X and Y and by the radius of their product; eigenvalues near the
-    imaginary axis are no safe sign when modes lie eight decades apart.
-    """
-    if gamma <= problem.direct_gain:
-        return _Fails(_DIRECT_GAIN)
-    X, F = _solution(problem.control, gamma)
-    if not isinstance(X, RiccatiSolution) or not is_positive_semidefinite(X):
-        return _no_solution("X", X, lambda solved: solved.X)
-    Y, Lt = _solution(problem.observer, gamma)
-    if not isinstance(Y, RiccatiSolution) or not is_positive_semidefinite(Y):
-        return _no_solution("Y", Y, lambda solved: solved.Y)
-    product = np.asarray(X.X @ Y.X, dtype=float)
-    radius = float(np.abs(np.linalg.eigvals(product)).max(initial=0.0))
-    solved = _Solved(X, Y, F, Lt.T, gamma**2 / radius - 1.0 if radius > 0.0 else math.inf)
-    if solved.coupling > 0.0:
-        return solved
-    return _Fails("condition (b): the spectral radius of X Y", solved.coupling, lambda each: each.coupling)
-
-
-def _no_solution(
-    name: str, end: RiccatiSolution | NoRiccatiSolution, of: Callable[[_Solved], RiccatiSolution]
-) -> _Fails:
-    """X (or Y) stops being >= 0 through infinity, so that 1 over the eigenvalue that does so is straight. It
-    stops to exist where two eigenvalues of H meet on the axis, having come and leaving as square roots do."""
-    condition = f"condition (b): no stabilising {name} >= 0"
-    if isinstance(end, RiccatiSolution):
-        least = np.linalg.eigvalsh(_double(end.X))[0]
-        return _Fails(
-            condition,
-            1.0 / min(least, -1e-300),
-            lambda each: 1.0 / max(np.linalg.eigvalsh(_double(of(each).X))[-1], 1e-300),
-        )
-
-    def off_axis(solved: _Solved) -> float:
-        modes = of(solved).closed_loop
-        return float(modes[np.argmin(np.abs(modes - end.centre))].real ** 2)
-
-    return _Fails(condition, -(end.half_gap**2), off_axis)
-
-
-def _solution(side: _Side, gamma: float) -> tuple[RiccatiSolution | NoRiccatiSolution, Array]:
-    """X and F of (20); or Y and L' of (21)."""
-    R = side.dd.copy()
-    first = np.arange(side.disturbances)
-    R[first, first] -= np.longdouble(gamma) ** 2
-    try:
-        inverse = _inverse(R)
-    except np.linalg.LinAlgError:
-        return NoRiccatiSolution(0.0, 0.0), np.zeros((0, 0))
-    cross, inputs = inverse @ side.dc, inverse @ side.b.T
-    W: LongArray = side.b @ inputs
-    Q: LongArray = side.cc - side.dc.T @ cross
-    terms = side.size_cc + side.size_cd @ np.abs(_double(cross))
-    solution = stabilising_solution(side.a - side.b @ cross, (W + W.T) / _TWO, (Q + Q.T) / _TWO, terms)
-    if not isinstance(solution, RiccatiSolution):
-        return solution, np.zeros((0, 0))
-    return solution, _double(-(cross + inputs @ solution.X))
-
-
-def _inverse(R: LongArray) -> LongArray:
-    """R^-1 in extended precision: the one in double precision and two steps of Newton and Schulz."""
-    inverse = np.asarray(np.linalg.inv(np.asarray(R, dtype=float)), dtype=np.longdouble)
-    for _ in range(2):
-        inverse = inverse @ (2.0 * np.eye(len(R)) - R @ inverse)
-    return inverse
-
-
-def _controllers(normal: NormalPlant, gamma: float, found: _Solved, controls: int) -> Synthesis:
+def _controllers(normal: NormalPlant, gamma: float, found: Solved, controls: int) -> Synthesis:
     """M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     m1, p1 = normal.B1.shape[1], len(normal.C1)
     D11_hat, D12_hat, D21_hat = _direct_gains(normal.D11, gamma, m2, p2)
     F12, F2 = found.F[m1 - p2 : m1], found.F[m1:]
     L12, L2 = found.L[:, p1 - m2 : p1], found.L[:, p1:]
-    Z = np.linalg.inv(np.asarray(np.eye(len(normal.A)) - found.Y.X @ found.X.X / gamma**2, dtype=float))
-    B2_hat = Z @ (normal.B2 + L12) @ D12_hat
-    C2_hat = -D21_hat @ (normal.C2 + F12)
-    B1_hat = -Z @ L2 + B2_hat @ np.linalg.solve(D12_hat, D11_hat)
-    C1_hat = F2 + D11_hat @ np.linalg.solve(D21_hat, C2_hat)
-    B = np.hstack([normal.B1, normal.B2])
-    A_hat = normal.A + B @ found.F + B1_hat @ np.linalg.solve(D21_hat, C2_hat)
+    Z = inverse(np.eye(len(normal.A)) - found.Y.X @ found.X.X / gamma**2)
+    back, ahead = normal.C2 + F12, Z @ (normal.B2 + L12)
+    B1_hat = ahead @ D11_hat - Z @ L2
+    C1_hat = F2 - D11_hat @ back
+    A_hat = normal.A + normal.B1 @ found.F[:m1] + normal.B2 @ F2 - B1_hat @ back
     rate = normal.rate_rad_s
-    generator = StateSpace(
-        A_hat * rate,
-        np.hstack([B1_hat @ normal.right, B2_hat]) * rate,
-        np.vstack([normal.left @ C1_hat, C2_hat]),
-        np.block(
-            [
-                [normal.left @ D11_hat @ normal.right, normal.left @ D12_hat],
-                [D21_hat @ normal.right, np.zeros((p2, m2))],
-            ]
-        ),
+    B_hat = np.hstack([B1_hat @ normal.right, ahead @ D12_hat])
+    C_hat = np.vstack([normal.left @ C1_hat, -D21_hat @ back])
+    D_hat = np.block(
+        [
+            [normal.left @ D11_hat @ normal.right, normal.left @ D12_hat],
+            [D21_hat @ normal.right, np.zeros((p2, m2))],
+        ]
     )
+    A, B, C = (np.asarray(part, dtype=float) for part in (A_hat * rate, B_hat * rate, C_hat))
+    generator = StateSpace(A, B, C, D_hat)
     generator = _over_direct_gain(generator, normal.D22)
     return Synthesis(
         gamma=gamma,

@@ -51,8 +51,8 @@ _SHARES = (0.15, 0.04, 0.01)
 """Of the largest error: what a ball of r may add to it."""
 _STATES_MAX = 5000
 """Of all S_i together, for one share."""
-_CANDIDATES_MAX = 100_000
-"""That are held against a hull, for one share: some 30 s."""
+_HELD_MAX = 60_000_000
+"""Points of hulls that candidates are held against, for one share: some 30 s of processor time."""
 _NEAREST = 48
 """States of S_i that are tried first as corners of the hull around a candidate."""
 _CORNERS_SHARE = 0.5
@@ -203,7 +203,7 @@ class _Tube:
         self._edges = self._levels[-1]
         self._spread = max(norm.spread, *(self._spread_of(edge) for edge in self._edges))
         self._states = [np.zeros((0, loop.kept)) for _ in range(nodes)]
-        self._candidates = 0
+        self._held = 0
 
     def close(self) -> bool:
         """Let the sets grow until nothing is left to take in; False where that goes too far."""
@@ -223,7 +223,7 @@ class _Tube:
                 if np.any(allowed <= 0.0):
                     return False
                 new.append(self._taken_in(node, states, allowed))
-            if sum(map(len, self._states)) > _STATES_MAX or self._candidates > _CANDIDATES_MAX:
+            if sum(map(len, self._states)) > _STATES_MAX or self._held > _HELD_MAX:
                 return False
         return True
 
@@ -286,8 +286,8 @@ class _Tube:
         taken: list[Array] = []
         hull = _Hull(self._states[node] @ T.T)
         for place in order[matter[order]]:
-            self._candidates += 1
-            if self._candidates > _CANDIDATES_MAX:
+            self._held += hull.count
+            if self._held > _HELD_MAX:
                 break
             turned = T @ states[place]
             if hull.is_near(turned, float(allowed[place])):
@@ -321,23 +321,23 @@ def _between(edge: LoadedSteps, states: Array) -> Array:
 
 
 class _Hull:
-    """Points whose convex hull grows."""
+    """Points whose convex hull grows; ``count``: how many there are."""
 
     def __init__(self, points: Array) -> None:
         self._points = points.copy()
-        self._count = len(points)
+        self.count = len(points)
 
     def add(self, point: Array) -> None:
         """One more."""
-        if self._count == len(self._points):
-            room = np.zeros((max(64, self._count), len(point)))
+        if self.count == len(self._points):
+            room = np.zeros((max(64, self.count), len(point)))
             self._points = np.vstack([self._points, room])
-        self._points[self._count] = point
-        self._count += 1
+        self._points[self.count] = point
+        self.count += 1
 
     def is_near(self, point: Array, distance: float) -> bool:
         """Whether some point of the hull is found within ``distance`` of ``point``."""
-        points = self._points[: self._count]
+        points = self._points[: self.count]
         apart = points - point
         far = np.linalg.norm(apart, axis=1)
         if not len(points) or np.min(far) <= distance:

@@ -30,7 +30,7 @@ from hil.terminal.design_predictor import (
 )
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, motor_file
-from hil.terminal.output import print_figures, put, say_written
+from hil.terminal.output import on_terminal, print_figures, put, say_written
 from hil.terminal.speed_options import (
     LoadOption,
     SpeedOption,
@@ -336,7 +336,7 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     from hil.studies.speed.synthesis import Unreachable, design_speed, with_bandwidths
 
     try:
-        result = design_speed(request)
+        result = design_speed(request, on_terminal)
         if out is not None:
             result = with_bandwidths(result)
     except Unreachable as error:

@@ -34,6 +34,12 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def on_terminal(text: str) -> None:
+    """On stderr, if somebody looks on: what is being done."""
+    if sys.stderr.isatty():
+        say(text)
+
+
 def say_written(path: Path) -> None:
     """Which file there is now, on stderr."""
     typer.echo(f"written {path}", err=True)

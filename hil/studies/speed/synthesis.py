@@ -1,6 +1,7 @@
 """What ``hil design speed`` answers: the best speed feedback for a delay, a network, or a wanted gain."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -269,11 +270,19 @@ class _Synthesis:
     gamma: float
 
 
-def design_speed(request: DesignRequest) -> DesignResult:
-    """The design. Raises Unreachable, or NoSolution if the method ends without an answer."""
+def design_speed(request: DesignRequest, tell: Callable[[str], None] = lambda _: None) -> DesignResult:
+    """The design; ``tell`` is given a line before each step that may take long.
+
+    Raises Unreachable, or NoSolution if the method ends without an answer.
+    """
     model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
+    if request.network is not None:
+        tell("gain and decay over every sequence of losses and delays: some 10 s")
     result = _for_sampled(model, request) if request.for_sampled else _for_constant(model, request)
-    return result if result.sampled is None else replace(result, sampled=with_peak(result.sampled))
+    if result.sampled is None:
+        return result
+    tell("largest error after a load step over every sequence: up to two minutes")
+    return replace(result, sampled=with_peak(result.sampled))
 
 
 def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:

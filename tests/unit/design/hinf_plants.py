@@ -3,6 +3,7 @@
 import numpy as np
 import scipy.stats
 
+from design.hinf.bilinear import to_bilinear
 from design.hinf.plant import GeneralisedPlant
 from design.statespace import StateSpace
 
@@ -47,3 +48,30 @@ def with_weak_control(plant: GeneralisedPlant, factor: float) -> GeneralisedPlan
     s, D = plant.system, plant.system.D.copy()
     D[plant.z, plant.u] *= factor
     return GeneralisedPlant(StateSpace(s.A, s.B, s.C, D), plant.controls, plant.measurements)
+
+
+def with_as_many_errors_as_controls(seed: int) -> GeneralisedPlant:
+    """:func:`random_plant` with z of the size of u and w of that of y.
+
+    X and Y are nothing but for the zeros of P12 and P21 in the right half plane. Those of an even ``seed``
+    have none there, and so gamma no lower limit.
+    """
+    plant, draw = random_plant(seed), np.random.default_rng(seed + 4444)
+    n, m2, p2 = plant.system.order, plant.controls, plant.measurements
+    A, B2, C2 = plant.system.A, plant.system.B[:, plant.u], plant.system.C[plant.y]
+    B1, C1, D = draw.normal(size=(n, p2)), draw.normal(size=(m2, n)), draw.normal(size=(m2 + p2, p2 + m2))
+    D[:m2, p2:], D[m2:, :p2] = 2.0 * np.eye(m2), 2.0 * np.eye(p2)
+    if seed % 2 == 0:  # A - B2 D12^-1 C1 and A - B1 D21^-1 C2 are moved to the left together
+        reach = [np.linalg.eigvals(M).real.max() for M in (A - B2 @ C1 / 2.0, A - B1 @ C2 / 2.0)]
+        A = A - (max(*reach, 0.0) + 0.1) * np.eye(n)
+    return GeneralisedPlant(StateSpace(A, np.hstack([B1, B2]), np.vstack([C1, C2]), D), m2, p2)
+
+
+def sampled_plant(seed: int) -> GeneralisedPlant:
+    """:func:`random_plant` read as one of 1 kHz, its modes within 0.3 to 1.2, in the bilinear plane."""
+    plant, draw = random_plant(seed), np.random.default_rng(seed + 77)
+    s = plant.system
+    A = s.A / np.abs(np.linalg.eigvals(s.A)).max() * draw.uniform(0.3, 1.2)
+    return GeneralisedPlant(
+        to_bilinear(StateSpace(A, s.B, s.C, s.D, 1e-3)), plant.controls, plant.measurements
+    )
