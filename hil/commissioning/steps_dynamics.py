@@ -235,8 +235,10 @@ def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
 
 def _time_readings(session: Session, outcome: StepOutcome) -> None:
     """Only the way of the readings, with the drive at rest."""
+    whole_only, session.port.whole_only = session.port.whole_only, False  # a position is not what is timed
     with session.exercising() as exerciser:
         recording = exerciser.rest(_READINGS_S)
+    session.port.whole_only = whole_only
     readings = recording.sync_to_reading_us
     if len(readings) < 100:
         raise StepFailed("too few readings came", f"{len(readings)} of {recording.cycles}")
@@ -299,6 +301,7 @@ class _Probe:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._network = session.network
+        self._drive = session.drive
         self._port = session.port
         self._period = session.found.period
         self._latency = session.timing().sync_latency
@@ -318,7 +321,7 @@ class _Probe:
     def run(self) -> None:
         due = Instant(self._session.clock_now + self._period)
         torque = self._step_nm
-        self._port.take_readings()
+        self._drive.take_readings()
         # Not so shortly before the SYNC that this would have to wait for the command to leave the bus.
         command = self._session.timing().command_latency
         shortest = _CLEAR * command
@@ -354,7 +357,7 @@ class _Probe:
 
     def _shown(self, sync_at: Instant) -> float | None:
         """The torque in answer to the SYNC; None if it was lost or is late. The readings are counted."""
-        delays = [reading.received_at - sync_at - self._latency for reading in self._port.take_readings()]
+        delays = [reading.received_at - sync_at - self._latency for reading in self._drive.take_readings()]
         answers = [delay for delay in delays if delay >= 0]
         self.delays_us += [delay / 1e3 for delay in answers]
         self.missing.append(not answers)
