@@ -84,6 +84,17 @@ def test_the_same_with_lost_frames_and_a_drifting_clock(tmp_path: Path) -> None:
     assert delays.outcome.figures["commands_lost"] > 0
 
 
+def test_a_velocity_that_scatters_is_watched_over_a_longer_path(tmp_path: Path) -> None:
+    """Seed 88 has 4000 counts a turn and tells a position unit of ten: a pulse of a quarter of a turn is one
+    of a fortieth, over which the encoder's steps in 606Ch are several percent."""
+    truth, result, _ = unknown_world(88, tmp_path, last_step="turn")
+    found = result.findings
+    assert found.override.velocity_rad_s == pytest.approx(truth.velocity_rad_s, rel=1e-3)
+    units = next(record for record in result.records if record.name == "motion_units")
+    assert 0.0 < units.outcome.figures["velocity_over_path_error"] < 0.1
+    assert "(k = 2)" in units.outcome.lines[0]
+
+
 def test_a_turn_is_right_whenever_its_readings_arrive(tmp_path: Path) -> None:
     truth, result, _ = unknown_world(1, tmp_path, faults=LATE, period_us=10_000)
     (turn,) = (record for record in result.records if record.name == "turn")
