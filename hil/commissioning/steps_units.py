@@ -42,9 +42,10 @@ _PULSE_S: Final = 6.0
 """The torque rises by the rated one in a second, and the rest is for the shaft to come to a stop."""
 _SIGN_ERROR: Final = 0.5
 """Relative, of what has only to show a sign."""
-_RATIO_ERROR: Final = 0.02
-"""Of what has to show a factor: the nearest two that occur are 1.25 apart."""
+_RATIO_ERROR: Final = 0.01
+"""Of what has to show a factor."""
 _RATIO_ERROR_MAX: Final = 0.1
+"""Twice of it tells the nearest two factors that occur, 1.25 apart."""
 _LOOKS: Final = 4
 _FARTHER: Final = 4.0
 """Each look leads so many times as far as the one before."""
@@ -223,8 +224,8 @@ class MotionUnits(Step):
                 f"{percent:.2g} % (k = 2); {100.0 * _RATIO_ERROR_MAX:g} % is borne",
                 "allow more speed and travel ([limits] of the nameplate), or smooth 606Ch in the drive",
             )
-        if abs(ratio - 1.0) > max(_RATIO_TOLERANCE, measured.error):
-            factor = plain_ratio(ratio, max(_RATIO_ERROR, measured.error))
+        if abs(ratio - 1.0) > _tolerance(found.velocity_ratio):
+            factor = plain_ratio(ratio, _tolerance(found.velocity_ratio))
             outcome.faults.append(
                 f"velocity and position units contradict each other by {factor:.6g}; "
                 "unless a turn was measured below, the velocity's is taken for the wrong one"
@@ -317,8 +318,8 @@ class Turn(Step):
             outcome.figures["position_fault"] = ratio
         # What the velocity unit is by the true position.
         factor = position / told.position_rad / found.velocity_ratio.value
-        if abs(factor - 1.0) > max(_RATIO_TOLERANCE, found.velocity_ratio.error):
-            factor = plain_ratio(factor, max(_RATIO_ERROR, found.velocity_ratio.error))
+        if abs(factor - 1.0) > _tolerance(found.velocity_ratio):
+            factor = plain_ratio(factor, _tolerance(found.velocity_ratio))
             velocity = told.velocity_rad_s * factor
             outcome.faults.append(
                 f"velocity unit: {told.sources.get('velocity')} makes {told.velocity_rad_s:.6g} rad/s of it, "
@@ -332,6 +333,11 @@ class Turn(Step):
         if found.rough is not None:  # by the old position unit
             inertia = found.rough.inertia_kg_m2 / (position / told.position_rad)
             found.rough = replace(found.rough, inertia_kg_m2=inertia)
+
+
+def _tolerance(ratio: SpeedRatio) -> float:
+    """By how much it may be off a factor that occurs: by twice its uncertainty, as nothing else lies near."""
+    return max(_RATIO_TOLERANCE, 2.0 * ratio.error)
 
 
 def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOutcome) -> tuple[float, str]:
