@@ -133,7 +133,7 @@ def _motor_text(session: Session) -> str:
     rated_nm = session.drive.rated_torque_nm
     winding, rating = plate.motor, plate.rating
     guesses = []
-    pole_pairs = winding.pole_pairs or 1
+    pole_pairs = found.pole_pairs or 1
     constant = found.torque_constant_nm_a
     if constant is None and rating.torque_nm and rating.current_a:
         constant = rating.torque_nm / rating.current_a
@@ -145,7 +145,7 @@ def _motor_text(session: Session) -> str:
     inductance = winding.inductance_q_h or resistance * lag_s
     if winding.resistance_ohm is None or winding.inductance_q_h is None:
         guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
-    if winding.pole_pairs is None:
+    if found.pole_pairs is None:
         guesses.append("the number of pole pairs is not known")
     speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * RPM_PER_RAD_S
     current_a = rated_nm / constant
@@ -178,8 +178,21 @@ def _motor_text(session: Session) -> str:
         },
     }
     notes = ["Inertia, friction and torque constant are measured; they include the load on the shaft."]
+    notes += _by_word(session)
     notes += [f"Not known: {guess}." for guess in guesses]
     return _headed(" ".join(notes), tables)
+
+
+def _by_word(session: Session) -> list[str]:
+    """What stands there by the nameplate alone."""
+    winding = session.request.nameplate.motor
+    words = {
+        "resistance": winding.resistance_ohm,
+        "inductance": winding.inductance_q_h,
+        "pole pairs": session.found.pole_pairs,
+    }
+    named = [name for name, value in words.items() if value is not None]
+    return [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:

@@ -34,6 +34,8 @@ class Findings:
     mechanics: Mechanics | None = None
     rough: Mechanics | None = None
     """From the pulses: enough to guide an exercise."""
+    pole_pairs: int | None = None
+    """By the nameplate, or as somebody said at the motor: nothing measures it."""
     speed_noise_rad_s: float = 0.0
     """Rms of the velocity 606Ch about the derivative of the position."""
     torque_constant_nm_a: float | None = None

@@ -131,6 +131,8 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     motor = load_motor(out / "motor.toml").parameters
     assert motor.inertia_kg_m2 == pytest.approx(truth.motor.inertia_kg_m2, rel=0.03)
     assert motor.torque_constant_nm_a == pytest.approx(truth.motor.torque_constant_nm_a, rel=0.01)
+    said = "Not measurable over CiA 402, by the nameplate: resistance, inductance, pole pairs."
+    assert said in (out / "motor.toml").read_text()
     drive = load_drive_file(out / "drive.toml")
     assert drive.drive.node == 5
     assert drive.scale.rated_torque_nm == pytest.approx(truth.rated_torque_nm)

@@ -122,6 +122,11 @@ class Slow(Silent):
         self._wait(idle)
         return Choice.QUIT if Choice.REPEAT in choices else choices[0]
 
+    def line(self, question: str, idle: Idle) -> str:
+        self._wait(idle)
+        assert "pole pairs" in question
+        return "4"
+
 
 def commissioned(
     folder: Path,
