@@ -66,6 +66,10 @@ def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) ->
     assert [(r.name, r.reason) for r in result.records if r.verdict is not StepVerdict.DONE] == []
     errors = errors_of(truth, result, spy)
     assert within(errors), row(seed, errors)
+    voltage = next(record.outcome.figures for record in result.records if record.name == "voltage_constant")
+    constant = truth.motor.pole_pairs * truth.motor.flux_linkage_wb
+    assert constant < voltage["voltage_constant_below"] < 6.0 * constant
+    assert voltage["by_torque_constant"] == pytest.approx(constant, rel=0.01)
     assert result.restoration is not None
     assert result.restoration.complete
     assert result.passed
@@ -107,7 +111,7 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     verdicts = {record.name: record.verdict for record in result.records}
     assert verdicts["mechanics"] is StepVerdict.DONE
     left_out = [name for name, verdict in verdicts.items() if verdict is StepVerdict.LEFT_OUT]
-    assert left_out == ["torque_constant", "response", "suggest", "verify"]
+    assert left_out == ["torque_constant", "voltage_constant", "response", "suggest", "verify"]
     assert not [name for name, verdict in verdicts.items() if verdict is StepVerdict.FAILED]
     errors = errors_of(truth, result)
     assert abs(errors.inertia) < 0.03

@@ -124,8 +124,7 @@ class Slow(Silent):
 
     def line(self, question: str, idle: Idle) -> str:
         self._wait(idle)
-        assert "pole pairs" in question
-        return "4"
+        return "4" if "pole pairs" in question else ""
 
 
 def commissioned(
