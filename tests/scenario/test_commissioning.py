@@ -121,6 +121,15 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     assert "the drive has no torque mode" in report.split("## Left out")[1]
 
 
+def test_in_profile_torque_the_slope_is_named_that_rules_the_delay(tmp_path: Path) -> None:
+    only = supported_mode_bit(Mode.PROFILE_TORQUE)
+    _, result, _ = unknown_world(4, tmp_path, modes=only, last_step="delays")
+    delays = next(record for record in result.records if record.name == "delays")
+    told = " ".join((delays.reason, *delays.outcome.lines))
+    assert "torque slope 6087h" in told
+    assert "50000 thousandths a second, 4 ms for" in told
+
+
 def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = ["commission", "--bus", "simulated", "--node", "5", "--rehearse", "4", "--yes", "--json"]
