@@ -7,8 +7,9 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
+from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.session import Session
-from hil.commissioning.steps_design import suggestion
+from hil.commissioning.steps_design import rounded, suggestion
 from hil.configuration.network_file import network_text
 from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import ObjectKey
@@ -23,6 +24,8 @@ DCF_FILE: Final = "drive.dcf"
 
 _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})
 """What only served the steps."""
+_ERROR_SHARE: Final = 0.25
+"""Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
 _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
@@ -198,7 +201,7 @@ def _by_word(session: Session) -> list[str]:
 def _bench_tables(session: Session) -> dict[str, Any]:
     found = session.found
     limits = suggestion(session)
-    speed = 0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S
+    rpm = float(round(0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S))
     drive: dict[str, Any] = {
         "node": session.request.node,
         "motor": MOTOR_FILE,
@@ -215,9 +218,13 @@ def _bench_tables(session: Session) -> dict[str, Any]:
         "drive": {"axis1": drive},
         "reference": {
             "axis1": [
-                {"kind": "ramp", "at_s": 0.2, "speed_rpm": speed, "over_s": 0.4},
-                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -speed, "over_s": 0.8},
+                {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": 0.4},
+                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 0.8},
             ]
+        },
+        "verdict": {
+            "speed_error_rms_rad_s_max": rounded(_ERROR_SHARE * rpm * RAD_S_PER_RPM),
+            "dropouts_percent_max": 100.0 * LOSSES_MAX,
         },
     }
 

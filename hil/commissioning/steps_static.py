@@ -63,7 +63,8 @@ class BusCheck(Step):
             network.upload(session.request.node, 0x1000)
             trips_us.append((session.clock_now - asked_at) / 1e3)
         errors = session.world.error_frames()
-        outcome.say(f"{heard} frames in {LISTEN_S:g} s, bus load {load:.1f} %, {errors} error frames")
+        frames = f"{heard} frame{'' if heard == 1 else 's'}"
+        outcome.say(f"{frames} in {LISTEN_S:g} s, bus load {load:.1f} %, {errors} error frames")
         outcome.say(f"answers after {np.median(trips_us):.0f} us, at most {max(trips_us):.0f} us")
         outcome.figures = {"frames": heard, "error_frames": errors, "sdo_us": float(np.median(trips_us))}
         if errors:

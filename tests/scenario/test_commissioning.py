@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import re
 from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
@@ -162,7 +163,14 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     sheet: Any = load_dictionary(out / "drive.dcf", 5).dictionary
     assert sheet[Object.POLARITY].value == 0
     assert sheet[0x1016][1].value >> 16 == 127
+    assert "the rehearsed drive's own nameplate is taken" in done.stderr
+    assert "1 frame in" in done.stderr
+    assert f"see {out / 'report.html'}" in done.stderr
+    assert "{'" not in (out / REPORT_FILE).read_text(), "no table of Python's"
+    text = (out / "bench.toml").read_text()
+    assert not [number for number in re.findall(r"-?\d+\.\d+", text) if len(number.strip("-0.")) > 7], text
     bench = load_bench(out / "bench.toml")
+    assert bench.verdict.speed_error_rms_rad_s_max is not None
     assert bench.drive["axis1"].commissioned == drive
     report = (out / REPORT_FILE).read_text()
     for step in figures["steps"]:
