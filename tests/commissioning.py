@@ -196,10 +196,12 @@ def unknown_world(
     plate: Mapping[str, Any] | None = None,
     trust_nameplate: bool = True,
     tell: Callable[[str], None] = lambda _text: None,
+    last_step: str | None = None,
 ) -> tuple[Truth, Commissioned, Spy]:
     """Commission the drive of ``seed`` in simulated time. ``spied``: know the delays from inside.
     ``modes``: 6502h, if it is to be less than the drive can. ``lacks``: objects that it has not.
     ``plate``: in place of the true nameplate, which is to be trusted unless told otherwise.
+    ``last_step``: no step behind that one.
     """
     servo, truth = unknown_drive(seed, clock_drift_ppm=drift_ppm)
     take_away(servo.dictionary, lacks)
@@ -217,7 +219,9 @@ def unknown_world(
     spy = Spy(servo)
 
     def steps() -> list[Step]:
-        return [Watching(step, spy) if spied and step.name == "delays" else step for step in all_steps()]
+        names = [step.name for step in all_steps()]
+        chosen = all_steps()[: len(names) if last_step is None else names.index(last_step) + 1]
+        return [Watching(step, spy) if spied and step.name == "delays" else step for step in chosen]
 
     fault_plan = None if faults is None else faults_from(faults, "faults").plan
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)

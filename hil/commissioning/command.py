@@ -17,7 +17,7 @@ from hil.commissioning.commission import commission
 from hil.commissioning.dialog import Dialog, EmergencyStop, Silent, Terminal, say
 from hil.commissioning.outcome import StepVerdict
 from hil.commissioning.rehearsal import Rehearsed, rehearsed_drive
-from hil.commissioning.report import REPORT_FILE, Commissioned, as_json
+from hil.commissioning.report import HTML_FILE, Commissioned, as_json
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.execution.world import WorldPlan, open_world
 from hil.machine.realtime import timing_conditions
@@ -44,6 +44,7 @@ def run_command(
         request = replace(request, eds=request.eds or rehearsed.eds)
         if not plate_given:
             request = replace(request, nameplate=Nameplate.model_validate(plate), trust_nameplate=True)
+            say("no --motor: the rehearsed drive's own nameplate is taken, and trusted against the drive")
     if not yes and not request.dry_run and not sys.stdin.isatty():
         raise BadInput("--yes", "", "no terminal to ask at", "--yes, or a terminal as standard input")
     sheet = None
@@ -65,7 +66,7 @@ def run_command(
 def _conclude(request: CommissionRequest, result: Commissioned) -> tuple[int, dict[str, Any]]:
     done = sum(record.verdict is StepVerdict.DONE for record in result.records)
     faults = sum(len(record.outcome.faults) for record in result.records)
-    say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / REPORT_FILE}")
+    say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / HTML_FILE}")
     figures = as_json(request, result)
     if result.error is not None:
         say(f"hil: error: {result.error}")

@@ -7,6 +7,7 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files
+from hil.commissioning.recording import RECORDING_FOLDER, SessionLog
 from hil.commissioning.report import Commissioned, write_report
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.sequence import Step, run_sequence
@@ -34,8 +35,10 @@ def commission(
     Raises only what keeps it from being put back: BusDown, NoAnswer. The journal then has everything.
     """
     request.out.mkdir(parents=True, exist_ok=True)
+    title = f"commissioning of node {request.node} on {request.bus}"
+    log = SessionLog(request.out / RECORDING_FOLDER, world, request.bus, title)
     network = JournaledNetwork(world.link, world.clock)
-    session = Session(request, world, network, dialog, stop, sheet)
+    session = Session(request, world, network, dialog, stop, sheet, log)
     result = Commissioned(findings=session.found)
     chosen = list((steps or all_steps)())
     try:
@@ -43,9 +46,13 @@ def commission(
             run_sequence(session, chosen, result.records)
         except BenchError as error:
             result.error = error
+            log.event("CRITICAL", str(error))
             raise
         finally:
-            _finish(session, result)
+            try:
+                _finish(session, result)
+            finally:
+                _end_log(session, result)
     except BenchError as error:
         if error is not result.error:
             raise
@@ -80,6 +87,19 @@ def _finish(session: Session, result: Commissioned) -> None:
         put_back = result.restoration is not None and result.restoration.complete
         if not (put_back or result.stored):
             session.dialog.tell(f"not everything is as it was: {session.request.restore_command}")
+
+
+def _end_log(session: Session, result: Commissioned) -> None:
+    restoration = result.restoration
+    if restoration is not None and restoration.complete:
+        session.log.event("INFO", f"{restoration.objects} objects hold again what they held before")
+    for failure in [] if restoration is None else restoration.failures:
+        session.log.event("ERROR", f"not put back: {failure}")
+    if result.stored:
+        session.log.event("INFO", "the settings were stored in the drive (1010h)")
+    session.log.close()
+    if session.log.failed:
+        session.dialog.tell(f"the recording ends early: {session.log.failed}")
 
 
 def _rest(session: Session) -> None:

@@ -6,7 +6,10 @@ A drive without a torque mode is given speeds, by a :class:`.SpeedCommand`; no o
 from collections.abc import Callable
 from typing import Final
 
+from drivers.canopen.pdo import EVERY_SYNC
+from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode
+from drivers.cia402.readings import NEVER_TOLD
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.exchange import (
@@ -42,18 +45,31 @@ class DrivePort(Drive):
         self.quantity = QUANTITY_OF_MODE[mode]
         self.listener: Callable[[list[Reading]], None] | None = None
         """Sees the readings as they are taken."""
+        self.whole_only = _tells_each_position(drive)
+        """A reading whose position was lost is none: it holds the last one, carried on by a velocity whose
+        unit may be wrong by a hundred."""
+        self._told_at = NEVER_TOLD
         self._period_s = period_s
         self._position_rad: float | None = None
         self._last: Instant | None = None
 
     def take_readings(self) -> list[Reading]:
         """The readings of the drive."""
-        readings = self.drive.take_readings()
+        readings = self._whole(self.drive.take_readings())
         if self.listener is not None:
             self.listener(readings)
         if self._position_rad is None and readings:
             self._position_rad = readings[-1].position_rad
         return readings
+
+    def _whole(self, readings: list[Reading]) -> list[Reading]:
+        """Those with a position of their own: it was told since the one before."""
+        kept = []
+        for reading in readings:
+            if reading.position_told_at != self._told_at or not self.whole_only:
+                kept.append(reading)
+            self._told_at = reading.position_told_at
+        return kept
 
     def take_readbacks(self) -> list[Readback]:
         """As the drive's own."""
@@ -102,3 +118,9 @@ class DrivePort(Drive):
         return self.drive.write(
             PositionCommand(command.sequence, self._position_rad, command.effective_at, command.expires_at)
         )
+
+
+def _tells_each_position(drive: ServoDrive) -> bool:
+    """The position is told with every SYNC."""
+    pdo = None if drive.plan is None else drive.plan.tpdo_with(Object.POSITION_ACTUAL_VALUE)
+    return pdo is not None and pdo.transmission_type == EVERY_SYNC

@@ -7,8 +7,9 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
+from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.session import Session
-from hil.commissioning.steps_design import suggestion
+from hil.commissioning.steps_design import rounded, suggestion
 from hil.configuration.network_file import network_text
 from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import ObjectKey
@@ -23,6 +24,8 @@ DCF_FILE: Final = "drive.dcf"
 
 _EXERCISE: Final = frozenset({*SET_POINTS, Object.HOMING_METHOD, Object.HOMING_SPEEDS})
 """What only served the steps."""
+_ERROR_SHARE: Final = 0.25
+"""Of the reference, rms: what a sign or a unit that is wrong breaks, and a busy machine does not."""
 _SETTINGS: Final = (Object.POLARITY,)
 """What a run needs of it beside what it writes itself."""
 
@@ -133,7 +136,7 @@ def _motor_text(session: Session) -> str:
     rated_nm = session.drive.rated_torque_nm
     winding, rating = plate.motor, plate.rating
     guesses = []
-    pole_pairs = winding.pole_pairs or 1
+    pole_pairs = found.pole_pairs or 1
     constant = found.torque_constant_nm_a
     if constant is None and rating.torque_nm and rating.current_a:
         constant = rating.torque_nm / rating.current_a
@@ -145,7 +148,7 @@ def _motor_text(session: Session) -> str:
     inductance = winding.inductance_q_h or resistance * lag_s
     if winding.resistance_ohm is None or winding.inductance_q_h is None:
         guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
-    if winding.pole_pairs is None:
+    if found.pole_pairs is None:
         guesses.append("the number of pole pairs is not known")
     speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * RPM_PER_RAD_S
     current_a = rated_nm / constant
@@ -178,14 +181,27 @@ def _motor_text(session: Session) -> str:
         },
     }
     notes = ["Inertia, friction and torque constant are measured; they include the load on the shaft."]
+    notes += _by_word(session)
     notes += [f"Not known: {guess}." for guess in guesses]
     return _headed(" ".join(notes), tables)
+
+
+def _by_word(session: Session) -> list[str]:
+    """What stands there by the nameplate alone."""
+    winding = session.request.nameplate.motor
+    words = {
+        "resistance": winding.resistance_ohm,
+        "inductance": winding.inductance_q_h,
+        "pole pairs": session.found.pole_pairs,
+    }
+    named = [name for name, value in words.items() if value is not None]
+    return [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:
     found = session.found
     limits = suggestion(session)
-    speed = 0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S
+    rpm = float(round(0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S))
     drive: dict[str, Any] = {
         "node": session.request.node,
         "motor": MOTOR_FILE,
@@ -202,9 +218,13 @@ def _bench_tables(session: Session) -> dict[str, Any]:
         "drive": {"axis1": drive},
         "reference": {
             "axis1": [
-                {"kind": "ramp", "at_s": 0.2, "speed_rpm": speed, "over_s": 0.4},
-                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -speed, "over_s": 0.8},
+                {"kind": "ramp", "at_s": 0.2, "speed_rpm": rpm, "over_s": 0.4},
+                {"kind": "ramp", "at_s": 1.5, "speed_rpm": -rpm, "over_s": 0.8},
             ]
+        },
+        "verdict": {
+            "speed_error_rms_rad_s_max": rounded(_ERROR_SHARE * rpm * RAD_S_PER_RPM),
+            "dropouts_percent_max": 100.0 * LOSSES_MAX,
         },
     }
 

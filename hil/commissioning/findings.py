@@ -8,7 +8,7 @@ from drivers.cia402.drive_setup import Identity
 from drivers.cia402.profile import Mode, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride, Scaling
 from drivers.timebase import NS_PER_MS, Duration
-from hil.commissioning.identify import Mechanics
+from hil.commissioning.identify import Mechanics, SpeedRatio
 from hil.commissioning.request import MotionLimits
 from hil.configuration.network_file import Network
 from hil.restoring.journal import ObjectKey
@@ -34,11 +34,13 @@ class Findings:
     mechanics: Mechanics | None = None
     rough: Mechanics | None = None
     """From the pulses: enough to guide an exercise."""
+    pole_pairs: int | None = None
+    """By the nameplate, or as somebody said at the motor: nothing measures it."""
     speed_noise_rad_s: float = 0.0
     """Rms of the velocity 606Ch about the derivative of the position."""
     torque_constant_nm_a: float | None = None
     """N m per A rms, as the drive's own figures have it."""
-    velocity_ratio: float | None = None
+    velocity_ratio: SpeedRatio | None = None
     """Velocity over position derivative, both as told."""
     quick_stop_rad_s2: float | None = None
     """6085h as it was found to be needed; None: the drive's own."""

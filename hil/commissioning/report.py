@@ -88,7 +88,9 @@ def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any
         "drive": drive,
         "nameplate": request.nameplate.model_dump(exclude_none=True, exclude={"limits"}),
         "limits": request.nameplate.limits.model_dump(exclude_none=True),
-        "not measurable over CiA 402": "resistance, inductance, pole pairs: as the nameplate says",
+        "not measurable over CiA 402": (
+            "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
+        ),
         "uncertainties": "expanded, k = 2; figures in N m are in proportion to the rated torque 6076h",
     }
 
@@ -96,12 +98,22 @@ def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any
 def _header(request: CommissionRequest, result: Commissioned) -> list[str]:
     rows = ["| | |", "|---|---|"]
     for name, value in header_of(request, result).items():
-        told = (
-            ", ".join(f"{key}: {each}" for key, each in value.items()) if isinstance(value, dict) else value
-        )
-        if told not in (None, ""):
-            rows.append(f"| {name} | {_cell(str(told))} |")
+        told = _in_words(value)
+        if told:
+            rows.append(f"| {name} | {_cell(told)} |")
     return [*rows, ""]
+
+
+def _in_words(value: Any) -> str:
+    """A value of the header; a table as key: value, its tables as their name with theirs behind it."""
+    if isinstance(value, dict):
+        parts = [
+            f"{key}: {_in_words(each)}" if not isinstance(each, dict) else f"{key} ({_in_words(each)})"
+            for key, each in value.items()
+            if each not in (None, "", {})
+        ]
+        return ", ".join(parts)
+    return "" if value is None else str(value)
 
 
 def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
 
+POLE_PAIRS_MAX: Final = 200
+
 
 class PlateMotor(Section):
     """``[motor]``: what is known of the winding; all optional."""
@@ -20,7 +22,7 @@ class PlateMotor(Section):
     resistance_ohm: Resistance | None = None
     inductance_d_h: Inductance | None = None
     inductance_q_h: Inductance | None = None
-    pole_pairs: int | None = Field(default=None, gt=0, le=200)
+    pole_pairs: int | None = Field(default=None, gt=0, le=POLE_PAIRS_MAX)
 
 
 class PlateRating(Section):

@@ -62,10 +62,12 @@ def run_sequence(session: Session, steps: Sequence[Step], records: list[StepReco
         session.check_stop()
         record = StepRecord(step.name, step.title, "", StepVerdict.NOT_DONE, step.limit)
         records.append(record)
+        session.log.step(step.name)
         reason = _why_not(session, step, done)
         if reason is not None:
             record.verdict, record.reason = StepVerdict.LEFT_OUT, reason
             session.dialog.tell(f"{number:2}. {step.title}: left out, {reason}")
+            session.log.event("INFO", f"{step.title}: left out, {reason}")
             continue
         record.plan = step.plan(session)
         session.dialog.tell(f"{number:2}. {step.title}\n    {record.plan}")
@@ -97,6 +99,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
             record.reason = (
                 session.dialog.line("    why?", session.idle) or record.reason or "no reason given"
             )
+            session.log.event("WARN", f"{step.title}: skipped, {record.reason}")
             return
         failure = _attempt(session, step, record)
         if failure is None:
@@ -134,6 +137,12 @@ def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | No
     failure = session.end_attempt(failure)
     if failure is None:
         record.verdict, record.reason, record.outcome = StepVerdict.DONE, "", outcome
+        session.log.event("INFO", f"{step.title}: done")
+    else:
+        session.log.event("ERROR", f"{step.title}: failed: {failure}")
+    for fault in outcome.faults:
+        session.log.event("WARN", f"{step.title}: found: {fault}")
+    session.write_log()
     return failure
 
 

@@ -28,6 +28,7 @@ from hil.commissioning.findings import Findings
 from hil.commissioning.host_gaps import HostGaps
 from hil.commissioning.identify import Mechanics
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.recording import SessionLog
 from hil.commissioning.request import CommissionRequest, MotionLimits, cautious
 from hil.configuration.config import Guard
 from hil.execution.bus_guard import BusGuard
@@ -72,8 +73,10 @@ class Session:
         dialog: Dialog,
         stop: EmergencyStop,
         sheet: LoadedDictionary | None,
+        log: SessionLog,
     ) -> None:
         self.request = request
+        self.log = log
         self.world = world
         self.network = network
         self.dialog = dialog
@@ -91,9 +94,17 @@ class Session:
         self.gaps = HostGaps(network, request.heartbeat_timeout_ms)
         self._port: DrivePort | None = None
 
-    def _tell(self, _at: Instant, _level: str, text: str) -> None:
+    def _tell(self, at: Instant, level: str, text: str) -> None:
         """What the guard saw."""
+        self.log.event(level, text, at)
         self.dialog.tell(f"    {text}")
+
+    def write_log(self) -> None:
+        """Bring the recording to the disk; while the drive is disabled nobody waits for it."""
+        if self.drive.enabled:
+            self.log.write()
+        else:
+            self.meanwhile(self.log.write)
 
     def begin_attempt(self) -> None:
         """Each attempt at a step has its own bound on the work it may do, and begins with a drive that is

@@ -9,6 +9,7 @@ from hil.commissioning.steps_setup import EnableAtZero, SetUp, Watchdog
 from hil.commissioning.steps_static import BusCheck, DumpStep, IdentityCheck, UnitsTold
 from hil.commissioning.steps_stopping import StopProof, StopSettings
 from hil.commissioning.steps_units import MotionUnits, Polarity, Turn
+from hil.commissioning.steps_voltage import VoltageConstant
 
 
 def all_steps() -> list[Step]:
@@ -28,6 +29,7 @@ def all_steps() -> list[Step]:
         StopProof(),
         MechanicsStep(),
         TorqueConstant(),
+        VoltageConstant(),
         Response(),
         Delays(),
         Suggest(),

@@ -73,12 +73,12 @@ class Suggest(Step):
             design = session.meanwhile(least_gain, model, delay_s, Feedback.SPEED)
         except DesignError as error:
             raise StepFailed("no controller was found", str(error)) from error
-        proportional, integral = -float(design.K[1]), -float(design.K[2])
+        proportional, integral = rounded(-float(design.K[1])), rounded(-float(design.K[2]))
         found.controller = {
             "kind": "pid",
             "proportional_nm_s_rad": proportional,
             "integral_nm_rad": integral,
-            "feedforward_nm_s_rad": mechanics.viscous_friction_nm_s,
+            "feedforward_nm_s_rad": rounded(mechanics.viscous_friction_nm_s),
         }
         period_us, limits = _period_us(session), _suggested_limits(session)
         crossing = proportional / mechanics.inertia_kg_m2
@@ -99,6 +99,11 @@ class Suggest(Step):
             f"limits: {limits['speed_max_rpm']:.0f} r/min, {limits['torque_max_nm']:.4g} N m, "
             f"{limits['torque_slew_max_nm_s']:.4g} N m/s"
         )
+
+
+def rounded(value: float) -> float:
+    """To four digits, as somebody would write it into a file."""
+    return float(f"{value:.4g}")
 
 
 def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
@@ -140,9 +145,9 @@ def _suggested_limits(session: Session) -> dict[str, float]:
     if rating.current_max_a and rating.current_a:
         peak = min(peak, rating.current_max_a / rating.current_a)
     return {
-        "speed_max_rpm": rating.speed_rpm or 2.0 * session.limits.speed_rad_s / RAD_S_PER_RPM,
-        "torque_max_nm": peak * rated_nm,
-        "torque_slew_max_nm_s": rated_nm / 0.005,
+        "speed_max_rpm": rounded(rating.speed_rpm or 2.0 * session.limits.speed_rad_s / RAD_S_PER_RPM),
+        "torque_max_nm": rounded(peak * rated_nm),
+        "torque_slew_max_nm_s": rounded(rated_nm / 0.005),
     }
 
 

@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.exchange import Command
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration
+from hil.commissioning.command_probe import CommandProbe, switches
 from hil.commissioning.excitation import SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
 from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
@@ -41,27 +41,12 @@ _COHERENT: Final = 0.8
 _MIDDLE_HZ: Final = (4.0, 60.0)
 """Where a shaft is rigid: above the guide, and below the resonances of couplings."""
 
-_SWITCHES: Final = 500
-_SWITCHES_MIN: Final = 150
-"""Fewer do not fill the ages between two SYNCs."""
-_SWITCHING_S: Final = 4.0
-"""In all, as long as that leaves enough switches."""
-_HOLD_CYCLES: Final = 4
-_GOLDEN: Final = 0.6180339887498949
-"""Golden section: steps of it fill an interval evenly, however many there are."""
-_CLEAR: Final = 1.25
-"""Command frames between a switch and its SYNC, at least: the SYNC must not wait for the command to leave."""
-_LONGEST_PART: Final = 0.7
-"""Of a period, from a switch to its SYNC, at most."""
-_LONGEST_NS: Final = 700_000.0
-"""Longest time from a switch to the SYNC that shows it; later SYNCs show the rest of the answer."""
 _FINEST_US: Final = 20.0
 """What an instant of sending may be off, see the delays of commands that commissioning finds."""
+_SLOPE_PART: Final = 1.0
+"""A ramp passes from 10 to 90 % in 0.8 of its time, a lag in 2.2 of its own: with one as long as the lag more
+than a third of the rise is the ramp's."""
 _READINGS_S: Final = 1.0
-_SETTLED_LAGS: Final = 2.0
-"""Behind half of the answer: there 93 % of a first-order answer have come."""
-_LOST_PART: Final = 0.3
-"""Less of the step than this, so late, is none of it: noise of the torque feedback is well below."""
 
 
 class Response(Step):
@@ -186,7 +171,7 @@ class Delays(Step):
             _time_readings(session, outcome)
             return
         with session.enabled():
-            probe = _Probe(session)
+            probe = CommandProbe(session)
             probe.run()
         readings = np.array(probe.delays_us)
         if len(readings) < 100:
@@ -196,7 +181,14 @@ class Delays(Step):
         try:
             lag = session.meanwhile(step_lag, age, part)
         except ValueError as error:
-            raise StepFailed("the torque does not follow its command", str(error)) from error
+            slope = probe.slope
+            if slope is None:
+                raise StepFailed("the torque does not follow its command", str(error)) from error
+            raise StepFailed(
+                "the torque slope 6087h hides when a command acts",
+                f"{slope.told}; {error}",
+                "cyclic synchronous torque has no slope; in profile torque set 6087h steeper",
+            ) from error
         found = session.found
         found.current_bandwidth_hz = _bandwidth_hz(session, lag)
         probe.judge_commands(lag)
@@ -209,6 +201,8 @@ class Delays(Step):
             f"a command shows half of its effect {lag.half_us:.0f} us after it was sent: "
             f"{lag.dead_us:.0f} us of dead time and a lag of {lag.lag_us:.0f} us"
         )
+        if probe.slope is not None and probe.slope.takes_us > _SLOPE_PART * lag.lag_us:
+            outcome.say(f"most of it is the torque slope 6087h: {probe.slope.told}")
         if found.current_bandwidth_hz is not None:
             outcome.say(f"the drive follows it like a current loop of {found.current_bandwidth_hz:.0f} Hz")
         outcome.say(f"{commands_lost} of {probe.commands} commands were lost")
@@ -235,8 +229,10 @@ def _bandwidth_hz(session: Session, lag: StepLag) -> float | None:
 
 def _time_readings(session: Session, outcome: StepOutcome) -> None:
     """Only the way of the readings, with the drive at rest."""
+    whole_only, session.port.whole_only = session.port.whole_only, False  # a position is not what is timed
     with session.exercising() as exerciser:
         recording = exerciser.rest(_READINGS_S)
+    session.port.whole_only = whole_only
     readings = recording.sync_to_reading_us
     if len(readings) < 100:
         raise StepFailed("too few readings came", f"{len(readings)} of {recording.cycles}")
@@ -281,106 +277,6 @@ def _keep_readings(
         f"readings arrive {session.found.reading_delay_us:.0f} us after the SYNC, "
         f"99 % within {p99:.0f} us; {lost} of {cycles} were lost"
     )
-
-
-def switches(session: Session) -> int:
-    """How often the torque is switched: fewer where a cycle takes long."""
-    hold_s = _HOLD_CYCLES * session.found.period / NS_PER_S
-    return max(_SWITCHES_MIN, min(_SWITCHES, round(_SWITCHING_S / hold_s)))
-
-
-class _Probe:
-    """Torque switched to and fro at an instant of the cycle that shifts from switch to switch.
-
-    The drive shows its torque only at SYNCs; as the commands come at ever other times before them, the
-    samples show the answer to a switch at many ages (equivalent-time sampling).
-    """
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._network = session.network
-        self._port = session.port
-        self._period = session.found.period
-        self._latency = session.timing().sync_latency
-        rated = session.drive.rated_torque_nm
-        self._step_nm = max(0.02 * rated, min(0.25 * session.limits.torque_nm, 0.1 * rated))
-        self.delays_us: list[float] = []
-        self.answers: list[tuple[float, float]] = []
-        self.cycles = 0
-        self.missing: list[bool] = []
-        """Of each cycle: its reading did not come in time."""
-        self.firsts: list[tuple[float, float]] = []
-        """Of the answers, those of the first SYNC after a switch: before it is repeated."""
-        self.commands = 0
-        """Switches old enough at that SYNC to be judged."""
-        self.commands_lost = 0
-
-    def run(self) -> None:
-        due = Instant(self._session.clock_now + self._period)
-        torque = self._step_nm
-        self._port.take_readings()
-        # Not so shortly before the SYNC that this would have to wait for the command to leave the bus.
-        command = self._session.timing().command_latency
-        shortest = _CLEAR * command
-        longest = max(2.0 * shortest, min(_LONGEST_PART * self._period, max(_LONGEST_NS, 6.0 * command)))
-        # Half of a hold first, so that the shaft swings about its place.
-        due = self._hold(due, torque, 0.5, _HOLD_CYCLES // 2, None)
-        for number in range(switches(self._session)):
-            before, torque = torque, -torque
-            lead = shortest + (longest - shortest) * ((number * _GOLDEN) % 1.0)
-            due = self._hold(due, torque, 1.0 - lead / self._period, _HOLD_CYCLES, before)
-        self._send(0.0, Instant(self._session.clock_now + self._period))
-
-    def _hold(self, due: Instant, torque: float, part: float, cycles: int, before: float | None) -> Instant:
-        """Switch to ``torque`` in the first cycle; it is repeated, so that a lost command is made up."""
-        sent_at: Instant | None = None
-        late = False
-        for cycle in range(cycles):
-            self._network.pump(due)
-            self._session.check_stop()
-            late = late or self._session.clock_now - due > self._period // 2
-            sync_at = self._network.send_sync()
-            self.cycles += 1
-            command_at = Instant(max(due + round(part * self._period), sync_at))
-            self._network.pump(command_at)
-            shown = self._shown(sync_at)
-            if before is not None and sent_at is not None and shown is not None and not late:
-                self._answer(sync_at, sent_at, shown, before, torque, cycle)
-            at = self._send(torque, Instant(command_at + self._period))
-            sent_at = at if sent_at is None else sent_at
-            due = Instant(max(due + self._period, self._session.clock_now))
-            self._port.check()
-        return due
-
-    def _shown(self, sync_at: Instant) -> float | None:
-        """The torque in answer to the SYNC; None if it was lost or is late. The readings are counted."""
-        delays = [reading.received_at - sync_at - self._latency for reading in self._port.take_readings()]
-        answers = [delay for delay in delays if delay >= 0]
-        self.delays_us += [delay / 1e3 for delay in answers]
-        self.missing.append(not answers)
-        torque_nm, told_at = self._port.torque_shown
-        return torque_nm if told_at - sync_at >= self._latency else None
-
-    def _answer(
-        self, sync_at: Instant, sent_at: Instant, shown: float, before: float, torque: float, cycle: int
-    ) -> None:
-        age_us = (sync_at + self._latency - sent_at) / 1e3
-        part = (shown - before) / (torque - before)
-        if cycle == 1:
-            self.firsts.append((age_us, part))
-        self.answers.append((age_us, part))
-
-    def _send(self, torque_nm: float, expires_at: Instant) -> Instant | None:
-        """When the bus was given it; None if it was too late to be sent."""
-        sent = self._port.write(Command(0, torque_nm, expires_at, expires_at))
-        return None if sent is None else sent.handed_at
-
-    def judge_commands(self, lag: StepLag) -> None:
-        """Those that should have shown their effect by the first SYNC, and did not, were lost."""
-        old_us = lag.half_us + _SETTLED_LAGS * lag.lag_us
-        judged = [part for age_us, part in self.firsts if age_us > old_us]
-        self.commands = len(judged)
-        self.commands_lost = sum(part < _LOST_PART for part in judged)
 
 
 def total_delay_s(session: Session) -> float:

@@ -14,9 +14,10 @@ from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.plate_check import compare_ratings, confirm_pole_pairs
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, nameplate_wins
+from hil.commissioning.session import Session
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
@@ -24,7 +25,6 @@ CONNECT_LIMIT_S = 5.0
 LISTEN_S = 0.5
 ROUND_TRIPS = 20
 _SHOWN = 40
-_RATING_TOLERANCE = 0.03
 _REMEDIES = {
     "torque": "6076h tells none: give rating.torque_nm in the nameplate (--motor)",
     "position": "608Fh, 6092h and 60A8h tell none: give encoder.counts_per_revolution, the position units in "
@@ -32,8 +32,6 @@ _REMEDIES = {
     "velocity": "60A9h, and 6096h with the position unit, tell none: this drive cannot be commissioned",
     "acceleration": "60AAh, and 6097h with the position unit, tell none: this drive cannot be commissioned",
 }
-_RATING_SLIP = 1.5
-"""Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
 _COARSEST_RAD = 1.01 * math.tau / 6.0
 """Hall sensors of one pole pair: a position unit that is coarser is a resolution that nobody has set."""
 
@@ -65,7 +63,8 @@ class BusCheck(Step):
             network.upload(session.request.node, 0x1000)
             trips_us.append((session.clock_now - asked_at) / 1e3)
         errors = session.world.error_frames()
-        outcome.say(f"{heard} frames in {LISTEN_S:g} s, bus load {load:.1f} %, {errors} error frames")
+        frames = f"{heard} frame{'' if heard == 1 else 's'}"
+        outcome.say(f"{frames} in {LISTEN_S:g} s, bus load {load:.1f} %, {errors} error frames")
         outcome.say(f"answers after {np.median(trips_us):.0f} us, at most {max(trips_us):.0f} us")
         outcome.figures = {"frames": heard, "error_frames": errors, "sdo_us": float(np.median(trips_us))}
         if errors:
@@ -175,7 +174,8 @@ class UnitsTold(Step):
             override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
             told = read_scaling(objects, override)
         found.told, found.override = told, override
-        _compare_ratings(session, outcome, told.rated_torque_nm)
+        compare_ratings(session, outcome, told.rated_torque_nm)
+        confirm_pole_pairs(session, outcome)
         for name, value, unit in (
             ("position", told.position_rad, "rad"),
             ("velocity", told.velocity_rad_s, "rad/s"),
@@ -214,37 +214,6 @@ def _plausible(told: Scaling) -> Scaling:
             unit="position",
         )
     return told
-
-
-def _compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) -> None:
-    """6076h and 6075h against the nameplate; the nameplate is believed for the torque, unless one of the two
-    must be a slip: then it is asked which."""
-    rating = session.request.nameplate.rating
-    if rating.torque_nm is None:
-        outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
-    elif _slip(torque_nm, rating.torque_nm) and not nameplate_wins(
-        session, "rated torque", f"{rating.torque_nm:g} N m", f"{torque_nm:g} N m (6076h)"
-    ):
-        outcome.faults.append(
-            f"nameplate: rating.torque_nm {rating.torque_nm:g} is not believed, 6076h says {torque_nm:g} N m"
-        )
-    elif abs(torque_nm / rating.torque_nm - 1.0) > _RATING_TOLERANCE:
-        outcome.faults.append(
-            f"torque unit: 6076h says {torque_nm:g} N m, the nameplate {rating.torque_nm:g} N m; "
-            "the nameplate is taken"
-        )
-        session.overridden(rated_torque_nm=rating.torque_nm)
-        outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
-    current_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
-    if rating.current_a and current_ma and abs(current_ma / 1e3 / rating.current_a - 1.0) > _RATING_TOLERANCE:
-        outcome.faults.append(
-            f"current unit: 6075h says {current_ma / 1e3:g} A, the nameplate {rating.current_a:g} A rms"
-        )
-        outcome.figures["current_fault"] = current_ma / 1e3 / rating.current_a
-
-
-def _slip(told: float, printed: float) -> bool:
-    return abs(math.log(told / printed)) > math.log(_RATING_SLIP)
 
 
 def _modes(session: Session) -> tuple[tuple[Mode, ...], bool]:

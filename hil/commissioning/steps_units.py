@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from drivers.cia402.drive_setup import write_optional
 from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import Scaling
@@ -11,7 +13,13 @@ from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import Pulse
 from hil.commissioning.exercise import Exerciser, Recording, motions
-from hil.commissioning.identify import NotIdentifiable, identify_mechanics, plain_ratio, ratio_of
+from hil.commissioning.identify import (
+    NotIdentifiable,
+    SpeedRatio,
+    identify_mechanics,
+    plain_ratio,
+    ratio_of,
+)
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session, held_s, nameplate_wins
@@ -32,6 +40,18 @@ _NUDGES: Final = 4
 """Each three times as fast as the one before, 27 times at last: velocity units are wrong by as much."""
 _PULSE_S: Final = 6.0
 """The torque rises by the rated one in a second, and the rest is for the shaft to come to a stop."""
+_SIGN_ERROR: Final = 0.5
+"""Relative, of what has only to show a sign."""
+_RATIO_ERROR: Final = 0.01
+"""Of what has to show a factor."""
+_RATIO_ERROR_MAX: Final = 0.1
+"""Twice of it tells the nearest two factors that occur, 1.25 apart."""
+_LOOKS: Final = 4
+_FARTHER: Final = 4.0
+"""Each look leads so many times as far as the one before."""
+_WORTH_IT: Final = 1.5
+_PULSE_SPEED_SHARE: Final = 0.5
+"""Of the speed limit, that a longer pulse may come up to: its speed goes with the root of its path."""
 _RATIO_TOLERANCE: Final = 0.03
 """Slips of units are factors of 1.25 and more; what is below is the measurement's."""
 _ROUGH_WINDOW_S: Final = 0.03
@@ -96,7 +116,7 @@ class Polarity(Step):
 
 def _signs(session: Session, outcome: StepOutcome) -> tuple[int, int]:
     """Sign of the position against the set-point, and of the velocity against the position."""
-    recordings = pulses(session, _PULSE_TURNS)
+    recordings, ratio = _compared(session, _PULSE_TURNS, _SIGN_ERROR)
     signs = []
     for direction, recording in zip((1.0, -1.0), recordings, strict=True):
         moved = float(recording.position[-1] - recording.position[0])
@@ -104,10 +124,26 @@ def _signs(session: Session, outcome: StepOutcome) -> tuple[int, int]:
         signs.append(math.copysign(1.0, moved * direction))
     if signs[0] != signs[1]:
         raise StepFailed("the shaft turns the same way for both signs", "; ".join(outcome.lines))
-    ratio = _velocity_ratio(recordings)
-    if math.isnan(ratio) or ratio == 0.0:
+    if math.isnan(ratio.value) or ratio.value == 0.0:
         raise StepFailed("the velocity 606Ch stays at 0 while the position changes")
-    return int(signs[0]), int(math.copysign(1.0, ratio))
+    return int(signs[0]), int(math.copysign(1.0, ratio.value))
+
+
+def _compared(session: Session, turns: float, error: float) -> tuple[list[Recording], SpeedRatio]:
+    """Pulses, and velocity over path: known to ``error``, or as well as paths within the limits allow.
+
+    The integral of a velocity that scatters grows with the square root of the time, the path with its square.
+    """
+    limits = session.limits
+    for _ in range(_LOOKS):
+        recordings = pulses(session, turns)
+        ratio = ratio_of([(each.time, each.velocity, each.position) for each in recordings])
+        fastest = max(float(np.max(np.abs(each.speed))) for each in recordings)
+        longer = min(_FARTHER, (_PULSE_SPEED_SHARE * limits.speed_rad_s / max(fastest, 1e-9)) ** 2)
+        if ratio.error <= error or longer < _WORTH_IT:
+            break
+        turns *= longer
+    return recordings, ratio
 
 
 def pulses(session: Session, far_turns: float) -> list[Recording]:
@@ -157,17 +193,12 @@ def _nudge(exerciser: Exerciser, speed: float, far: float) -> Recording:
     return exerciser.run_speeds(hold + 2.0 * over + 0.3, reference, guard_speed=False)
 
 
-def _velocity_ratio(recordings: list[Recording]) -> float:
-    ratios = [ratio_of(recording.time, recording.velocity, recording.position) for recording in recordings]
-    return sum(ratios) / len(ratios)
-
-
 class MotionUnits(Step):
     """Velocity against the derivative of the position; a first idea of inertia and friction."""
 
     name = "motion_units"
     title = "Velocity against position"
-    limit = "the velocity does not follow the position"
+    limit = "the velocity does not follow the position, or scatters by more than 10 % of it"
     needs = ("polarity",)
     writes = True
     moves = True
@@ -178,14 +209,23 @@ class MotionUnits(Step):
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         found = session.found
-        recordings = pulses(session, _LONG_PULSE_TURNS)
+        recordings, measured = _compared(session, _LONG_PULSE_TURNS, _RATIO_ERROR)
         told = session.told
         used = session.velocity_rad_s / told.velocity_rad_s
-        found.velocity_ratio = ratio = abs(_velocity_ratio(recordings)) / used
-        outcome.figures = {"velocity_over_path": ratio}
-        outcome.say(f"velocity 606Ch is {ratio:.4g} of the derivative of the position 6064h")
-        if abs(ratio - 1.0) > _RATIO_TOLERANCE:
-            factor = plain_ratio(ratio)
+        found.velocity_ratio = SpeedRatio(abs(measured.value) / used, measured.error)
+        ratio, percent = found.velocity_ratio.value, 100.0 * measured.error
+        outcome.figures = {"velocity_over_path": ratio, "velocity_over_path_error": measured.error}
+        outcome.say(
+            f"velocity 606Ch is {ratio:.4g} of the slope of the position 6064h +- {percent:.2g} % (k = 2)"
+        )
+        if not measured.error <= _RATIO_ERROR_MAX:
+            raise StepFailed(
+                "the velocity 606Ch scatters too much for its unit to be told from this motion",
+                f"{percent:.2g} % (k = 2); {100.0 * _RATIO_ERROR_MAX:g} % is borne",
+                "allow more speed and travel ([limits] of the nameplate), or smooth 606Ch in the drive",
+            )
+        if abs(ratio - 1.0) > _tolerance(found.velocity_ratio):
+            factor = plain_ratio(ratio, _tolerance(found.velocity_ratio))
             outcome.faults.append(
                 f"velocity and position units contradict each other by {factor:.6g}; "
                 "unless a turn was measured below, the velocity's is taken for the wrong one"
@@ -277,10 +317,9 @@ class Turn(Step):
             )
             outcome.figures["position_fault"] = ratio
         # What the velocity unit is by the true position.
-        velocity = told.velocity_rad_s / found.velocity_ratio * position / told.position_rad
-        factor = velocity / told.velocity_rad_s
-        if abs(factor - 1.0) > _RATIO_TOLERANCE:
-            factor = plain_ratio(factor)
+        factor = position / told.position_rad / found.velocity_ratio.value
+        if abs(factor - 1.0) > _tolerance(found.velocity_ratio):
+            factor = plain_ratio(factor, _tolerance(found.velocity_ratio))
             velocity = told.velocity_rad_s * factor
             outcome.faults.append(
                 f"velocity unit: {told.sources.get('velocity')} makes {told.velocity_rad_s:.6g} rad/s of it, "
@@ -294,6 +333,11 @@ class Turn(Step):
         if found.rough is not None:  # by the old position unit
             inertia = found.rough.inertia_kg_m2 / (position / told.position_rad)
             found.rough = replace(found.rough, inertia_kg_m2=inertia)
+
+
+def _tolerance(ratio: SpeedRatio) -> float:
+    """By how much it may be off a factor that occurs: by twice its uncertainty, as nothing else lies near."""
+    return max(_RATIO_TOLERANCE, 2.0 * ratio.error)
 
 
 def _unmeasured(session: Session, counts: int, believed: float, outcome: StepOutcome) -> tuple[float, str]:

@@ -12,6 +12,7 @@ from hil.terminal.options import (
     DriveFaultsOption,
     DriveNodeOption,
     JsonOption,
+    bus_option,
     fault_plan,
     seed_option,
 )
@@ -42,8 +43,16 @@ RehearsedSheetOption = Annotated[
 ]
 
 
+CommissionBusOption = Annotated[
+    str,
+    bus_option(
+        "hub:NAME, socketcan:can0, INTERFACE:CHANNEL, or simulated with --rehearse or --rehearse-eds."
+    ),
+]
+
+
 def commission(
-    bus: DriveBusOption,
+    bus: CommissionBusOption,
     node: DriveNodeOption,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, files and journal.")],
     eds: Annotated[

@@ -82,7 +82,7 @@ def _node_32(sheet: MadeSheet) -> None:
     sheet.set(0x1014, default="0xA0")
 
 
-_NO_TORQUE: Final = frozenset({"torque_constant", "response", "suggest", "verify"})
+_NO_TORQUE: Final = frozenset({"torque_constant", "voltage_constant", "response", "suggest", "verify"})
 _NO_CURRENT: Final = frozenset({"torque_constant"})
 """6078h finds no place beside the rest."""
 _SLOPED: Final = frozenset({"delays", "suggest", "verify"})
@@ -119,6 +119,7 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6077h": Trait(_lacks(0x6077), without=_NO_CURRENT),
     "no 6078h": Trait(_lacks(0x6078), without=_NO_CURRENT),
     "no 6076h": Trait(_lacks(0x6076)),
+    "no 6079h": Trait(_lacks(0x6079), without=frozenset({"voltage_constant"})),
     "no 6075h": Trait(_lacks(0x6075)),
     "608Fh is 1/1": Trait(_told_as_one, "608Fh|beyond the limit", mendable=True),
     "608Fh is 2000": Trait(_encoder_of_2000),

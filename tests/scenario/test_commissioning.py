@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import re
 from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
@@ -66,20 +67,37 @@ def test_what_is_hidden_is_found(tmp_path: Path, seed: int, hidden: set[str]) ->
     assert [(r.name, r.reason) for r in result.records if r.verdict is not StepVerdict.DONE] == []
     errors = errors_of(truth, result, spy)
     assert within(errors), row(seed, errors)
+    voltage = next(record.outcome.figures for record in result.records if record.name == "voltage_constant")
+    constant = truth.motor.pole_pairs * truth.motor.flux_linkage_wb
+    assert constant < voltage["voltage_constant_below"] < 6.0 * constant
+    assert voltage["by_torque_constant"] == pytest.approx(constant, rel=0.01)
     assert result.restoration is not None
     assert result.restoration.complete
     assert result.passed
 
 
 def test_the_same_with_lost_frames_and_a_drifting_clock(tmp_path: Path) -> None:
-    truth, result, spy = unknown_world(9, tmp_path, faults=LOSS, drift_ppm=300.0, spied=True)
+    """Seed 14 tells a velocity a hundred times too fast: a lost position must not be made up by it."""
+    truth, result, spy = unknown_world(14, tmp_path, faults=LOSS, drift_ppm=300.0, spied=True)
+    assert truth.faults == {"polarity", "velocity"}
     errors = errors_of(truth, result, spy)
-    assert within(errors), row(9, errors)
+    assert within(errors), row(14, errors)
     network = load_network(tmp_path / "network.toml")
     assert 0.5 < network.loss_percent < 4.0, "1 % each way of SYNC and readings"
     assert network.losses_in_a_row_max >= 1
     delays = next(record for record in result.records if record.name == "delays")
     assert delays.outcome.figures["commands_lost"] > 0
+
+
+def test_a_velocity_that_scatters_is_watched_over_a_longer_path(tmp_path: Path) -> None:
+    """Seed 88 has 4000 counts a turn and tells a position unit of ten: a pulse of a quarter of a turn is one
+    of a fortieth, over which the encoder's steps in 606Ch are several percent."""
+    truth, result, _ = unknown_world(88, tmp_path, last_step="turn")
+    found = result.findings
+    assert found.override.velocity_rad_s == pytest.approx(truth.velocity_rad_s, rel=1e-3)
+    units = next(record for record in result.records if record.name == "motion_units")
+    assert 0.0 < units.outcome.figures["velocity_over_path_error"] < 0.1
+    assert "(k = 2)" in units.outcome.lines[0]
 
 
 def test_a_turn_is_right_whenever_its_readings_arrive(tmp_path: Path) -> None:
@@ -94,7 +112,7 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     verdicts = {record.name: record.verdict for record in result.records}
     assert verdicts["mechanics"] is StepVerdict.DONE
     left_out = [name for name, verdict in verdicts.items() if verdict is StepVerdict.LEFT_OUT]
-    assert left_out == ["torque_constant", "response", "suggest", "verify"]
+    assert left_out == ["torque_constant", "voltage_constant", "response", "suggest", "verify"]
     assert not [name for name, verdict in verdicts.items() if verdict is StepVerdict.FAILED]
     errors = errors_of(truth, result)
     assert abs(errors.inertia) < 0.03
@@ -102,6 +120,15 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     assert abs(errors.velocity) < 0.005
     report = (tmp_path / REPORT_FILE).read_text()
     assert "the drive has no torque mode" in report.split("## Left out")[1]
+
+
+def test_in_profile_torque_the_slope_is_named_that_rules_the_delay(tmp_path: Path) -> None:
+    only = supported_mode_bit(Mode.PROFILE_TORQUE)
+    _, result, _ = unknown_world(4, tmp_path, modes=only, last_step="delays")
+    delays = next(record for record in result.records if record.name == "delays")
+    told = " ".join((delays.reason, *delays.outcome.lines))
+    assert "torque slope 6087h" in told
+    assert "50000 thousandths a second, 4 ms for" in told
 
 
 def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
@@ -118,6 +145,8 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     motor = load_motor(out / "motor.toml").parameters
     assert motor.inertia_kg_m2 == pytest.approx(truth.motor.inertia_kg_m2, rel=0.03)
     assert motor.torque_constant_nm_a == pytest.approx(truth.motor.torque_constant_nm_a, rel=0.01)
+    said = "Not measurable over CiA 402, by the nameplate: resistance, inductance, pole pairs."
+    assert said in (out / "motor.toml").read_text()
     drive = load_drive_file(out / "drive.toml")
     assert drive.drive.node == 5
     assert drive.scale.rated_torque_nm == pytest.approx(truth.rated_torque_nm)
@@ -134,7 +163,14 @@ def test_the_command_leaves_files_that_a_bench_can_use(tmp_path: Path) -> None:
     sheet: Any = load_dictionary(out / "drive.dcf", 5).dictionary
     assert sheet[Object.POLARITY].value == 0
     assert sheet[0x1016][1].value >> 16 == 127
+    assert "the rehearsed drive's own nameplate is taken" in done.stderr
+    assert "1 frame in" in done.stderr
+    assert f"see {out / 'report.html'}" in done.stderr
+    assert "{'" not in (out / REPORT_FILE).read_text(), "no table of Python's"
+    text = (out / "bench.toml").read_text()
+    assert not [number for number in re.findall(r"-?\d+\.\d+", text) if len(number.strip("-0.")) > 7], text
     bench = load_bench(out / "bench.toml")
+    assert bench.verdict.speed_error_rms_rad_s_max is not None
     assert bench.drive["axis1"].commissioned == drive
     report = (out / REPORT_FILE).read_text()
     for step in figures["steps"]:

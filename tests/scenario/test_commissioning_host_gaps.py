@@ -21,6 +21,7 @@ from drivers.wire.adapters import open_bus, parse_bus_spec
 from hil.commissioning.commission import commission
 from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent
 from hil.commissioning.outcome import StepOutcome, StepVerdict
+from hil.commissioning.recording import SessionLog
 from hil.commissioning.report import Commissioned
 from hil.commissioning.request import CommissionRequest, Nameplate
 from hil.commissioning.sequence import Step
@@ -121,6 +122,10 @@ class Slow(Silent):
     def choose(self, _question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
         self._wait(idle)
         return Choice.QUIT if Choice.REPEAT in choices else choices[0]
+
+    def line(self, question: str, idle: Idle) -> str:
+        self._wait(idle)
+        return "4" if "pole pairs" in question else ""
 
 
 def commissioned(
@@ -277,8 +282,9 @@ def test_a_fit_that_takes_long_keeps_the_host_s_heartbeat(tmp_path: Path) -> Non
     with open_world(plan, ()) as world:
         world.link.tap(lambda _way, can_id, *_rest: beats.release() if can_id == 0x77F else None)
         network = JournaledNetwork(world.link, world.clock)
+        log = SessionLog(tmp_path / "recording", world, bus, "a fit")
         session = Session(
-            CommissionRequest(bus, 1, tmp_path), world, network, Silent(print), EmergencyStop(), None
+            CommissionRequest(bus, 1, tmp_path), world, network, Silent(print), EmergencyStop(), None, log
         )
         network.produce_heartbeat(Duration(10_000_000))
         assert session.meanwhile(fit, 10) == 10

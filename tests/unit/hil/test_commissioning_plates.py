@@ -9,7 +9,10 @@ import pytest
 from drivers.cia402.objects402 import Object
 from drivers.cia402.scaling import FACTOR_OBJECTS, scaling_from
 from drivers.errors import PeerFault
-from hil.commissioning.outcome import StepFailed
+from hil.commissioning.findings import Findings
+from hil.commissioning.outcome import StepFailed, StepOutcome
+from hil.commissioning.plate_check import confirm_pole_pairs
+from hil.commissioning.request import Nameplate
 from hil.commissioning.session import Session, nameplate_wins
 from hil.commissioning.steps_static import _plausible
 
@@ -17,8 +20,12 @@ from hil.commissioning.steps_static import _plausible
 def asking(answer: str | None, trusted: bool = False) -> Session:
     """A session in which somebody answers, or nobody is there."""
     dialog = SimpleNamespace(attended=answer is not None, line=lambda _question, _idle: answer or "")
-    request = SimpleNamespace(trust_nameplate=trusted)
-    return cast(Session, SimpleNamespace(dialog=dialog, request=request, idle=lambda: None))
+    plate = Nameplate.model_validate({"motor": {"pole_pairs": 5}})
+    request = SimpleNamespace(trust_nameplate=trusted, nameplate=plate)
+    return cast(
+        Session,
+        SimpleNamespace(dialog=dialog, request=request, idle=lambda: None, found=Findings()),
+    )
 
 
 @pytest.mark.parametrize(("answer", "wins"), [("n", True), ("D", False)])
@@ -52,3 +59,27 @@ def test_a_position_unit_of_half_a_turn_is_no_resolution(increments: int, taken:
     else:
         with pytest.raises(PeerFault, match="one position unit would be"):
             _plausible(told)
+
+
+@pytest.mark.parametrize(("answer", "found"), [("5", 5), ("2", 2)])
+def test_pole_pairs_are_said_at_the_motor(answer: str, found: int) -> None:
+    """The file says 5; a slip of the file shows only if somebody looks."""
+    session, outcome = asking(answer), StepOutcome()
+    confirm_pole_pairs(session, outcome)
+    assert session.found.pole_pairs == found
+    assert "not measurable over CiA 402" in outcome.lines[0]
+    assert [("5 is not believed" in fault) for fault in outcome.faults] == ([True] if found != 5 else [])
+
+
+@pytest.mark.parametrize("answer", ["", "yes", "0", "-2", "500", "2.5"])
+def test_pole_pairs_are_a_number_or_the_step_fails(answer: str) -> None:
+    with pytest.raises(StepFailed, match="the nameplate file says 5"):
+        confirm_pole_pairs(asking(answer), StepOutcome())
+
+
+def test_with_nobody_there_pole_pairs_are_said_to_be_unmeasured() -> None:
+    session, outcome = asking(None), StepOutcome()
+    confirm_pole_pairs(session, outcome)
+    assert session.found.pole_pairs == 5
+    assert outcome.lines == ["pole pairs: not measurable over CiA 402; 5, by the nameplate file alone"]
+    assert outcome.figures == {"pole_pairs_confirmed": False}

@@ -80,6 +80,8 @@ def play(dialog: Any, steps: Sequence[Step], *, dry_run: bool = False) -> list[S
         idle=lambda: None,
         begin_attempt=lambda: None,
         end_attempt=lambda failure: failure,
+        log=SimpleNamespace(step=lambda _name: None, event=lambda _level, _text: None),
+        write_log=lambda: None,
     )
     run_sequence(cast(Session, session), steps, records)
     return records

@@ -4,6 +4,7 @@ from typing import cast
 
 import pytest
 
+from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
 from drivers.cia402.servo import ServoDrive
 from drivers.exchange import Command, Drive, PositionCommand, Reading, SpeedCommand
@@ -20,7 +21,10 @@ class Noting(Drive):
     name = "drive"
 
     def __init__(self) -> None:
+        self.plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, coherent=True)
         self.sent: list[tuple[str, float]] = []
+        self.told_at: list[int] = [0]
+        """When the positions of the next readings were told."""
 
     def write(self, command: Command) -> None:
         if isinstance(command, SpeedCommand):
@@ -31,7 +35,7 @@ class Noting(Drive):
             self.sent.append(("N m", command.torque_nm))
 
     def take_readings(self) -> list[Reading]:
-        return [Reading(0.0, None, NOW, 5.0, NOW, 0.0, NOW, 0x237, NOW)]
+        return [Reading(0.0, None, NOW, 5.0, Instant(at), 0.0, NOW, 0x237, NOW) for at in self.told_at]
 
 
 def port_in(mode: Mode) -> tuple[DrivePort, Noting]:
@@ -64,3 +68,20 @@ def test_a_torque_is_not_taken_for_a_speed(mode: Mode) -> None:
     with pytest.raises(TypeError, match="is given speeds"):
         port.write(Command(1, 0.5, NOW, NOW))
     assert drive.sent == []
+
+
+def test_a_reading_whose_position_was_lost_is_none() -> None:
+    """In its place stands the last one, carried on by a velocity whose unit nobody has looked at yet."""
+    port, drive = port_in(Mode.CYCLIC_SYNCHRONOUS_TORQUE)
+    drive.told_at = [1, 2, 2, 2]
+    assert [reading.position_told_at for reading in port.take_readings()] == [1, 2]
+    drive.told_at = [2, 3]
+    assert [reading.position_told_at for reading in port.take_readings()] == [3]
+
+
+def test_a_drive_that_tells_its_position_more_seldom_is_taken_as_it_is() -> None:
+    drive = Noting()
+    drive.plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=4)
+    port = DrivePort(cast(ServoDrive, drive), Mode.CYCLIC_SYNCHRONOUS_TORQUE, 1e-3)
+    drive.told_at = [1, 1, 1, 1]
+    assert len(port.take_readings()) == 4

@@ -1,0 +1,86 @@
+"""The recording of a commissioning: every frame and what was done, in the formats of a run's.
+
+Frames are kept in memory while an attempt at a step goes on, and written when it is over: with the drive
+disabled. A process that is killed loses the frames of the step that was under way.
+"""
+
+import json
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from drivers.timebase import NS_PER_S, NS_PER_US, Duration, Instant
+from hil.execution.world import World
+from hil.recording.append_file import AppendFile
+from hil.recording.candump import candump_lines, direction_lines
+from hil.rows.event_lines import event_json
+from hil.rows.recording_plan import SIMULATED_EPOCH
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from hil.rows.side_rows import EXTENDED_FLAG, FRAME_DTYPE, REMOTE_FLAG, StateEvent, TextEvent, frame_row
+
+RECORDING_FOLDER: Final = "recording"
+"""In the folder of the report: beside bench.toml it would pass for a run."""
+_TRACK: Final = "step"
+
+
+class SessionLog:
+    """frames.log, frames.directions and events.jsonl of one commissioning."""
+
+    def __init__(self, folder: Path, world: World, bus: str, title: str) -> None:
+        """``bus``: the spec; its last part is the interface in frames.log. Error: OSError."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.failed = ""
+        """Why nothing more is recorded; empty while it is."""
+        self._clock = world.clock
+        self._zero = self._clock.now()
+        offset = world.wall_offset
+        self._offset = Duration(SIMULATED_EPOCH - self._zero) if offset is None else offset
+        self._interface = bus.rpartition(":")[2]
+        self._rows: list[bytes] = []
+        self._events: list[TextEvent | StateEvent] = []
+        names = (DIRECTIONS_FILE, FRAMES_FILE, EVENTS_FILE)
+        self._directions, self._frames, self._told = (AppendFile(folder / name) for name in names)
+        world.link.tap(self._take)
+        world.tap_errors(self._take)
+        stamp_us = (self._zero + self._offset) // NS_PER_US
+        seconds, us = divmod(stamp_us, NS_PER_S // NS_PER_US)
+        self.event("INFO", f"{title}; 0 ns is ({seconds}.{us:06}) of {FRAMES_FILE}")
+
+    def _take(
+        self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
+    ) -> None:
+        """Fits ``BusLink.tap``."""
+        flags = (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0)
+        self._rows.append(frame_row(at, can_id | flags, int(direction == "tx"), data))
+
+    def event(self, level: str, text: str, at: Instant | None = None) -> None:
+        """Something worth reading. ``level``: "INFO", "WARN", "ERROR", "CRITICAL"; ``at``: now if absent."""
+        self._events.append(TextEvent(self._clock.now() if at is None else at, level, text))
+
+    def step(self, name: str) -> None:
+        """A step begins."""
+        self._events.append(StateEvent(self._clock.now(), _TRACK, name))
+
+    def write(self) -> None:
+        """Bring to the disk what was taken. A disk that is full ends the recording, not the commissioning."""
+        rows, self._rows = self._rows, []
+        events, self._events = self._events, []
+        if self.failed:
+            return
+        frames = np.frombuffer(b"".join(rows), FRAME_DTYPE)
+        frames = frames[np.argsort(frames["at"], kind="stable")]
+        lines = [json.dumps(event_json(event, self._zero)) + "\n" for event in events]
+        try:
+            self._directions.write(direction_lines(frames))
+            self._frames.write(candump_lines(frames, self._interface, self._offset))
+            self._told.write("".join(lines).encode())
+        except OSError as error:
+            self.failed = str(error)
+
+    def close(self) -> None:
+        """The end; nothing comes any more."""
+        self.write()
+        if not self.failed:
+            for file in (self._directions, self._frames, self._told):
+                file.close()

@@ -1,0 +1,243 @@
+"""The step that holds the back-EMF against the DC link: the voltage constant, or what it is below.
+
+A drive can put sqrt(v_d^2 + v_q^2) <= U_dc / sqrt(3) into each phase (space-vector modulation). Where a shaft
+is pushed on by a torque well above its friction and turns no faster, its back-EMF takes all of that:
+
+    U_dc / sqrt(3) = K_e omega + R i        K_e = n_p phi, V s/rad, phase, peak
+
+The torque constant rests on 6076h and 6075h, K_e does not: 3/2 sqrt(2) K_e is N m per A rms, so each checks
+the other. Where the limit of speed comes first, K_e is below U_dc / (sqrt(3) omega).
+"""
+
+import itertools
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from drivers.cia402.objects402 import Object
+from drivers.rotation import RAD_S_PER_RPM
+from drivers.timebase import NS_PER_S, Instant
+from hil.commissioning.exercise import Recording
+from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from hil.commissioning.sequence import Step
+from hil.commissioning.session import Session
+from hil.loop.axis_roles import Controller
+from hil.loop.context import Context, SetPoint, TorqueSetPoint
+
+TORQUE_PER_VOLTAGE: Final = 1.5 * math.sqrt(2.0)
+"""N m per A rms over V s/rad, of three phases."""
+_SPEED_SHARE: Final = 0.95
+"""Of the speed limit."""
+_PUSH_SHARE: Final = 0.3
+"""Of the torque limit, beside what friction takes: a run-up of a second or two."""
+_LOOK_S: Final = 0.15
+_END_S: Final = 0.02
+"""Of a run-up that ends at the limit of speed."""
+_STALLED: Final = 0.1
+"""Of the acceleration that the push makes on a shaft whose torque is not cut."""
+_VOLTAGE_V: Final = (5.0, 1500.0)
+"""A DC link that drives motors; 6079h is in mV, and some drives tell other units."""
+_PLATE_RATIO: Final = 1.5
+_USED: Final = 0.05
+"""k = 2, relative: what dead times and the room for current measurement take of the DC link."""
+_DROP: Final = 0.08
+"""R i over the phase voltage at the rated current, at most, of a servo motor whose R nobody tells."""
+_CONTRADICTION: Final = 1.5
+"""Sines without third harmonic use 0.866 of the DC link, and ratings are rounded."""
+
+
+class VoltageConstant(Step):
+    """Run up towards the limit of speed, and see whether the DC link gives out before."""
+
+    name = "voltage_constant"
+    title = "Voltage constant against the DC link"
+    limit = "torque constant and DC link contradict each other by more than 1.5"
+    needs = ("mechanics",)
+    moves = True
+
+    def left_out(self, session: Session) -> str | None:
+        if session.torque_mode() is None:
+            return "the drive has no torque mode"
+        if not session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE):
+            return "the drive tells no DC link voltage 6079h: its voltage constant cannot be measured"
+        travel = session.limits.travel_rad
+        known = session.found.mechanics is not None
+        if known and travel is not None and travel < 1.5 * _path_rad(session):
+            return f"the run-up takes {_path_rad(session) / math.tau:.1f} turns, more than is allowed"
+        return None
+
+    def plan(self, session: Session, /) -> str:
+        speed = _SPEED_SHARE * session.limits.speed_rad_s / RAD_S_PER_RPM
+        known = session.found.mechanics is not None
+        push = f" with {_push_nm(session):.3g} N m" if known else ""
+        return f"push the shaft up to {speed:.0f} r/min{push}; read 6079h"
+
+    def run(self, session: Session, outcome: StepOutcome) -> None:
+        dc_v = dc_link_v(session)
+        push_nm, top = _push_nm(session), _SPEED_SHARE * session.limits.speed_rad_s
+        with session.exercising() as exerciser:
+            up = RunUp(
+                push_nm, session.limits.torque_slew_nm_s * 0.2, top, exerciser.period_s, _slow(session)
+            )
+            recording = exerciser.run(up, 3.0 * _run_up_s(session) + 4.0 * _LOOK_S, done=up.done)
+        refuse_losses(recording.lost, recording.cycles)
+        if not len(recording.time):
+            raise StepFailed("no reading came")
+        voltage_v = dc_v / math.sqrt(3.0)
+        speed = _ending_rad_s(recording, _LOOK_S if up.stalled else _END_S)
+        outcome.figures = {"dc_link_v": dc_v, "speed_rad_s": speed, "limited": up.stalled}
+        outcome.say(f"6079h tells {dc_v:.4g} V: at most {voltage_v:.4g} V a phase, peak")
+        by_torque = session.found.torque_constant_nm_a
+        expected = None if by_torque is None else by_torque / TORQUE_PER_VOLTAGE
+        if up.stalled:
+            constant = _constant(session, voltage_v, speed, outcome)
+            _judge(constant, constant, expected, outcome)
+        else:
+            bound = voltage_v / speed
+            outcome.say(
+                f"the voltage does not give out below {speed / RAD_S_PER_RPM:.0f} r/min, near the limit of "
+                f"speed: the voltage constant is less than {bound:.4g} V s/rad (phase, peak)"
+            )
+            outcome.figures["voltage_constant_below"] = bound
+            _judge(0.0, bound, expected, outcome)
+
+
+class RunUp(Controller):
+    """A torque that pushes until the shaft is fast enough, or for a while no longer gains speed.
+
+    torque    ____________________
+             /                    |
+    ________/                     done: at the speed, or it gains less than ``slow``
+    """
+
+    def __init__(
+        self, push_nm: float, slew_nm_s: float, speed_rad_s: float, period_s: float, slow: float
+    ) -> None:
+        """``slow``: rad/s^2."""
+        self._push_nm = push_nm
+        self._step = slew_nm_s * period_s
+        self._speed = speed_rad_s
+        self._slow = slow
+        self._torque = 0.0
+        self._looks: list[_Look] = []
+        self._fast = False
+        self.stalled = False
+        """It was pushed on and gained no speed."""
+
+    def output(self, context: Context) -> SetPoint:
+        """The torque of this cycle."""
+        self._torque = min(self._push_nm, self._torque + self._step)
+        estimate = context.estimate
+        if estimate.sequence:
+            self._fast = self._fast or abs(estimate.velocity_rad_s) >= self._speed
+            self._look(_Look(estimate.valid_at, estimate.position_rad))
+        return TorqueSetPoint(self._torque)
+
+    def done(self) -> bool:
+        """Nothing more is to be seen."""
+        return self._fast or self.stalled
+
+    def _look(self, look: "_Look") -> None:
+        looks = self._looks
+        if looks and (look.at - looks[-1].at) < _LOOK_S * NS_PER_S:
+            return
+        looks.append(look)
+        if len(looks) < 4 or self._torque < self._push_nm:
+            return
+        speeds = [
+            (after.position_rad - before.position_rad) / ((after.at - before.at) / NS_PER_S)
+            for before, after in zip(looks[-4:-1], looks[-3:], strict=True)
+        ]
+        self.stalled = not self._fast and all(
+            abs(after - before) < self._slow * _LOOK_S for before, after in itertools.pairwise(speeds)
+        )
+
+
+class _Look(NamedTuple):
+    at: Instant
+    position_rad: float
+
+
+def _push_nm(session: Session) -> float:
+    friction = session.mechanics.friction_nm(session.limits.speed_rad_s)
+    return min(session.limits.torque_nm, friction + _PUSH_SHARE * session.limits.torque_nm)
+
+
+def _run_up_s(session: Session) -> float:
+    mechanics, limits = session.mechanics, session.limits
+    left = max(_push_nm(session) - mechanics.friction_nm(limits.speed_rad_s), 1e-3 * limits.torque_nm)
+    return mechanics.inertia_kg_m2 * limits.speed_rad_s / left
+
+
+def _slow(session: Session) -> float:
+    """Less than this, rad/s^2, is no run-up."""
+    return _STALLED * session.limits.speed_rad_s / _run_up_s(session)
+
+
+def _path_rad(session: Session) -> float:
+    return session.limits.speed_rad_s * (_run_up_s(session) + 4.0 * _LOOK_S)
+
+
+def dc_link_v(session: Session) -> float:
+    """Raises StepFailed for a voltage that cannot be."""
+    told = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
+    printed = session.request.nameplate.rating.dc_bus_voltage_v
+    low, high = _VOLTAGE_V if printed is None else (printed / _PLATE_RATIO, printed * _PLATE_RATIO)
+    if not low <= told <= high:
+        raise StepFailed(
+            f"6079h tells {told:g} V of DC link",
+            f"{'a motor needs' if printed is None else f'the nameplate says {printed:g} V; within'} "
+            f"{low:.4g} to {high:.4g} V",
+            "measure the DC link: 6079h is in mV, or the nameplate's dc_bus_voltage_v is wrong",
+        )
+    return told
+
+
+def _ending_rad_s(recording: Recording, window_s: float) -> float:
+    """Speed at the end of the run-up."""
+    last = recording.time >= recording.time[-1] - window_s
+    path, passed_s = np.ptp(recording.position[last]), np.ptp(recording.time[last])
+    if not passed_s:
+        raise StepFailed("too few readings came")
+    return float(path / passed_s)
+
+
+def _constant(session: Session, voltage_v: float, speed: float, outcome: StepOutcome) -> float:
+    """V s/rad from the speed at which the voltage gives out."""
+    torque_nm = session.mechanics.friction_nm(speed)  # at a speed that stays
+    resistance, per_a = session.request.nameplate.motor.resistance_ohm, session.found.torque_constant_nm_a
+    drop_v, unsure_v = 0.0, _DROP * voltage_v * torque_nm / session.rated_torque_nm
+    if resistance is not None and per_a is not None:
+        drop_v = resistance * math.sqrt(2.0) * torque_nm / per_a
+        unsure_v = 0.3 * drop_v  # copper gains 0.39 % of resistance per kelvin
+    constant = (voltage_v - drop_v) / speed
+    error = constant * math.hypot(_USED, unsure_v / voltage_v)
+    per_krpm = constant * math.sqrt(1.5) * 1000.0 * RAD_S_PER_RPM
+    outcome.measured("speed at the voltage limit", speed / RAD_S_PER_RPM, "r/min")
+    outcome.measured("voltage constant, phase, peak", constant, "V s/rad", error)
+    outcome.figures |= {"voltage_constant": constant, "voltage_constant_error": error}
+    outcome.say(f"pushed on, the shaft turns no faster than {speed / RAD_S_PER_RPM:.0f} r/min")
+    outcome.say(
+        f"voltage constant {constant:.4g} V s/rad +- {error:.2g} (k = 2; phase, peak, by space-vector "
+        f"modulation), {per_krpm:.4g} V per 1000 r/min between two phases, rms"
+    )
+    outcome.headline = outcome.lines[-1]
+    return constant
+
+
+def _judge(least: float, most: float, expected: float | None, outcome: StepOutcome) -> None:
+    """``expected``: by the torque constant, which rests on 6075h and 6076h."""
+    if expected is None:
+        outcome.say("no torque constant was measured to hold it against")
+        return
+    outcome.figures["by_torque_constant"] = expected
+    outcome.say(f"by the torque constant it is {expected:.4g} V s/rad")
+    ratio = expected / most if expected > most else least / expected
+    if ratio > _CONTRADICTION:
+        raise StepFailed(
+            f"torque constant and DC link contradict each other by {ratio:.3g}",
+            "; ".join(outcome.lines),
+            "6076h, 6075h, or torque_nm or current_a of the nameplate is wrong, on which every torque here "
+            "rests (or the drive weakens the field)",
+        )

@@ -1,0 +1,77 @@
+"""A commissioning is recorded like a run: its frames open as a log, its events say what was done."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from typer.testing import CliRunner
+
+from hil.cli import app
+from hil.commissioning.recording import RECORDING_FOLDER
+from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from tests.commissioning import unknown_world
+
+
+def events(folder: Path) -> list[dict[str, Any]]:
+    """Of the recording below ``folder``."""
+    lines = (folder / RECORDING_FOLDER / EVENTS_FILE).read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+@pytest.fixture(scope="module")
+def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Through the proof of the watch, and put back."""
+    folder = tmp_path_factory.mktemp("recorded")
+    _, result, _ = unknown_world(4, folder, last_step="watchdog")
+    assert result.passed
+    return folder
+
+
+def test_every_frame_is_there_with_who_sent_it(commissioned: Path) -> None:
+    recording = commissioned / RECORDING_FOLDER
+    with can.CanutilsLogReader(recording / FRAMES_FILE) as log:
+        frames = list(log)
+    directions = (recording / DIRECTIONS_FILE).read_text().split()
+    assert len(frames) == len(directions) > 500
+    stamps = [frame.timestamp for frame in frames]
+    assert stamps == sorted(stamps)
+    sent = {frame.arbitration_id for frame, way in zip(frames, directions, strict=True) if way == "T"}
+    received = {frame.arbitration_id for frame, way in zip(frames, directions, strict=True) if way == "R"}
+    assert {0x000, 0x080, 0x601, 0x77F} <= sent
+    assert {0x181, 0x581, 0x701} <= received
+    # what was written is put back: the end is in it too
+    assert any(frame.data[:1] == b"\x2f" for frame in frames[-400:] if frame.arbitration_id == 0x601)
+
+
+def test_it_opens_by_hil_trace(commissioned: Path) -> None:
+    done = CliRunner().invoke(app, ["trace", str(commissioned / RECORDING_FOLDER)])
+    assert done.exit_code == 0, done.stderr
+    assert "8130h" in done.stdout, "the EMCY of the proof of the watch"
+
+
+def test_its_events_say_what_was_done(commissioned: Path) -> None:
+    found = events(commissioned)
+    assert found[0]["at_ns"] == 0
+    assert "0 ns is (1000000000.000000) of frames.log" in found[0]["text"]
+    steps = [event["state"] for event in found if event.get("track") == "step"]
+    assert steps == ["bus", "identity", "dump", "units", "setup", "stop", "watchdog"]
+    texts = [event["text"] for event in found if "text" in event]
+    assert "Adapter and bus: done" in texts
+    assert any("EMCY 8130h" in text for text in texts)
+    assert any("objects hold again what they held before" in text for text in texts)
+    assert [event["at_ns"] for event in found] == sorted(event["at_ns"] for event in found)
+
+
+def test_what_failed_stands_in_the_events(tmp_path: Path) -> None:
+    _, result, _ = unknown_world(1, tmp_path, lacks=("1016", "100C", "100D"), last_step="watchdog")
+    assert result.error is not None
+    levels = {event["level"]: event["text"] for event in events(tmp_path) if "level" in event}
+    assert "failed" in levels["ERROR"]
+    assert levels["CRITICAL"] == str(result.error)
+
+
+def test_a_folder_of_a_commissioning_is_no_run(commissioned: Path) -> None:
+    done = CliRunner().invoke(app, ["runs", str(commissioned), "--json"])
+    assert json.loads(done.stdout)["runs"] == []
