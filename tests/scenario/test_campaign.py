@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from typer.testing import CliRunner
@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 from drivers.errors import BadInput
 from hil import run as run_bench
 from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
+from hil.campaign import pool as pool_module
 from hil.campaign.campaign import NotTheSame
 from hil.campaign.figures import figures_of
-from hil.campaign.pool import RunRefused, WorkerPool
+from hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerDied, WorkerPool
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
@@ -106,6 +107,58 @@ def test_killed_workers_are_replaced_and_nothing_changes(done: Campaign) -> None
     numbers = range(12)
     found = list(killing(pool, pool.rows(numbers)))
     assert found == rows(done)
+
+
+class Doomed(Worker):
+    """A worker that ends before it is ready: until it has read where the plan is it cannot be."""
+
+    born: ClassVar[list["Doomed"]] = []
+    doomed: ClassVar[int]
+    by_signal: ClassVar[bool] = True
+
+    def send(self, what: Any) -> None:
+        """The first ``doomed`` of all get no plan."""
+        if "sweep" in what:
+            self.born.append(self)
+            if len(self.born) <= self.doomed:
+                assert self.process.stdin is not None
+                if self.by_signal:
+                    self.process.kill()
+                self.process.stdin.close()
+                return
+        super().send(what)
+
+
+@pytest.fixture
+def doomed(monkeypatch: pytest.MonkeyPatch) -> type[Doomed]:
+    class Fresh(Doomed):
+        born: ClassVar[list[Doomed]] = []
+
+    monkeypatch.setattr(pool_module, "Worker", Fresh)
+    return Fresh
+
+
+def test_workers_killed_before_they_are_ready_are_replaced(done: Campaign, doomed: type[Doomed]) -> None:
+    doomed.doomed = DEATHS_MAX - 1
+    found = list(WorkerPool(done.plan, 2, StopRequest()).rows(range(12)))
+    assert found == rows(done)
+    assert len(doomed.born) == DEATHS_MAX + 1
+
+
+@pytest.mark.parametrize(
+    ("by_signal", "starts", "told"),
+    [
+        (True, DEATHS_MAX, "3 workers in a row died before their first run, the last with status -9"),
+        (False, 1, "a worker ended with status 1 before its first run"),
+    ],
+)
+def test_workers_that_never_are_ready_end_the_campaign(
+    done: Campaign, doomed: type[Doomed], by_signal: bool, starts: int, told: str
+) -> None:
+    doomed.doomed, doomed.by_signal = 1000, by_signal
+    with pytest.raises(WorkerDied, match=told):
+        list(WorkerPool(done.plan, 1, StopRequest()).rows(range(12)))
+    assert len(doomed.born) == starts
 
 
 KILLED = """
