@@ -18,7 +18,9 @@ from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
 from hil.campaign.worker import Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
+from hil.reviewing.certificate_meter import CertificateState
 from hil.verdict.summary import Summary
+from hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
 """So much work at most is done again after a kill."""
@@ -41,6 +43,18 @@ class NotTheSame(BenchError):
     """A run that was repeated came to another digest: something in it is not deterministic."""
 
     exit_status = 70
+
+
+class CounterExample(BenchError):
+    """A run within the premises of a certificate did not keep what is certified: one of the two is wrong."""
+
+    exit_status = ExitStatus.COUNTER_EXAMPLE
+
+
+class NothingCertified(BenchError):
+    """No run could be held against a certificate."""
+
+    exit_status = ExitStatus.INCOMPLETE
 
 
 class Campaign:
@@ -101,6 +115,25 @@ class Campaign:
                     f"least {found.low:.6g}, {at_least:g} asked for\ncampaign: {self.folder}"
                 )
 
+    def assert_certificate(self) -> None:
+        """Every run within the premises of its controller's certificate kept what is certified, and some
+        were; what the others left is in :attr:`table`."""
+        __tracebackhide__ = True
+        try:
+            self.hold_certificate()
+        except (CounterExample, NothingCertified) as error:
+            raise AssertionError(str(error)) from error
+
+    def hold_certificate(self) -> None:
+        """Raises CounterExample for the first run that is one, NothingCertified if none could be one."""
+        states = self.column("certificate").astype(str)
+        found = np.flatnonzero(states == CertificateState.EXCEEDED)
+        if found.size:
+            raise counter_example(self.table.slice(int(found[0]), 1).to_pylist()[0], self.folder)
+        if not (states == CertificateState.KEPT).any():
+            told = ", ".join(f"{count} {name or 'without a certificate'}" for name, count in counted(states))
+            raise NothingCertified(f"no run could be held against a certificate: {told}")
+
     def replay(self, number: int, record: Path | None = None) -> Summary:
         """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.
 
@@ -116,16 +149,34 @@ class Campaign:
         return summary
 
 
+def counter_example(row: Row, folder: Path) -> CounterExample:
+    """In words, with the command that runs it again."""
+    return CounterExample(
+        f"counter-example: run {row['run']} kept all premises of its certificate, and the gain from load to "
+        f"speed error is at least {row['load_gain_least_rad_s_nm']:.4g} rad/s per N m, certified "
+        f"{row['load_gain_certified_rad_s_nm']:.4g}; hil campaign replay {folder} --run {row['run']}"
+    )
+
+
+def counted(values: NDArray[Any]) -> list[tuple[str, int]]:
+    """How often each text is there."""
+    names, counts = np.unique(values.astype(str), return_counts=True)
+    return [(str(name), int(count)) for name, count in zip(names, counts, strict=True)]
+
+
 class Enough:
     """The stopping rule, fed with rows in order of their number: it cannot depend on who ran them when."""
 
-    def __init__(self, plan: CampaignPlan) -> None:
+    def __init__(self, plan: CampaignPlan, against_certificate: bool = False) -> None:
         self._plan = plan
+        self._against_certificate = against_certificate
         self._passed = [0] * plan.points
         self._next = 1
 
     def __call__(self, row: Mapping[str, Any]) -> bool:
         """Take in the next row; whether it was the last that is needed."""
+        if self._against_certificate and row["certificate"] == CertificateState.EXCEEDED:
+            return True
         width = self._plan.sweep.stop.rate_width
         self._passed[row["point"]] += bool(row["passed"])
         replicates, rest = divmod(row["run"] + 1, self._plan.points)
@@ -143,6 +194,7 @@ def run_campaign(
     *,
     workers: int | None = None,
     resume: bool = False,
+    against_certificate: bool = False,
     stop: StopRequest | None = None,
     progress: Callable[[CampaignProgress], None] = lambda _: None,
 ) -> Campaign:
@@ -150,6 +202,7 @@ def run_campaign(
 
     ``out``: folder of the campaign, new or empty; with ``resume`` also that of the same sweep, which goes on
     where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
+    ``against_certificate``: a counter-example ends it, see :meth:`Campaign.hold_certificate`.
     Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, Interrupted; what is
     stored then stays, and can be resumed.
     """
@@ -157,7 +210,8 @@ def run_campaign(
     campaign = Campaign(Path(out), plan)
     store = open_campaign(campaign.folder, plan, resume)
     with stop_signals(stop) as asked:
-        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress)
+        enough = Enough(plan, against_certificate)
+        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress, enough)
         _record_failures(campaign)
     return campaign
 
@@ -168,10 +222,10 @@ def _run(
     workers: int,
     stop: StopRequest,
     progress: Callable[[CampaignProgress], None],
+    enough: Enough,
 ) -> None:
-    enough = Enough(plan)
     passed = 0
-    for row in store.table().select(["run", "point", "passed"]).to_pylist():
+    for row in store.table().select(["run", "point", "passed", "certificate"]).to_pylist():
         passed += row["passed"]
         if enough(row):
             return

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.campaign.campaign import Campaign
+from hil.campaign.campaign import Campaign, counted
 from hil.campaign.plan import GridAxis
 from hil.campaign.statistics import ConfidenceInterval, paired, quantile, sensitivity
 from hil.campaign.worker import FIGURES
+from hil.reviewing.certificate_meter import CertificateState
 
 PEAK = "speed_error_peak_percent"
 """The figure of heat maps and worst cases."""
@@ -31,7 +32,8 @@ def figures_of(done: Campaign) -> dict[str, Any]:
         "runs": done.table.num_rows,
         "passed": int(done.column("passed").sum()),
         "points": [_point(done, number) for number in range(done.plan.points)],
-        "outcomes": _outcomes(done),
+        "outcomes": dict(counted(done.column("outcome"))),
+        "certificate": _certificate(done),
         "quantiles": _quantiles(done),
         "sensitivity": _sensitivities(done),
         "worst": worst_runs(done),
@@ -60,9 +62,22 @@ def _plain(found: ConfidenceInterval, name: str) -> dict[str, float | None]:
     return {key: float(value) if math.isfinite(value) else None for key, value in values}
 
 
-def _outcomes(done: Campaign) -> dict[str, int]:
-    names, counts = np.unique(done.column("outcome").astype(str), return_counts=True)
-    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+def _certificate(done: Campaign) -> dict[str, Any]:
+    """How many runs say what of their controller's certificate, and how near they came to it."""
+    states = done.column("certificate").astype(str)
+    if not (states != "").any():
+        return {}
+    left = [text for name in ("premises_left", "premises_unknown") for text in done.column(name)]
+    names = [part.partition(":")[0] for text in left for part in text.split("; ") if part]
+    share = done.column("load_gain_least_rad_s_nm") / done.column("load_gain_certified_rad_s_nm")
+    share[(states != CertificateState.KEPT) & (states != CertificateState.EXCEEDED)] = np.nan
+    measured = bool(np.isfinite(share).any())
+    return {
+        "runs": dict(counted(states)),
+        "premises": dict(counted(np.array(names))),
+        "nearest_run": int(np.nanargmax(share)) if measured else None,
+        "nearest_share": float(np.nanmax(share)) if measured else None,
+    }
 
 
 def _quantiles(done: Campaign) -> dict[str, Any]:

@@ -50,6 +50,8 @@ def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
         map(_point, found["points"]),
     )
+    if found["certificate"]:
+        yield _certificate(found["certificate"])
     if found["pairs"]:
         yield _pairs(found["pairs"])
     yield "<h2>Figures of all runs</h2>" + _table(
@@ -58,6 +60,18 @@ def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
     if found["sensitivity"]:
         yield _sensitivity(found["sensitivity"])
     yield _worst(done, found["worst"])
+
+
+def _certificate(found: dict[str, Any]) -> str:
+    runs = _table(("the certificate", "runs"), found["runs"].items())
+    left = _table(("premise that was left or is not known", "runs"), found["premises"].items())
+    nearest = (
+        ""
+        if found["nearest_run"] is None
+        else f"<p>Run {found['nearest_run']} came nearest, to {_percent(found['nearest_share'])} of what is "
+        "certified.</p>"
+    )
+    return f"<h2>Held against the certificate</h2>{runs}{nearest}{left}"
 
 
 def _pairs(pairs: list[dict[str, Any]]) -> str:

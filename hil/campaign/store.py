@@ -114,10 +114,9 @@ _TOLD: Final = {
     "passed": (pa.bool_(), "whether all that was asked was kept in a valid run"),
     "completed": (pa.bool_(), "whether all planned cycles were run"),
     "reason": (pa.string(), "the findings of the outcome, in words"),
-    "premises_left": (
-        pa.string(),
-        "in what network or drive were not as certified",
-    ),
+    "certificate": (pa.string(), "what it says of the certificate, docs/verdict.md; empty: there is none"),
+    "premises_left": (pa.string(), "what the certificate presumes and was not so"),
+    "premises_unknown": (pa.string(), "what the certificate presumes and nobody knows"),
     "digest": (pa.string(), "BLAKE2b over the rows of its cycles, docs/recording.md"),
 }
 

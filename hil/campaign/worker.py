@@ -12,6 +12,7 @@ from hil.configuration.config_errors import BadInputs
 from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
+from hil.reviewing.certificate_meter import CertificateState
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 
@@ -36,6 +37,21 @@ def _gain(summary: Summary, which: str) -> float | None:
     return max(known, key=lambda pair: pair["seen"] / pair["certified"])[which] if known else None
 
 
+def certificate_state(summary: Summary) -> str:
+    """What a run says of the certificates of its controllers; empty: they have none."""
+    found = {each["state"] for each in summary.certificates.values()}
+    return next((state.value for state in CertificateState if state in found), "")
+
+
+def _premises(summary: Summary, which: str) -> str:
+    several = len(summary.certificates) > 1
+    return "; ".join(
+        f"{axis} {premise}" if several else premise
+        for axis, each in summary.certificates.items()
+        for premise in each[which]
+    )
+
+
 FIGURES: Final[Mapping[str, Figure]] = {
     "speed_error_peak_rad_s": Figure("rad/s", "largest speed error", lambda s, _: s.speed_error.peak_rad_s),
     "speed_error_peak_percent": Figure(
@@ -58,6 +74,11 @@ FIGURES: Final[Mapping[str, Figure]] = {
         "rad/s per N m",
         "gain from load torque to speed error, seen; of a certified controller",
         lambda s, _: _gain(s, "seen"),
+    ),
+    "load_gain_least_rad_s_nm": Figure(
+        "rad/s per N m",
+        "the same, less what noise may make of it",
+        lambda s, _: _gain(s, "seen_at_least"),
     ),
     "load_gain_certified_rad_s_nm": Figure(
         "rad/s per N m", "the same, as its certificate has it", lambda s, _: _gain(s, "certified")
@@ -148,7 +169,9 @@ def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
         "passed": verdict.passed,
         "completed": verdict.completed,
         "reason": verdict.reason,
-        "premises_left": "; ".join(summary.network_notes),
+        "certificate": certificate_state(summary),
+        "premises_left": _premises(summary, "premises_left"),
+        "premises_unknown": _premises(summary, "premises_unknown"),
         "digest": summary.digest,
         **{name: figure.of(summary, axes) for name, figure in FIGURES.items()},
     }

@@ -30,7 +30,9 @@ def row(number: int) -> dict[str, Any]:
         "passed": True,
         "completed": True,
         "reason": "",
+        "certificate": "",
         "premises_left": "",
+        "premises_unknown": "",
         "digest": f"{number:032x}",
     }
     figures = dict.fromkeys(FIGURES, 1.5) | {"after_load_percent": None}
