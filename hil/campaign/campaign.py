@@ -14,7 +14,7 @@ from drivers.errors import BadInput, BenchError
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.pool import rows_of
-from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson
+from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
 from hil.campaign.worker import Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
@@ -85,11 +85,36 @@ class Campaign:
         """Whether the campaign was to end when it had seen enough: its intervals are those that then hold."""
         return self.plan.sweep.stop.rate_width is not None
 
+    @property
+    def adaptive(self) -> bool:
+        """Whether draws went where runs fail: its rate is of weighted runs."""
+        return self.plan.sweep.adaptive is not None
+
+    @property
+    def nominal(self) -> NDArray[np.bool_]:
+        """(n,) which runs were drawn as the sweep has it, all with the same weight."""
+        adaptive = self.plan.sweep.adaptive
+        numbers = np.arange(self.table.num_rows)
+        return numbers < (numbers.size if adaptive is None else adaptive.round_runs)
+
+    def failure_rate(self, confidence: float | None = None) -> ConfidenceInterval:
+        """Of a campaign with one point; else as :meth:`pass_rate`."""
+        if not self.adaptive:
+            rate = self.pass_rate(0, confidence)
+            return ConfidenceInterval(1.0 - rate.estimate, 1.0 - rate.high, 1.0 - rate.low)
+        counts = self.column("counts").astype(bool)
+        failed = ~self.column("passed").astype(bool)
+        confidence = confidence or self.plan.sweep.stop.confidence
+        return weighted_rate(self.column("weight")[counts], failed[counts], confidence)
+
     def pass_rate(self, point: int = 0, confidence: float | None = None) -> ConfidenceInterval:
         """At a point of the grid; ``confidence``: else that of the sweep file.
 
         There is none over several points: they share their seeds, and no point is more likely than another.
         """
+        if self.adaptive:
+            failed = self.failure_rate(confidence)
+            return ConfidenceInterval(1.0 - failed.estimate, 1.0 - failed.high, 1.0 - failed.low)
         passed = self.column("passed")[self.column("point") == point]
         confidence = confidence or self.plan.sweep.stop.confidence
         of_runs = anytime if self.sequential else clopper_pearson
@@ -141,12 +166,19 @@ class Campaign:
         """
         if not 0 <= number < self.table.num_rows:
             raise BadInput("--run", "", number, f"a run of the campaign: 0 to {self.table.num_rows - 1}")
+        learn(self.plan, self.table)
         folder = record or self.folder / REPLAYS_FOLDER / f"run-{number:09d}"
         summary = Workshop(self.plan).summary(self.plan.run(number), folder)
         digest = self.table.column("digest")[number].as_py()
         if summary.digest != digest:
             raise NotTheSame(f"run {number}: digest {summary.digest}, in the campaign {digest}; see {folder}")
         return summary
+
+
+def learn(plan: CampaignPlan, table: pa.Table) -> None:
+    """Adaptive draws follow from the rows before them."""
+    if plan.rounds is not None and plan.sweep.adaptive is not None:
+        plan.rounds.take(table.select(["run", "passed", plan.sweep.adaptive.guide]).to_pylist())
 
 
 def counter_example(row: Row, folder: Path) -> CounterExample:
@@ -225,6 +257,7 @@ def _run(
     enough: Enough,
 ) -> None:
     passed = 0
+    learn(plan, store.table())
     for row in store.table().select(["run", "point", "passed", "certificate"]).to_pylist():
         passed += row["passed"]
         if enough(row):
@@ -236,6 +269,8 @@ def _run(
     try:
         for row in rows:
             fresh.append(row)
+            if plan.rounds is not None:
+                plan.rounds.take([row])
             passed += row["passed"]
             now, done = clock.now(), row["run"] + 1
             runs_per_s = (done - first) * NS_PER_S / max(1, now - began)

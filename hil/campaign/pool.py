@@ -1,6 +1,6 @@
 """Rows of runs from several processes, in order of their number; one that dies is replaced.
 
-    here -> worker   lines of JSON: where the plan is; then run numbers, a chunk each
+    here -> worker   lines of JSON: where the plan is; then run numbers with what they draw, a chunk each
     worker -> here   "ready"; then a line for each run: its row; or why there is none
 
 Results come in any order and leave in order, so nothing behind this file can depend on who ran what.
@@ -164,14 +164,15 @@ class WorkerPool:
         for worker in self._alive:
             while worker.ready and len(worker.chunks) < 2 and (self._again or fresh):
                 size = max(1, CHUNK_NS // max(1, self._cost_ns))
-                if not self._again and fresh[0] - due > AHEAD * size:
+                known = 0 if self._again else self._plan.known - fresh[0]
+                if not self._again and (fresh[0] - due > AHEAD * size or not known):
                     return
                 if self._again:
                     chunk = self._again.popleft()
                 else:
-                    chunk = [fresh.popleft() for _ in range(min(size, len(fresh)))]
+                    chunk = [fresh.popleft() for _ in range(min(size, known, len(fresh)))]
                 worker.chunks.append(chunk)
-                worker.send(chunk)
+                worker.send([[number, self._plan.drawn(number)] for number in chunk])
 
     def _listen(self) -> None:
         for key, _ in self._selector.select(timeout=0.2):

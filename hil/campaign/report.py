@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, figures_of, grid_of
+from hil.campaign.figures import PEAK, failure_line, figures_of, grid_of
 from hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200
@@ -44,6 +44,11 @@ def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
     )
     outcomes = (f"{count} {escape(name)}" for name, count in found["outcomes"].items())
     yield f"<p>{', '.join(outcomes)}</p>"
+    if "failure" in found:
+        yield (
+            f"<p class='b'>{escape(failure_line(found['failure']))}</p><p>Tables of figures and of what "
+            "matters are of the first round alone, which is drawn as the sweep has it.</p>"
+        )
     for rows, across in combinations(done.plan.axes, 2):
         yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(done, rows, across)}"
     yield "<h2>Points</h2>" + _table(

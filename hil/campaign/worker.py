@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from drivers.errors import BadInput, BenchError
+from hil.campaign.adaptive import Drawn
 from hil.campaign.plan import CampaignPlan, PlannedRun
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
@@ -101,9 +102,12 @@ class Workshop:
         gc.collect()
         gc.freeze()
 
-    def row(self, number: int) -> Row:
-        """Run ``number``. Raises BadInput or BadInputs for one that cannot be run, Interrupted."""
-        planned = self._plan.run(number)
+    def row(self, number: int, drawn: Drawn | None = None) -> Row:
+        """Run ``number``; ``drawn``: as :meth:`CampaignPlan.run` takes it.
+
+        Raises BadInput or BadInputs for one that cannot be run, Interrupted.
+        """
+        planned = self._plan.run(number, drawn)
         summary = self.summary(planned)
         self._since_collected += 1
         if self._since_collected == COLLECTED_EVERY:
@@ -164,6 +168,8 @@ def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
         "point": planned.point,
         "replicate": planned.replicate,
         "seed": planned.seed,
+        "weight": planned.weight,
+        "counts": planned.counts,
         **planned.labels,
         "outcome": str(verdict.outcome),
         "passed": verdict.passed,

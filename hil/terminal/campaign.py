@@ -166,7 +166,7 @@ def _duration(seconds: float) -> str:
 
 
 def _print(done: "Campaign", as_json: bool) -> None:
-    from hil.campaign.figures import figures_of
+    from hil.campaign.figures import failure_line, figures_of
 
     found = figures_of(done)
     if as_json:
@@ -179,6 +179,8 @@ def _print(done: "Campaign", as_json: bool) -> None:
         table.add_row(point["point"] or "all", *_cells(point))
     Console(width=110, soft_wrap=True).print(table)
     typer.echo(f"{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned")
+    if "failure" in found:
+        typer.echo(failure_line(found["failure"]))
     for title, each in found["certificate"].get("runs", {}).items():
         typer.echo(f"certificate {title}: {each} runs")
     typer.echo(f"intervals of {100 * found['confidence']:g} %, {found['interval']}; campaign {done.folder}")

@@ -27,6 +27,8 @@ from hil.testing.campaign_runs import CampaignRunner
 ROOT = Path(__file__).parents[2]
 LING = ROOT / "examples" / "ling2012.toml"
 LOSS = "faults.loss.0.probability"
+INTEGRAL = "drive.axis1.controller.integral_nm_rad"
+PEAK = "speed_error_peak_percent"
 CHANGES = {
     "bench.duration_s": 0.3,
     "reference.axis1.0.at_s": 0.05,
@@ -282,3 +284,35 @@ def test_controllers_are_compared_in_pairs(tmp_path: Path) -> None:
     assert (pair["first"], pair["second"], pair["pairs"]) == ("eager", "careful", 4)
     peak = found.column("speed_error_peak_percent").reshape(4, 2)
     assert pair["peak_percent_second_less_first"]["mean"] == pytest.approx((peak[:, 1] - peak[:, 0]).mean())
+
+
+def test_adaptive_draws_are_the_same_whoever_runs_them_and_find_the_failures(tmp_path: Path) -> None:
+    draw = {"key": INTEGRAL, "distribution": "normal", "mean": 2.0, "deviation": 0.2}
+    tables = sweep(44, vary=[], draw=[draw], adaptive={"guide": PEAK, "round_runs": 20})
+    tables["campaign"]["failures_recorded"] = 0
+    tables["change"] = CHANGES | {"verdict": {"settling_ms": 100, "speed_error_peak_percent_max": 3.0}}
+    path = written(tmp_path, tables)
+    stop = StopRequest()
+    with pytest.raises(Interrupted):
+        run_campaign(path, tmp_path / "cut", workers=1, stop=stop, progress=asking(stop, 33))
+    cut = run_campaign(path, tmp_path / "cut", workers=1, resume=True)
+    whole = run_campaign(path, tmp_path / "whole", workers=2)
+    assert rows(cut) == rows(whole)
+    table = whole.table.to_pandas()
+    assert set(table["weight"][:20]) == {1.0}
+    assert not table["counts"][:20].any()
+    assert table["counts"][20:].all()
+    counting = table[table["counts"]]
+    assert (~counting["passed"]).mean() > (~table["passed"][:20]).mean() + 0.2
+    failure = figures_of(whole)["failure"]
+    assert failure["rate"] == pytest.approx((counting["weight"] * ~counting["passed"]).mean())
+    assert whole.pass_rate().low == pytest.approx(1.0 - failure["high"])
+    again = Campaign.load(tmp_path / "whole")
+    assert again.replay(43, tmp_path / "again").digest == table["digest"][43]
+
+
+def test_a_guide_that_is_no_figure_is_refused(tmp_path: Path) -> None:
+    draw = {"key": INTEGRAL, "distribution": "normal", "mean": 2.0, "deviation": 0.2}
+    tables = sweep(60, vary=[], draw=[draw], adaptive={"guide": "luck", "round_runs": 20})
+    with pytest.raises(BadInput, match=r"adaptive\.guide: found 'luck'"):
+        run_campaign(written(tmp_path, tables), tmp_path / "out", workers=1)

@@ -26,6 +26,8 @@ def plan(seeds: int = 100, source: str = "sweep.toml") -> CampaignPlan:
 
 def row(number: int) -> dict[str, Any]:
     told: dict[str, Any] = {
+        "weight": 1.0,
+        "counts": True,
         "outcome": "passed",
         "passed": True,
         "completed": True,
