@@ -79,7 +79,6 @@ def _certificate_line(figures: Mapping[str, Any]) -> str:
         least, most = map(_number, loop["certified"])
         covered = least if least == most else f"{least} to {most}"
         parts.append(f"current loop [Hz] {covered}, the drive's {_number(loop['drive'])}")
-    parts += [f"left: {premise}" for premise in figures.get("premises_left", ())]
     return "; ".join(parts)
 
 
