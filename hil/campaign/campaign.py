@@ -14,11 +14,13 @@ from drivers.errors import BadInput, BenchError
 from drivers.timebase import NS_PER_S, MonotonicClock
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.pool import rows_of
-from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson
+from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
 from hil.campaign.worker import Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
+from hil.reviewing.certificate_meter import CertificateState
 from hil.verdict.summary import Summary
+from hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
 """So much work at most is done again after a kill."""
@@ -41,6 +43,18 @@ class NotTheSame(BenchError):
     """A run that was repeated came to another digest: something in it is not deterministic."""
 
     exit_status = 70
+
+
+class CounterExample(BenchError):
+    """A run within the premises of a certificate did not keep what is certified: one of the two is wrong."""
+
+    exit_status = ExitStatus.COUNTER_EXAMPLE
+
+
+class NothingCertified(BenchError):
+    """No run could be held against a certificate."""
+
+    exit_status = ExitStatus.INCOMPLETE
 
 
 class Campaign:
@@ -71,11 +85,36 @@ class Campaign:
         """Whether the campaign was to end when it had seen enough: its intervals are those that then hold."""
         return self.plan.sweep.stop.rate_width is not None
 
+    @property
+    def adaptive(self) -> bool:
+        """Whether draws went where runs fail: its rate is of weighted runs."""
+        return self.plan.sweep.adaptive is not None
+
+    @property
+    def nominal(self) -> NDArray[np.bool_]:
+        """(n,) which runs were drawn as the sweep has it, all with the same weight."""
+        adaptive = self.plan.sweep.adaptive
+        numbers = np.arange(self.table.num_rows)
+        return numbers < (numbers.size if adaptive is None else adaptive.round_runs)
+
+    def failure_rate(self, confidence: float | None = None) -> ConfidenceInterval:
+        """Of a campaign with one point; else as :meth:`pass_rate`."""
+        if not self.adaptive:
+            rate = self.pass_rate(0, confidence)
+            return ConfidenceInterval(1.0 - rate.estimate, 1.0 - rate.high, 1.0 - rate.low)
+        counts = self.column("counts").astype(bool)
+        failed = ~self.column("passed").astype(bool)
+        confidence = confidence or self.plan.sweep.stop.confidence
+        return weighted_rate(self.column("weight")[counts], failed[counts], confidence)
+
     def pass_rate(self, point: int = 0, confidence: float | None = None) -> ConfidenceInterval:
         """At a point of the grid; ``confidence``: else that of the sweep file.
 
         There is none over several points: they share their seeds, and no point is more likely than another.
         """
+        if self.adaptive:
+            failed = self.failure_rate(confidence)
+            return ConfidenceInterval(1.0 - failed.estimate, 1.0 - failed.high, 1.0 - failed.low)
         passed = self.column("passed")[self.column("point") == point]
         confidence = confidence or self.plan.sweep.stop.confidence
         of_runs = anytime if self.sequential else clopper_pearson
@@ -101,6 +140,25 @@ class Campaign:
                     f"least {found.low:.6g}, {at_least:g} asked for\ncampaign: {self.folder}"
                 )
 
+    def assert_certificate(self) -> None:
+        """Every run within the premises of its controller's certificate kept what is certified, and some
+        were; what the others left is in :attr:`table`."""
+        __tracebackhide__ = True
+        try:
+            self.hold_certificate()
+        except (CounterExample, NothingCertified) as error:
+            raise AssertionError(str(error)) from error
+
+    def hold_certificate(self) -> None:
+        """Raises CounterExample for the first run that is one, NothingCertified if none could be one."""
+        states = self.column("certificate").astype(str)
+        found = np.flatnonzero(states == CertificateState.EXCEEDED)
+        if found.size:
+            raise counter_example(self.table.slice(int(found[0]), 1).to_pylist()[0], self.folder)
+        if not (states == CertificateState.KEPT).any():
+            told = ", ".join(f"{count} {name or 'without a certificate'}" for name, count in counted(states))
+            raise NothingCertified(f"no run could be held against a certificate: {told}")
+
     def replay(self, number: int, record: Path | None = None) -> Summary:
         """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.
 
@@ -108,6 +166,7 @@ class Campaign:
         """
         if not 0 <= number < self.table.num_rows:
             raise BadInput("--run", "", number, f"a run of the campaign: 0 to {self.table.num_rows - 1}")
+        learn(self.plan, self.table)
         folder = record or self.folder / REPLAYS_FOLDER / f"run-{number:09d}"
         summary = Workshop(self.plan).summary(self.plan.run(number), folder)
         digest = self.table.column("digest")[number].as_py()
@@ -116,16 +175,40 @@ class Campaign:
         return summary
 
 
+def learn(plan: CampaignPlan, table: pa.Table) -> None:
+    """Adaptive draws follow from the rows before them."""
+    if plan.rounds is not None and plan.sweep.adaptive is not None:
+        plan.rounds.take(table.select(["run", "passed", plan.sweep.adaptive.guide]).to_pylist())
+
+
+def counter_example(row: Row, folder: Path) -> CounterExample:
+    """In words, with the command that runs it again."""
+    return CounterExample(
+        f"counter-example: run {row['run']} kept all premises of its certificate, and the gain from load to "
+        f"speed error is at least {row['load_gain_least_rad_s_nm']:.4g} rad/s per N m, certified "
+        f"{row['load_gain_certified_rad_s_nm']:.4g}; hil campaign replay {folder} --run {row['run']}"
+    )
+
+
+def counted(values: NDArray[Any]) -> list[tuple[str, int]]:
+    """How often each text is there."""
+    names, counts = np.unique(values.astype(str), return_counts=True)
+    return [(str(name), int(count)) for name, count in zip(names, counts, strict=True)]
+
+
 class Enough:
     """The stopping rule, fed with rows in order of their number: it cannot depend on who ran them when."""
 
-    def __init__(self, plan: CampaignPlan) -> None:
+    def __init__(self, plan: CampaignPlan, against_certificate: bool = False) -> None:
         self._plan = plan
+        self._against_certificate = against_certificate
         self._passed = [0] * plan.points
         self._next = 1
 
     def __call__(self, row: Mapping[str, Any]) -> bool:
         """Take in the next row; whether it was the last that is needed."""
+        if self._against_certificate and row["certificate"] == CertificateState.EXCEEDED:
+            return True
         width = self._plan.sweep.stop.rate_width
         self._passed[row["point"]] += bool(row["passed"])
         replicates, rest = divmod(row["run"] + 1, self._plan.points)
@@ -143,6 +226,7 @@ def run_campaign(
     *,
     workers: int | None = None,
     resume: bool = False,
+    against_certificate: bool = False,
     stop: StopRequest | None = None,
     progress: Callable[[CampaignProgress], None] = lambda _: None,
 ) -> Campaign:
@@ -150,6 +234,7 @@ def run_campaign(
 
     ``out``: folder of the campaign, new or empty; with ``resume`` also that of the same sweep, which goes on
     where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
+    ``against_certificate``: a counter-example ends it, see :meth:`Campaign.hold_certificate`.
     Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, Interrupted; what is
     stored then stays, and can be resumed.
     """
@@ -157,7 +242,8 @@ def run_campaign(
     campaign = Campaign(Path(out), plan)
     store = open_campaign(campaign.folder, plan, resume)
     with stop_signals(stop) as asked:
-        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress)
+        enough = Enough(plan, against_certificate)
+        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress, enough)
         _record_failures(campaign)
     return campaign
 
@@ -168,10 +254,11 @@ def _run(
     workers: int,
     stop: StopRequest,
     progress: Callable[[CampaignProgress], None],
+    enough: Enough,
 ) -> None:
-    enough = Enough(plan)
     passed = 0
-    for row in store.table().select(["run", "point", "passed"]).to_pylist():
+    learn(plan, store.table())
+    for row in store.table().select(["run", "point", "passed", "certificate"]).to_pylist():
         passed += row["passed"]
         if enough(row):
             return
@@ -182,6 +269,8 @@ def _run(
     try:
         for row in rows:
             fresh.append(row)
+            if plan.rounds is not None:
+                plan.rounds.take([row])
             passed += row["passed"]
             now, done = clock.now(), row["run"] + 1
             runs_per_s = (done - first) * NS_PER_S / max(1, now - began)

@@ -2,15 +2,17 @@
 
 import math
 from itertools import product
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.campaign.campaign import Campaign
+from hil.campaign.campaign import Campaign, counted
 from hil.campaign.plan import GridAxis
 from hil.campaign.statistics import ConfidenceInterval, paired, quantile, sensitivity
 from hil.campaign.worker import FIGURES
+from hil.reviewing.certificate_meter import CertificateState
 
 PEAK = "speed_error_peak_percent"
 """The figure of heat maps and worst cases."""
@@ -22,6 +24,8 @@ def figures_of(done: Campaign) -> dict[str, Any]:
     """For JSON and reports."""
     stop = done.plan.sweep.stop
     kind = "a confidence sequence: it holds whenever one ends" if done.sequential else "Clopper-Pearson"
+    if done.adaptive:
+        kind = "weighted draws, normal in the logarithm"
     return {
         "name": done.plan.sweep.campaign.name,
         "folder": str(done.folder),
@@ -31,18 +35,34 @@ def figures_of(done: Campaign) -> dict[str, Any]:
         "runs": done.table.num_rows,
         "passed": int(done.column("passed").sum()),
         "points": [_point(done, number) for number in range(done.plan.points)],
-        "outcomes": _outcomes(done),
+        "outcomes": dict(counted(done.column("outcome"))),
+        "certificate": _certificate(done),
         "quantiles": _quantiles(done),
         "sensitivity": _sensitivities(done),
         "worst": worst_runs(done),
         "pairs": _pairs(done),
+        **({"failure": _failure(done)} if done.adaptive else {}),
+    }
+
+
+def _failure(done: Campaign) -> dict[str, Any]:
+    """The failure probability of adaptive draws, and how many plain ones would know it as well."""
+    found = done.failure_rate()
+    deviation = (found.high - found.low) / (
+        2.0 * NormalDist().inv_cdf(0.5 + 0.5 * done.plan.sweep.stop.confidence)
+    )
+    known = found.estimate > 0.0 and deviation > 0.0
+    return {
+        **_plain(found, "rate"),
+        "counting": int(done.column("counts").sum()),
+        "plain_runs": round(found.estimate * (1.0 - found.estimate) / deviation**2) if known else None,
     }
 
 
 def _point(done: Campaign, number: int) -> dict[str, Any]:
     labels = done.plan.run(number).labels
     where = done.column("point") == number
-    peak = done.column(PEAK).astype(float)[where]
+    peak = done.column(PEAK).astype(float)[where & done.nominal]
     interval = quantile(peak[np.isfinite(peak)], QUANTILES[-1], done.plan.sweep.stop.confidence)
     return {
         "point": done.plan.point_title(number),
@@ -54,22 +74,46 @@ def _point(done: Campaign, number: int) -> dict[str, Any]:
     }
 
 
+def failure_line(found: dict[str, Any]) -> str:
+    """The same in words."""
+    plain = "" if found["plain_runs"] is None else f"; plain draws would take {found['plain_runs']} for it"
+    rate, low, high = (found[name] for name in ("rate", "low", "high"))
+    shown = "not known" if rate is None else f"{rate:.3g}"
+    return (
+        f"failure probability {shown}, {low:.3g} to {high:.3g}, by {found['counting']} weighted runs behind "
+        f"those that found the way{plain}"
+    )
+
+
 def _plain(found: ConfidenceInterval, name: str) -> dict[str, float | None]:
     """Without what JSON has no word for."""
     values = zip((name, "low", "high"), found, strict=True)
     return {key: float(value) if math.isfinite(value) else None for key, value in values}
 
 
-def _outcomes(done: Campaign) -> dict[str, int]:
-    names, counts = np.unique(done.column("outcome").astype(str), return_counts=True)
-    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+def _certificate(done: Campaign) -> dict[str, Any]:
+    """How many runs say what of their controller's certificate, and how near they came to it."""
+    states = done.column("certificate").astype(str)
+    if not (states != "").any():
+        return {}
+    left = [text for name in ("premises_left", "premises_unknown") for text in done.column(name)]
+    names = [part.partition(":")[0] for text in left for part in text.split("; ") if part]
+    share = done.column("load_gain_least_rad_s_nm") / done.column("load_gain_certified_rad_s_nm")
+    share[(states != CertificateState.KEPT) & (states != CertificateState.EXCEEDED)] = np.nan
+    measured = bool(np.isfinite(share).any())
+    return {
+        "runs": dict(counted(states)),
+        "premises": dict(counted(np.array(names))),
+        "nearest_run": int(np.nanargmax(share)) if measured else None,
+        "nearest_share": float(np.nanmax(share)) if measured else None,
+    }
 
 
 def _quantiles(done: Campaign) -> dict[str, Any]:
-    """Over all runs, each figure that was measured in some; no intervals, as points share their seeds."""
+    """Over all nominal runs, each figure that was measured in some; no intervals, as points share seeds."""
     found: dict[str, Any] = {}
     for name, figure in FIGURES.items():
-        values = done.column(name).astype(float)
+        values = done.column(name).astype(float)[done.nominal]
         values = values[np.isfinite(values)]
         if values.size and name != "cycles":
             shares = {f"{100 * share:g} %": float(np.quantile(values, share)) for share in QUANTILES}
@@ -86,11 +130,11 @@ def _sensitivities(done: Campaign) -> dict[str, Any]:
     """By key, of passing and of the peak error."""
     found = {}
     for key in done.plan.run(0).labels:
-        values = done.column(key)
+        values = done.column(key)[done.nominal]
         values = values.astype(float) if values.dtype.kind == "f" else values.astype(str)
         each = {}
         for name in ("passed", PEAK):
-            share, correlation = sensitivity(values, done.column(name).astype(float))
+            share, correlation = sensitivity(values, done.column(name)[done.nominal].astype(float))
             each[name] = {
                 "share_of_variance": share,
                 "rank_correlation": correlation if math.isfinite(correlation) else None,

@@ -22,6 +22,7 @@ from scipy.stats import norm, qmc
 
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
+from hil.campaign.adaptive import Drawn, Rounds
 from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, load_sweep
 from hil.configuration.bench_tables import Bench
 
@@ -50,6 +51,10 @@ class PlannedRun(NamedTuple):
     """Of the bench, the seed left out."""
     labels: dict[str, float | str]
     """What varies, for tables: numbers as they are, everything else by its label."""
+    weight: float = 1.0
+    """Of its draw, where draws are adaptive."""
+    counts: bool = True
+    """Whether it counts for the rate."""
 
 
 class CampaignPlan:
@@ -73,6 +78,9 @@ class CampaignPlan:
         spec = self.bench.config.bus.spec
         if spec != "simulated":
             raise BadInput(str(path), "bus.spec", spec, "'simulated': a campaign runs in simulated time")
+        adaptive = sweep.adaptive
+        self.rounds = None if adaptive is None else Rounds(adaptive, self._even, sweep.drawing.seed)
+        """Of adaptive draws; to be given the rows in order."""
         self._check_choices()
 
     @classmethod
@@ -80,20 +88,32 @@ class CampaignPlan:
         """Of the sweep file at ``path``. Raises BadInput or BadInputs."""
         return cls(load_sweep(path), path)
 
-    def run(self, number: int) -> PlannedRun:
-        """Run ``number``, counted from 0."""
+    @property
+    def known(self) -> int:
+        """So many runs can be run by now; the draws of later ones depend on their rows."""
+        return self.count if self.rounds is None else self.rounds.known
+
+    def drawn(self, number: int) -> Drawn:
+        """What run ``number``, below :attr:`known`, draws."""
+        if self.rounds is not None:
+            return self.rounds.drawn(number)
+        return Drawn(tuple(self._even[number // self.points].tolist()), 1.0, True)
+
+    def run(self, number: int, drawn: Drawn | None = None) -> PlannedRun:
+        """Run ``number``, counted from 0; ``drawn``: as :meth:`drawn` has it, if that is known elsewhere."""
+        drawn = drawn or self.drawn(number)
         replicate, point = divmod(number, self.points)
         changes: Changes = {}
         labels: dict[str, float | str] = {}
         for axis, place in zip(self.axes, self._points[point], strict=True):
             changes |= axis.choices[place]
             labels[axis.title] = axis.labels[place] if axis.numbers is None else axis.numbers[place]
-        for each, values in zip(self.sweep.draw, self._drawn.T, strict=True):
-            value = float(values[replicate])
+        for each, even in zip(self.sweep.draw, drawn.even, strict=True):
+            value = _spread(each, even)
             changes[each.key] = round(value) if each.whole else value
             labels[each.key] = float(changes[each.key])
         seed = self.sweep.campaign.first_seed + replicate
-        return PlannedRun(number, point, replicate, seed, changes, labels)
+        return PlannedRun(number, point, replicate, seed, changes, labels, drawn.weight, drawn.counts)
 
     def point_title(self, point: int) -> str:
         """A point of the grid in words; empty where there is one alone."""
@@ -131,31 +151,28 @@ class CampaignPlan:
             _ = self.bench.changed(first).config
 
     @cached_property
-    def _drawn(self) -> NDArray[np.float64]:
-        """(replicates, keys)."""
+    def _even(self) -> NDArray[np.float64]:
+        """(replicates, keys) in [0, 1), before their distributions."""
         drawing, keys, count = self.sweep.drawing, len(self.sweep.draw), self.sweep.campaign.seeds
         if not keys:
             return np.empty((count, 0))
         stream = np.random.default_rng(drawing.seed)
         if drawing.method == "random":
-            even = stream.random((count, keys))
-        elif drawing.method == "sobol":
-            even = qmc.Sobol(keys, scramble=True, rng=stream).random(count)
-        else:
-            even = qmc.LatinHypercube(keys, rng=stream).random(count)
-        return np.column_stack([_spread(each, even[:, place]) for place, each in enumerate(self.sweep.draw)])
+            return stream.random((count, keys))
+        if drawing.method == "sobol":
+            return np.asarray(qmc.Sobol(keys, scramble=True, rng=stream).random(count))
+        return np.asarray(qmc.LatinHypercube(keys, rng=stream).random(count))
 
 
-def _spread(draw: Draw, even: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Even values in [0, 1) as the distribution has them."""
+def _spread(draw: Draw, even: float) -> float:
+    """An even value in [0, 1) as the distribution has it."""
     if draw.distribution == "normal":
         tiny = np.finfo(np.float64).tiny  # Sobol points may be 0, whose quantile is -infinity
-        found: NDArray[np.float64] = norm.ppf(np.maximum(even, tiny), draw.mean, draw.deviation)
-        return found
+        return float(norm.ppf(max(even, tiny), draw.mean, draw.deviation))
     low, high = draw.low or 0.0, draw.high or 0.0
     if draw.distribution == "uniform":
         return low + (high - low) * even
-    return np.asarray(low * (high / low) ** even)
+    return float(low * (high / low) ** even)
 
 
 def _axis(vary: Vary) -> GridAxis:

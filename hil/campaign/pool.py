@@ -1,6 +1,6 @@
 """Rows of runs from several processes, in order of their number; one that dies is replaced.
 
-    here -> worker   lines of JSON: where the plan is; then run numbers, a chunk each
+    here -> worker   lines of JSON: where the plan is; then run numbers with what they draw, a chunk each
     worker -> here   "ready"; then a line for each run: its row; or why there is none
 
 Results come in any order and leave in order, so nothing behind this file can depend on who ran what.
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.errors import BadInput, BenchError
-from drivers.timebase import NS_PER_S, MonotonicClock
+from drivers.timebase import NS_PER_S
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import Row, Workshop
 from hil.machine.stopping import Interrupted, StopRequest
@@ -27,7 +27,10 @@ CHUNK_NS: Final = NS_PER_S // 2
 AHEAD: Final = 64
 """Chunks that may be done before one that is missing: bounds what waits in memory."""
 DEATHS_MAX: Final = 3
-"""A run during which so many workers died is the cause."""
+"""A run during which so many workers died is the cause; so many that died in a row before they were ready are
+no accident."""
+ENDING_S: Final = 5.0
+"""Between the end of a worker's output and its own end pass milliseconds."""
 MODULE: Final = "hil.campaign.worker_process"
 
 RowSource = Generator[Row, None, None]
@@ -35,7 +38,7 @@ RowSource = Generator[Row, None, None]
 
 
 class WorkerDied(BenchError):
-    """A run kills its process."""
+    """A run kills its process, or none can be started."""
 
     exit_status = 70
 
@@ -54,8 +57,8 @@ def rows_here(plan: CampaignPlan, numbers: range, stop: StopRequest) -> RowSourc
         yield workshop.row(number)
 
 
-class _Worker:
-    """One process."""
+class Worker:
+    """One process, with its own end of the lines."""
 
     def __init__(self, plan: CampaignPlan) -> None:
         self.process = subprocess.Popen(
@@ -91,6 +94,14 @@ class _Worker:
         *whole, self._partial = (self._partial + data).split(b"\n")
         return [json.loads(line) for line in whole]
 
+    def status(self) -> int:
+        """With which it ended, once its output has; -N by signal N."""
+        try:
+            return self.process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
     def end(self) -> None:
         """Now, whatever it does."""
         self.process.kill()
@@ -109,14 +120,15 @@ class WorkerPool:
     def __init__(self, plan: CampaignPlan, workers: int, stop: StopRequest) -> None:
         self._plan, self._workers, self._stop = plan, workers, stop
         self._selector = selectors.DefaultSelector()
-        self._alive: list[_Worker] = []
+        self._alive: list[Worker] = []
         self._done: dict[int, Row] = {}
         self._again: deque[list[int]] = deque()
         """Chunks of workers that died."""
         self._deaths: dict[int, int] = {}
+        self._starts_lost = 0
+        """Workers in a row that died before they were ready."""
         self._cost_ns = CHUNK_NS
         """Of a run, as measured; before the first a chunk is one run."""
-        self._clock = MonotonicClock()
 
     @property
     def process_ids(self) -> list[int]:
@@ -143,7 +155,7 @@ class WorkerPool:
             self._selector.close()
 
     def _start(self) -> None:
-        worker = _Worker(self._plan)
+        worker = Worker(self._plan)
         self._alive.append(worker)
         self._selector.register(worker.output, selectors.EVENT_READ, worker)
 
@@ -152,18 +164,19 @@ class WorkerPool:
         for worker in self._alive:
             while worker.ready and len(worker.chunks) < 2 and (self._again or fresh):
                 size = max(1, CHUNK_NS // max(1, self._cost_ns))
-                if not self._again and fresh[0] - due > AHEAD * size:
+                known = 0 if self._again else self._plan.known - fresh[0]
+                if not self._again and (fresh[0] - due > AHEAD * size or not known):
                     return
                 if self._again:
                     chunk = self._again.popleft()
                 else:
-                    chunk = [fresh.popleft() for _ in range(min(size, len(fresh)))]
+                    chunk = [fresh.popleft() for _ in range(min(size, known, len(fresh)))]
                 worker.chunks.append(chunk)
-                worker.send(chunk)
+                worker.send([[number, self._plan.drawn(number)] for number in chunk])
 
     def _listen(self) -> None:
         for key, _ in self._selector.select(timeout=0.2):
-            worker: _Worker = key.data
+            worker: Worker = key.data
             lines = worker.lines()
             if lines is None:
                 self._replace(worker)
@@ -173,9 +186,10 @@ class WorkerPool:
         if self._stop():
             raise Interrupted(f"ended by {self._stop.asked_by}")
 
-    def _take(self, worker: _Worker, line: dict[str, Any]) -> None:
+    def _take(self, worker: Worker, line: dict[str, Any]) -> None:
         if "ready" in line:
             worker.ready = True
+            self._starts_lost = 0
         elif "row" in line:
             row: Row = line["row"]
             self._done[row["run"]] = row
@@ -186,21 +200,31 @@ class WorkerPool:
         else:
             raise _error_of(line)
 
-    def _replace(self, worker: _Worker) -> None:
+    def _replace(self, worker: Worker) -> None:
         """It died: what it had not done is done by others, first of all."""
         self._selector.unregister(worker.output)
         self._alive.remove(worker)
+        status = worker.status()
         worker.end()
         if not worker.ready:
-            raise WorkerDied(f"a worker ended with status {worker.process.returncode} before its first run")
-        if worker.chunks:
+            self._count_start(status)
+        elif worker.chunks:
             number = worker.chunks[0][0]
             self._deaths[number] = self._deaths.get(number, 0) + 1
             if self._deaths[number] == DEATHS_MAX:
-                status = worker.process.returncode
                 raise WorkerDied(f"run {number}: {DEATHS_MAX} workers died with it, with status {status}")
         self._again.extend(worker.chunks)
         self._start()
+
+    def _count_start(self, status: int) -> None:
+        """A worker died before it was ready. One that was killed, say for want of memory, may do better next
+        time; one that ended by itself would not."""
+        if status >= 0:
+            raise WorkerDied(f"a worker ended with status {status} before its first run")
+        self._starts_lost += 1
+        if self._starts_lost == DEATHS_MAX:
+            told = f"{DEATHS_MAX} workers in a row died before their first run, the last with status {status}"
+            raise WorkerDied(told)
 
 
 def _error_of(line: dict[str, Any]) -> BenchError:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
 from hil.campaign.campaign import Campaign
-from hil.campaign.figures import PEAK, figures_of, grid_of
+from hil.campaign.figures import PEAK, failure_line, figures_of, grid_of
 from hil.campaign.plan import GridAxis
 
 CELLS_NAMED_MAX = 200
@@ -44,12 +44,19 @@ def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
     )
     outcomes = (f"{count} {escape(name)}" for name, count in found["outcomes"].items())
     yield f"<p>{', '.join(outcomes)}</p>"
+    if "failure" in found:
+        yield (
+            f"<p class='b'>{escape(failure_line(found['failure']))}</p><p>Tables of figures and of what "
+            "matters are of the first round alone, which is drawn as the sweep has it.</p>"
+        )
     for rows, across in combinations(done.plan.axes, 2):
         yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(done, rows, across)}"
     yield "<h2>Points</h2>" + _table(
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
         map(_point, found["points"]),
     )
+    if found["certificate"]:
+        yield _certificate(found["certificate"])
     if found["pairs"]:
         yield _pairs(found["pairs"])
     yield "<h2>Figures of all runs</h2>" + _table(
@@ -58,6 +65,18 @@ def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
     if found["sensitivity"]:
         yield _sensitivity(found["sensitivity"])
     yield _worst(done, found["worst"])
+
+
+def _certificate(found: dict[str, Any]) -> str:
+    runs = _table(("the certificate", "runs"), found["runs"].items())
+    left = _table(("premise that was left or is not known", "runs"), found["premises"].items())
+    nearest = (
+        ""
+        if found["nearest_run"] is None
+        else f"<p>Run {found['nearest_run']} came nearest, to {_percent(found['nearest_share'])} of what is "
+        "certified.</p>"
+    )
+    return f"<h2>Held against the certificate</h2>{runs}{nearest}{left}"
 
 
 def _pairs(pairs: list[dict[str, Any]]) -> str:

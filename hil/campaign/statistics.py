@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import betaln
 from scipy.stats import binomtest, bootstrap, spearmanr
+from scipy.stats import t as student
 
 Floats = NDArray[np.float64]
 
@@ -71,6 +72,26 @@ def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
     low = 0.0 if not passed else _root(excess, _EDGE, min(rate, 1.0 - _EDGE))
     high = 1.0 if not failed else _root(excess, max(rate, _EDGE), 1.0 - _EDGE)
     return ConfidenceInterval(rate, low, high)
+
+
+def weighted_rate(weights: Floats, happened: NDArray[np.bool_], confidence: float) -> ConfidenceInterval:
+    """Of how often something happens, from independent draws with weights, (n,), of mean 1.
+
+    Normal in the logarithm, as a rate that is known to a factor is not known evenly to both sides. It sees
+    what was drawn: a way to fail that no draw has met is in no interval. Where it never happened, its upper
+    end is Clopper and Pearson's, times the largest weight.
+    """
+    if not weights.size:
+        return ConfidenceInterval(math.nan, 0.0, 1.0)
+    counted = weights * happened
+    estimate = float(counted.mean())
+    if estimate == 0.0:
+        high = clopper_pearson(0, weights.size, confidence).high
+        return ConfidenceInterval(0.0, 0.0, min(1.0, float(weights.max()) * high))
+    error = float(counted.std(ddof=1)) / math.sqrt(weights.size) if weights.size > 1 else math.inf
+    hits = np.count_nonzero(counted)
+    factor = math.exp(float(student.ppf(0.5 + 0.5 * confidence, max(1, hits - 1))) * error / estimate)
+    return ConfidenceInterval(estimate, estimate / factor, min(1.0, estimate * factor))
 
 
 def _root(excess: Any, low: float, high: float) -> float:

@@ -110,14 +110,15 @@ _COUNTS: Final = {
     "seed": "bench.seed",
 }
 _TOLD: Final = {
+    "weight": (pa.float64(), "of its draw: by how much the sweep's distributions have it more often"),
+    "counts": (pa.bool_(), "whether it counts for the rate; not while adaptive draws are learning"),
     "outcome": (pa.string(), "what it came to, docs/verdict.md"),
     "passed": (pa.bool_(), "whether all that was asked was kept in a valid run"),
     "completed": (pa.bool_(), "whether all planned cycles were run"),
     "reason": (pa.string(), "the findings of the outcome, in words"),
-    "premises_left": (
-        pa.string(),
-        "in what network or drive were not as certified",
-    ),
+    "certificate": (pa.string(), "what it says of the certificate, docs/verdict.md; empty: there is none"),
+    "premises_left": (pa.string(), "what the certificate presumes and was not so"),
+    "premises_unknown": (pa.string(), "what the certificate presumes and nobody knows"),
     "digest": (pa.string(), "BLAKE2b over the rows of its cycles, docs/recording.md"),
 }
 
@@ -138,8 +139,12 @@ def _sync_folder(folder: Path) -> None:
 def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
     """The store of a campaign in ``folder``: a new one, or that of the same sweep to go on with.
 
-    Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed.
+    Raises BadInput: there is another campaign in it, or the same one and it is not to be resumed; or the
+    guide of its draws is no figure.
     """
+    adaptive = plan.sweep.adaptive
+    if adaptive is not None and adaptive.guide not in FIGURES:
+        raise BadInput(str(plan.source), "adaptive.guide", adaptive.guide, f"one of {', '.join(FIGURES)}")
     place = folder / PLAN_FILE
     identity = {"sweep": str(plan.source.absolute()), "identity": plan.identity}
     if place.exists():

@@ -106,6 +106,17 @@ class Stop(Section):
     """Of that interval, and of those of the report."""
 
 
+class Adaptive(Section):
+    """``[adaptive]``: draws that go where runs fail, in rounds, with weights that put the rate right."""
+
+    guide: str = Field(description="a figure of the runs, e.g. speed_error_peak_percent")
+    """The larger, the nearer to failing. It leads there; what fails the verdict says."""
+    focus: Literal["failures", "boundary"] = "failures"
+    """``failures``: for rare ones; ``boundary``: to where runs that pass and runs that do not meet."""
+    round_runs: int = Field(default=200, ge=20, le=100_000)
+    """There are as many rounds as it takes, in at most half of ``campaign.seeds``; the rest counts."""
+
+
 class SweepFile(Section):
     """A whole sweep file."""
 
@@ -116,6 +127,7 @@ class SweepFile(Section):
     draw: Annotated[tuple[Draw, ...], Field(strict=False)] = ()
     drawing: Drawing = Drawing()
     stop: Stop = Stop()
+    adaptive: Adaptive | None = None
 
 
 def load_sweep(path: Path) -> SweepFile:
@@ -142,6 +154,22 @@ def _check_drawing(sweep: SweepFile, source: str) -> None:
     if method == "sobol" and seeds & (seeds - 1):
         expected = "a power of two: points of drawing.method sobol are balanced only then"
         raise BadInput(source, "campaign.seeds", seeds, expected)
+    if sweep.adaptive is not None:
+        _check_adaptive(sweep, source)
     if method != "random" and sweep.stop.rate_width is not None:
         expected = "random: an end when enough was seen takes draws that do not depend on each other"
         raise BadInput(source, "drawing.method", method, expected)
+
+
+def _check_adaptive(sweep: SweepFile, source: str) -> None:
+    if not sweep.draw or sweep.vary:
+        expected = "tables [[draw]] and none [[vary]] beside [adaptive]: it is over what is drawn"
+        raise BadInput(source, "vary" if sweep.vary else "draw", len(sweep.vary or sweep.draw), expected)
+    assert sweep.adaptive is not None
+    if (least := 2 * sweep.adaptive.round_runs) > sweep.campaign.seeds:
+        expected = f"{least} at least, two rounds of adaptive.round_runs"
+        raise BadInput(source, "campaign.seeds", sweep.campaign.seeds, expected)
+    if sweep.drawing.method != "random":
+        raise BadInput(source, "drawing.method", sweep.drawing.method, "random beside [adaptive]")
+    if sweep.stop.rate_width is not None:
+        raise BadInput(source, "stop.rate_width", sweep.stop.rate_width, "none beside [adaptive]")

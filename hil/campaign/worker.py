@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from drivers.errors import BadInput, BenchError
+from hil.campaign.adaptive import Drawn
 from hil.campaign.plan import CampaignPlan, PlannedRun
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
 from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
+from hil.reviewing.certificate_meter import CertificateState
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 
@@ -34,6 +36,21 @@ def _gain(summary: Summary, which: str) -> float | None:
     pairs = [each["gain_rad_s_nm"] for each in summary.certificates.values()]
     known = [pair for pair in pairs if pair["certified"] is not None and pair["seen"] is not None]
     return max(known, key=lambda pair: pair["seen"] / pair["certified"])[which] if known else None
+
+
+def certificate_state(summary: Summary) -> str:
+    """What a run says of the certificates of its controllers; empty: they have none."""
+    found = {each["state"] for each in summary.certificates.values()}
+    return next((state.value for state in CertificateState if state in found), "")
+
+
+def _premises(summary: Summary, which: str) -> str:
+    several = len(summary.certificates) > 1
+    return "; ".join(
+        f"{axis} {premise}" if several else premise
+        for axis, each in summary.certificates.items()
+        for premise in each[which]
+    )
 
 
 FIGURES: Final[Mapping[str, Figure]] = {
@@ -59,6 +76,11 @@ FIGURES: Final[Mapping[str, Figure]] = {
         "gain from load torque to speed error, seen; of a certified controller",
         lambda s, _: _gain(s, "seen"),
     ),
+    "load_gain_least_rad_s_nm": Figure(
+        "rad/s per N m",
+        "the same, less what noise may make of it",
+        lambda s, _: _gain(s, "seen_at_least"),
+    ),
     "load_gain_certified_rad_s_nm": Figure(
         "rad/s per N m", "the same, as its certificate has it", lambda s, _: _gain(s, "certified")
     ),
@@ -80,9 +102,12 @@ class Workshop:
         gc.collect()
         gc.freeze()
 
-    def row(self, number: int) -> Row:
-        """Run ``number``. Raises BadInput or BadInputs for one that cannot be run, Interrupted."""
-        planned = self._plan.run(number)
+    def row(self, number: int, drawn: Drawn | None = None) -> Row:
+        """Run ``number``; ``drawn``: as :meth:`CampaignPlan.run` takes it.
+
+        Raises BadInput or BadInputs for one that cannot be run, Interrupted.
+        """
+        planned = self._plan.run(number, drawn)
         summary = self.summary(planned)
         self._since_collected += 1
         if self._since_collected == COLLECTED_EVERY:
@@ -143,12 +168,16 @@ def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
         "point": planned.point,
         "replicate": planned.replicate,
         "seed": planned.seed,
+        "weight": planned.weight,
+        "counts": planned.counts,
         **planned.labels,
         "outcome": str(verdict.outcome),
         "passed": verdict.passed,
         "completed": verdict.completed,
         "reason": verdict.reason,
-        "premises_left": "; ".join(summary.network_notes),
+        "certificate": certificate_state(summary),
+        "premises_left": _premises(summary, "premises_left"),
+        "premises_unknown": _premises(summary, "premises_unknown"),
         "digest": summary.digest,
         **{name: figure.of(summary, axes) for name, figure in FIGURES.items()},
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 from drivers.errors import BenchError
 from drivers.timebase import MonotonicClock
+from hil.campaign.adaptive import Drawn
 from hil.campaign.pool import sweep_at
 from hil.campaign.worker import Workshop
 from hil.machine.stopping import StopRequest
@@ -28,9 +29,9 @@ def main() -> int:
         tell({"ready": True})
         clock = MonotonicClock()
         for line in sys.stdin:
-            for number in json.loads(line):
+            for number, drawn in json.loads(line):
                 began = clock.now()
-                row = workshop.row(number)
+                row = workshop.row(number, Drawn(*drawn))
                 tell({"row": row, "took_ns": clock.now() - began})
     except BenchError as error:
         notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))

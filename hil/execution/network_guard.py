@@ -5,7 +5,7 @@ another current loop. What can be known before anything moves is checked then; t
 the cycle records as they are made.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -16,14 +16,23 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_errors import raise_all
 from hil.configuration.controller_kinds import StampCompensator, StateFeedbackController
-from hil.configuration.drive_current_loop import certified_loop, current_loop_of, loop_fault, range_text
+from hil.configuration.drive_current_loop import (
+    KnownLoop,
+    certified_loop,
+    current_loop_of,
+    loop_fault,
+    range_text,
+)
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.predictor_section import PredictorController
-from hil.configuration.speed_controller_file import DesignPlant, MadeFor
+from hil.configuration.speed_controller_file import Certificate, DesignPlant, MadeFor
 from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
 from hil.rows.recording_plan import CertifiedPlan
+from virtual_bus.faults.fault_plan import FaultPlan
+from virtual_bus.faults.kinds.drive_fault import DriveFault
+from virtual_bus.faults.kinds.safe_torque_off import SafeTorqueOff
 
 REMEDY: Final = (
     "design for this network and drive with hil design speed --network --bench, or run with "
@@ -89,14 +98,9 @@ def static_faults(
         unknown = [commands_unknown(network, source) for source, network in networks.items()]
         found += [fault for fault in unknown if fault is not None]
     for axis, wanted in held.items():
-        drive = config.drive[axis]
-        key = f"drive.{axis}.controller.made_for"
         found += [
-            BadInput(config.source, *fault, REMEDY) for fault in _bench_faults(config, drive, wanted, key)
+            BadInput(config.source, *fault, REMEDY) for fault in _axis_faults(config, axis, wanted, simulated)
         ]
-        loop = current_loop_of(config, axis, simulated=simulated)
-        if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
-            found.append(BadInput(config.source, *outside, REMEDY))
         for source, network in networks.items():
             found += [
                 BadInput(source, *fault, REMEDY)
@@ -106,6 +110,16 @@ def static_faults(
 
 
 _Fault = tuple[str, object, str]
+
+
+def _axis_faults(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> list[_Fault]:
+    """Where bench and drive of an axis are other than what its controller was made for."""
+    key = f"drive.{axis}.controller.made_for"
+    found = _bench_faults(config, config.drive[axis], wanted, key)
+    loop = current_loop_of(config, axis, simulated=simulated)
+    if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
+        found.append(outside)
+    return found
 
 
 def _bench_faults(config: BenchConfig, drive: DriveConfig, wanted: MadeFor, key: str) -> list[_Fault]:
@@ -294,10 +308,12 @@ def certified_plans(
 
 
 def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
-    controller = config.drive[axis].controller
+    drive = config.drive[axis]
+    controller = drive.controller
     certificate = controller.certificate if isinstance(controller, StateFeedbackController) else None
     limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
     own = current_loop_of(config, axis, simulated=simulated)
+    slew = drive.limits.torque_slew_max_nm_s
     return CertifiedPlan(
         period_us=config.loop.period_us,
         delay_us=limits.delay_max / NS_PER_US,
@@ -306,4 +322,34 @@ def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: 
         bandwidths_hz=None if loop is None else (loop.bandwidth_min_hz, loop.bandwidth_max_hz),
         bandwidth_hz=None if own is None else own.bandwidth_hz,
         torque_rms_nm_max=wanted.torque_rms_nm_max,
+        age_us=limits.age_max / NS_PER_US,
+        torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
+        left=tuple(_left(config, axis, wanted, simulated)),
+        unknown=tuple(_unknown(wanted, certificate, own)),
     )
+
+
+_ON_THE_DRIVE: Final = (DriveFault.kind, SafeTorqueOff.kind)
+"""Faults of a plan that are none of the network."""
+
+
+def _left(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> Iterator[str]:
+    """Premises that bench and drive of an axis do not keep, as :mod:`hil.reviewing.premises` words them."""
+    for key, value, expected in _axis_faults(config, axis, wanted, simulated):
+        yield f"{key}: {value}, expected {expected}"
+    if simulated:
+        for name in ("resistance_factor", "inductance_factor"):
+            if (factor := getattr(config.drive[axis].simulation, name)) != 1.0:
+                yield f"drive.{axis}.simulation.{name}: {factor:g}, expected 1, the motor as its file has it"
+    plan = config.fault_plan.as_tables() if isinstance(config.fault_plan, FaultPlan) else {}
+    for kind in _ON_THE_DRIVE:
+        if kind in plan:
+            yield f"faults.{kind}: the drive itself was struck"
+
+
+def _unknown(wanted: MadeFor, certificate: Certificate | None, own: KnownLoop | None) -> Iterator[str]:
+    """Premises of which nobody knows whether bench and drive keep them, in words."""
+    if certificate is not None and certificate.sequences is None:
+        yield "sampling: certified for a constant delay alone"
+    if own is None and certified_loop(wanted) is not None:
+        yield "bandwidth: that of the drive's current loop is not known"

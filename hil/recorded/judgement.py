@@ -22,7 +22,6 @@ from hil.verdict.verdict import Demand, RunOutcome, VerdictKind, VerdictLimits
 
 _OF_LIMITS: Final = (VerdictKind.NOT_PASSED, VerdictKind.NOT_MEASURED)
 """What is found by limits, and so anew."""
-_CERTIFIED: Final = ("delay_us", "losses_in_a_row", "gain_rad_s_nm")
 
 
 class Requirements(Section):
@@ -109,9 +108,18 @@ def _other_rows(told: Summary, figures: Figures) -> Iterator[str]:
 
 
 def _certified(figures: Figures) -> Iterator[Demand]:
-    """What the certificates of the controllers allow, and what was seen."""
+    """What the certificates of the controllers presume and allow, and what was seen.
+
+    Where a premise was left its own line says so; the certified figure is not asked for then.
+    """
     for axis, told in figures.certificates.items():
-        for name in _CERTIFIED:
+        for name in ("delay_us", "losses_in_a_row"):
             pair: dict[str, Any] = told[name]
             if pair["certified"] is not None:
                 yield Demand(f"certified_{name}", axis, pair["seen"], pair["certified"])
+        gain: dict[str, Any] = told["gain_rad_s_nm"]
+        if gain["certified"] is None:
+            continue
+        yield Demand("certified_commands_at_a_limit", axis, float(told["commands_at_a_limit"]), 0.0)
+        if not told["premises_left"]:
+            yield Demand("certified_gain_rad_s_nm", axis, gain["seen_at_least"], gain["certified"])

@@ -7,17 +7,21 @@ step, over the torque of the step, is at most the gain at every instant. That is
     load       ___________/~~~~~~~~~~~~~~~~~~~~~
     error      |  mean  ||  rms about that mean, of ever longer times: the largest counts
 
-The noise of the speed is in it too, so a gain that is seen is a little high.
+The noise of the speed is in it too, so a gain that is seen is a little high. What the error did about its
+mean before the step it goes on doing, whatever the load does to it; so the rms may be larger by the largest
+of that, and not by more. A gain *at least* is what is left of the rms when so much is taken off.
 """
 
+import math
 from collections.abc import Iterator, Mapping
+from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.reviewing.network_meter import NetworkMeter
-from hil.rows.recording_plan import CertifiedPlan
+from hil.reviewing.premises import PremisesMeter
+from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 
 _BEFORE: Final = 20
@@ -25,20 +29,37 @@ _BEFORE: Final = 20
 that friction or the load of before leaves to a controller that does not integrate."""
 
 
+class CertificateState(StrEnum):
+    """What a run says of a certificate. Of several axes the first of this list is told."""
+
+    EXCEEDED = "exceeded"
+    """A counter-example: all premises were kept, and the certified figure was not."""
+    LEFT = "premise left"
+    NOT_KNOWN = "premises not known"
+    NOT_MEASURED = "not measured"
+    """No certified figure, or no load step in a steady run."""
+    KEPT = "kept"
+
+
 class CertificateMeter:
     """Feed it rows of its axis in order of sequence; any division into chunks gives the same figures."""
 
-    def __init__(self, certified: CertifiedPlan, settling_ns: int) -> None:
-        self._certified = certified
-        self._network = NetworkMeter(certified.period_us, 1)
+    def __init__(self, axis: AxisPlan, settling_ns: int) -> None:
+        """``axis``: one with a certified controller."""
+        assert axis.certified is not None
+        self._certified = axis.certified
+        self._premises = PremisesMeter(axis, axis.certified)
         self._settling_ns = settling_ns
         self._reference = self._load = 0.0
         self._changed_at: int | None = None
         self._before_sum, self._before = 0.0, 0
-        self._step_nm = self._mean = 0.0
+        self._before_low, self._before_high = math.inf, -math.inf
+        self._step_nm = self._mean = self._noise = 0.0
         self._square_sum, self._since = 0.0, 0
         self.gain_seen: float | None = None
         """rad/s per N m; None: no load has changed in a steady run."""
+        self.gain_least: float | None = None
+        """The same, less what noise may make of it."""
         self._told = False
         self._exceeded: tuple[int, str] | None = None
 
@@ -46,33 +67,43 @@ class CertificateMeter:
         """Take in rows: (n,) of ROW_DTYPE."""
         if not rows.size:
             return
-        mine = rows.copy()
-        mine["axis"] = 0
-        self._network.add(mine)
+        self._premises.add(rows)
         for part in _stretches(rows):
             self._enter(float(part["reference_rad_s"][0]), float(part["load_torque_nm"][0]), part)
             self._take(part)
 
     def figures(self) -> dict[str, Any]:
         """For JSON: certified and seen, by what is certified."""
-        network, certified = self._network.network(), self._certified
-        least = most = None
-        if network is not None:
-            least, most = network.action_delay_least_us, network.action_delay_us
-        losses = None if network is None else network.losses_max
+        certified, premises = self._certified, self._premises
+        premises.look()
+        left, unknown = list(premises.left()), list(premises.unknown())
         return {
             "delay_us": {
                 # by SYNC read-backs a command is known to act between two SYNCs only
-                **_pair(certified.delay_us, None if least is None else least.max),
-                "seen_at_most": None if most is None else most.max,
+                **_pair(certified.delay_us, premises.delay_least_us),
+                "seen_at_most": premises.delay_most_us,
             },
-            "losses_in_a_row": _pair(certified.losses_in_a_row, losses),
-            "gain_rad_s_nm": _pair(certified.gain, self.gain_seen),
+            "losses_in_a_row": _pair(certified.losses_in_a_row, premises.losses),
+            "gain_rad_s_nm": {**_pair(certified.gain, self.gain_seen), "seen_at_least": self.gain_least},
             "current_bandwidth_hz": {
                 "certified": None if certified.bandwidths_hz is None else list(certified.bandwidths_hz),
                 "drive": certified.bandwidth_hz,
             },
+            "commands_at_a_limit": premises.saturated,
+            "premises_left": left,
+            "premises_unknown": unknown,
+            "state": self._state(left, unknown).value,
         }
+
+    def _state(self, left: list[str], unknown: list[str]) -> CertificateState:
+        if left:
+            return CertificateState.LEFT
+        if unknown:
+            return CertificateState.NOT_KNOWN
+        if self._certified.gain is None or self.gain_least is None:
+            return CertificateState.NOT_MEASURED
+        exceeded = self.gain_least > self._certified.gain
+        return CertificateState.EXCEEDED if exceeded else CertificateState.KEPT
 
     def _enter(self, reference: float, load: float, part: Rows) -> None:
         """A stretch begins, or goes on from the last chunk."""
@@ -81,12 +112,15 @@ class CertificateMeter:
         steady = reference == self._reference and self._before >= _BEFORE
         self._step_nm = load - self._load if steady else 0.0
         self._mean = self._before_sum / self._before if self._before else 0.0
+        self._noise = max(self._mean - self._before_low, self._before_high - self._mean, 0.0)
         self._square_sum, self._since = 0.0, 0
         self._before_sum, self._before = 0.0, 0
+        self._before_low, self._before_high = math.inf, -math.inf
         self._reference, self._load, self._changed_at = reference, load, int(part["due_at"][0])
 
     def _take(self, part: Rows) -> None:
         assert self._changed_at is not None
+        self._premises.count_limited(part, self._step_nm != 0.0)
         came = part[part["fate"] == FATE_SAMPLE]
         if not came.size:
             return
@@ -94,17 +128,21 @@ class CertificateMeter:
         settled = error[came["due_at"] - self._changed_at >= self._settling_ns]
         self._before_sum = _added(self._before_sum, settled)
         self._before += settled.size
+        self._before_low = min(self._before_low, float(settled.min(initial=math.inf)))
+        self._before_high = max(self._before_high, float(settled.max(initial=-math.inf)))
         if self._step_nm == 0.0:
             return
         squares = np.cumsum(np.concatenate(([self._square_sum], (error - self._mean) ** 2)))[1:]
         rms = np.sqrt(squares / np.arange(self._since + 1, self._since + 1 + squares.size))
         seen = float(rms.max()) / abs(self._step_nm)
         self.gain_seen = max(seen, self.gain_seen or 0.0)
+        least = max(0.0, float(rms.max()) - self._noise) / abs(self._step_nm)
+        self.gain_least = max(least, self.gain_least or 0.0)
         self._hold_against(rms, came["due_at"])
         self._square_sum, self._since = float(squares[-1]), self._since + squares.size
 
     def take_exceeded(self) -> tuple[int, str] | None:
-        """When the gain was first seen above the certified one, ns, and in words; told once."""
+        """When the gain was first above the certified one, noise apart, ns, and in words; told once."""
         found, self._exceeded = self._exceeded, None
         return found
 
@@ -112,7 +150,7 @@ class CertificateMeter:
         gain = self._certified.gain
         if self._told or gain is None:
             return
-        above = np.flatnonzero(rms > gain * abs(self._step_nm))
+        above = np.flatnonzero(rms - self._noise > gain * abs(self._step_nm))
         if above.size:
             self._told = True
             seen = float(rms[above[0]]) / abs(self._step_nm)

@@ -24,7 +24,7 @@ from hil.rows.side_rows import RunEvent
 from hil.verdict.summary import Summary
 
 _BARS = 100
-_ACTING, _LOST, _NOT_IDENTIFIABLE = (
+ACTING, _LOST, _NOT_IDENTIFIABLE = (
     COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
 )
 _RUN_MAX = 1000
@@ -61,7 +61,7 @@ class NetworkMeter:
         self._reading.add(came["received_at"] - came["sampled_at"])
         on_bus = rows[rows["command_on_bus_at"] != NOTHING]
         self._command.add(on_bus["command_on_bus_at"] - on_bus["command_handed_at"])
-        acting = came[came["command_fate"] == _ACTING]
+        acting = came[came["command_fate"] == ACTING]
         least, most = action_delays_ns(acting, self._period_us * NS_PER_US)
         self._action_least.add(least)
         self._action.add(most)
@@ -75,7 +75,7 @@ class NetworkMeter:
             mine = rows[rows["axis"] == axis]
             _count_runs(self._runs, self._open, axis, mine["fate"] != FATE_SAMPLE)
             told = mine["command_fate"]
-            told = told[(told == _ACTING) | (told == _LOST)]
+            told = told[(told == ACTING) | (told == _LOST)]
             _count_runs(self._command_runs, self._commands_open, axis, told == _LOST)
 
     def network(self) -> Network | None:
@@ -87,7 +87,7 @@ class NetworkMeter:
             return None
         stamped = bool((self._unstamped <= 0).all())
         action = delays_of(self._stamped if stamped else self._action)
-        acting, lost = (int(self._command_fates[place]) for place in (_ACTING, _LOST))
+        acting, lost = (int(self._command_fates[place]) for place in (ACTING, _LOST))
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
         return Network(
@@ -164,7 +164,7 @@ def action_delays_ns(came: Rows, period_ns: int) -> tuple[NDArray[np.int64], NDA
     it. A drive that tells its torque demand tells it at SYNCs: the command acts after one and by the next.
     ``came``: (n,) of ROW_DTYPE with usable readings only; (m,) ns each, of the commands known to act.
     """
-    acting = came[came["command_fate"] == _ACTING]
+    acting = came[came["command_fate"] == ACTING]
     late = acting["received_at"] - acting["command_handed_at"]
     behind = np.where(late > 0, -(-late // period_ns), 0) * period_ns - acting["sampled_at"]
     least: NDArray[np.int64] = acting["command_acts_after"] + behind

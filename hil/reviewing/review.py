@@ -62,7 +62,7 @@ class Review:
         self._swings = [TorqueSwingMeter(axis, plan.settling) for axis in plan.axes]
         self._positions = [PositionErrorMeter(axis, plan.settling, plan.period) for axis in plan.axes]
         self._certificates = {
-            number: CertificateMeter(axis.certified, plan.settling)
+            number: CertificateMeter(axis, plan.settling)
             for number, axis in enumerate(plan.axes)
             if axis.certified is not None
         }

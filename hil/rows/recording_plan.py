@@ -33,6 +33,14 @@ class CertifiedPlan:
     """That of the drive; None: not known."""
     torque_rms_nm_max: float | None = None
     """About its mean at steady reference and load; None: not asked for."""
+    age_us: float | None = None
+    """For which a sample acts, losses included, at most."""
+    torque_step_max_nm: float | None = None
+    """Limit of a command beside the one before it; None: there is none."""
+    left: tuple[str, ...] = ()
+    """Premises that bench and drive do not keep, in words (:mod:`hil.reviewing.premises`)."""
+    unknown: tuple[str, ...] = ()
+    """Premises of which is not known whether they do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,6 +29,13 @@ class SweepGroup(TyperGroup):
 
 campaign = typer.Typer(name="campaign", cls=SweepGroup, help="Many runs of a bench.", no_args_is_help=True)
 
+
+class HeldAgainst(StrEnum):
+    """What every run may be held against, beside its own limits."""
+
+    CERTIFICATE = "certificate"
+
+
 DirArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the campaign.")]
 
 
@@ -45,12 +53,19 @@ def run(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder of the campaign; campaigns/NAME if absent."),
     ] = None,
+    against: Annotated[
+        HeldAgainst | None,
+        typer.Option(
+            "--against", help="Every run within the premises of its certificate must keep what is certified."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a sweep file to its end. Results do not depend on how many workers there are, nor on their fate.
 
     Exit status: 0 it was run to its end, whatever became of its runs; 2 bad input; 130 ended by a signal,
-    --resume goes on. docs/campaigns.md
+    --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
+    premises. docs/campaigns.md
     """
     with reported_errors():
         from hil.campaign.campaign import run_campaign
@@ -60,10 +75,19 @@ def run(
         folder = out or Path("campaigns") / plan.sweep.campaign.name
         line = _ProgressLine()
         try:
-            done = run_campaign(plan, folder, workers=workers, resume=resume, progress=line.show)
+            done = run_campaign(
+                plan,
+                folder,
+                workers=workers,
+                resume=resume,
+                against_certificate=against is not None,
+                progress=line.show,
+            )
         finally:
             line.end()
         _print(done, as_json)
+        if against is not None:
+            done.hold_certificate()
 
 
 @campaign.command("report")
@@ -142,7 +166,7 @@ def _duration(seconds: float) -> str:
 
 
 def _print(done: "Campaign", as_json: bool) -> None:
-    from hil.campaign.figures import figures_of
+    from hil.campaign.figures import failure_line, figures_of
 
     found = figures_of(done)
     if as_json:
@@ -155,6 +179,10 @@ def _print(done: "Campaign", as_json: bool) -> None:
         table.add_row(point["point"] or "all", *_cells(point))
     Console(width=110, soft_wrap=True).print(table)
     typer.echo(f"{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned")
+    if "failure" in found:
+        typer.echo(failure_line(found["failure"]))
+    for title, each in found["certificate"].get("runs", {}).items():
+        typer.echo(f"certificate {title}: {each} runs")
     typer.echo(f"intervals of {100 * found['confidence']:g} %, {found['interval']}; campaign {done.folder}")
 
 

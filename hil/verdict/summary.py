@@ -38,6 +38,7 @@ _METRICS = {
     "losses_in_a_row_max": "dropouts in a row",
     "certified_delay_us": "certified: delay [us]",
     "certified_losses_in_a_row": "certified: losses in a row",
+    "certified_commands_at_a_limit": "certified: commands at a limit",
     "certified_gain_rad_s_nm": "certified: gain [rad/s per N m]",
     "position_error_peak_rad_max": "position error, peak [rad]",
     "position_error_rms_rad_max": "position error, RMS [rad]",

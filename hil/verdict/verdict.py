@@ -26,6 +26,8 @@ class ExitStatus(IntEnum):
     """The recording is not whole."""
     INCOMPLETE = 6
     """Not all that was planned was run, or not all that was asked was measured."""
+    COUNTER_EXAMPLE = 7
+    """A run within the premises of a certificate did not keep what is certified."""
     DEFECT = 70
     """An error of this program (EX_SOFTWARE of sysexits.h): never to be taken for a verdict."""
     INTERRUPTED = 130

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from typer.testing import CliRunner
@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 from drivers.errors import BadInput
 from hil import run as run_bench
 from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
+from hil.campaign import pool as pool_module
 from hil.campaign.campaign import NotTheSame
 from hil.campaign.figures import figures_of
-from hil.campaign.pool import RunRefused, WorkerPool
+from hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerDied, WorkerPool
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
@@ -26,6 +27,8 @@ from hil.testing.campaign_runs import CampaignRunner
 ROOT = Path(__file__).parents[2]
 LING = ROOT / "examples" / "ling2012.toml"
 LOSS = "faults.loss.0.probability"
+INTEGRAL = "drive.axis1.controller.integral_nm_rad"
+PEAK = "speed_error_peak_percent"
 CHANGES = {
     "bench.duration_s": 0.3,
     "reference.axis1.0.at_s": 0.05,
@@ -106,6 +109,58 @@ def test_killed_workers_are_replaced_and_nothing_changes(done: Campaign) -> None
     numbers = range(12)
     found = list(killing(pool, pool.rows(numbers)))
     assert found == rows(done)
+
+
+class Doomed(Worker):
+    """A worker that ends before it is ready: until it has read where the plan is it cannot be."""
+
+    born: ClassVar[list["Doomed"]] = []
+    doomed: ClassVar[int]
+    by_signal: ClassVar[bool] = True
+
+    def send(self, what: Any) -> None:
+        """The first ``doomed`` of all get no plan."""
+        if "sweep" in what:
+            self.born.append(self)
+            if len(self.born) <= self.doomed:
+                assert self.process.stdin is not None
+                if self.by_signal:
+                    self.process.kill()
+                self.process.stdin.close()
+                return
+        super().send(what)
+
+
+@pytest.fixture
+def doomed(monkeypatch: pytest.MonkeyPatch) -> type[Doomed]:
+    class Fresh(Doomed):
+        born: ClassVar[list[Doomed]] = []
+
+    monkeypatch.setattr(pool_module, "Worker", Fresh)
+    return Fresh
+
+
+def test_workers_killed_before_they_are_ready_are_replaced(done: Campaign, doomed: type[Doomed]) -> None:
+    doomed.doomed = DEATHS_MAX - 1
+    found = list(WorkerPool(done.plan, 2, StopRequest()).rows(range(12)))
+    assert found == rows(done)
+    assert len(doomed.born) == DEATHS_MAX + 1
+
+
+@pytest.mark.parametrize(
+    ("by_signal", "starts", "told"),
+    [
+        (True, DEATHS_MAX, "3 workers in a row died before their first run, the last with status -9"),
+        (False, 1, "a worker ended with status 1 before its first run"),
+    ],
+)
+def test_workers_that_never_are_ready_end_the_campaign(
+    done: Campaign, doomed: type[Doomed], by_signal: bool, starts: int, told: str
+) -> None:
+    doomed.doomed, doomed.by_signal = 1000, by_signal
+    with pytest.raises(WorkerDied, match=told):
+        list(WorkerPool(done.plan, 1, StopRequest()).rows(range(12)))
+    assert len(doomed.born) == starts
 
 
 KILLED = """
@@ -229,3 +284,35 @@ def test_controllers_are_compared_in_pairs(tmp_path: Path) -> None:
     assert (pair["first"], pair["second"], pair["pairs"]) == ("eager", "careful", 4)
     peak = found.column("speed_error_peak_percent").reshape(4, 2)
     assert pair["peak_percent_second_less_first"]["mean"] == pytest.approx((peak[:, 1] - peak[:, 0]).mean())
+
+
+def test_adaptive_draws_are_the_same_whoever_runs_them_and_find_the_failures(tmp_path: Path) -> None:
+    draw = {"key": INTEGRAL, "distribution": "normal", "mean": 2.0, "deviation": 0.2}
+    tables = sweep(44, vary=[], draw=[draw], adaptive={"guide": PEAK, "round_runs": 20})
+    tables["campaign"]["failures_recorded"] = 0
+    tables["change"] = CHANGES | {"verdict": {"settling_ms": 100, "speed_error_peak_percent_max": 3.0}}
+    path = written(tmp_path, tables)
+    stop = StopRequest()
+    with pytest.raises(Interrupted):
+        run_campaign(path, tmp_path / "cut", workers=1, stop=stop, progress=asking(stop, 33))
+    cut = run_campaign(path, tmp_path / "cut", workers=1, resume=True)
+    whole = run_campaign(path, tmp_path / "whole", workers=2)
+    assert rows(cut) == rows(whole)
+    table = whole.table.to_pandas()
+    assert set(table["weight"][:20]) == {1.0}
+    assert not table["counts"][:20].any()
+    assert table["counts"][20:].all()
+    counting = table[table["counts"]]
+    assert (~counting["passed"]).mean() > (~table["passed"][:20]).mean() + 0.2
+    failure = figures_of(whole)["failure"]
+    assert failure["rate"] == pytest.approx((counting["weight"] * ~counting["passed"]).mean())
+    assert whole.pass_rate().low == pytest.approx(1.0 - failure["high"])
+    again = Campaign.load(tmp_path / "whole")
+    assert again.replay(43, tmp_path / "again").digest == table["digest"][43]
+
+
+def test_a_guide_that_is_no_figure_is_refused(tmp_path: Path) -> None:
+    draw = {"key": INTEGRAL, "distribution": "normal", "mean": 2.0, "deviation": 0.2}
+    tables = sweep(60, vary=[], draw=[draw], adaptive={"guide": "luck", "round_runs": 20})
+    with pytest.raises(BadInput, match=r"adaptive\.guide: found 'luck'"):
+        run_campaign(written(tmp_path, tables), tmp_path / "out", workers=1)

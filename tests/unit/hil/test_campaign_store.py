@@ -26,11 +26,15 @@ def plan(seeds: int = 100, source: str = "sweep.toml") -> CampaignPlan:
 
 def row(number: int) -> dict[str, Any]:
     told: dict[str, Any] = {
+        "weight": 1.0,
+        "counts": True,
         "outcome": "passed",
         "passed": True,
         "completed": True,
         "reason": "",
+        "certificate": "",
         "premises_left": "",
+        "premises_unknown": "",
         "digest": f"{number:032x}",
     }
     figures = dict.fromkeys(FIGURES, 1.5) | {"after_load_percent": None}

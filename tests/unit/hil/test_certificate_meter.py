@@ -1,7 +1,7 @@
 """What is seen of a certified loop, beside its certificate."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -28,6 +28,8 @@ CERTIFIED = CertifiedPlan(
     bandwidth_hz=800.0,
 )
 
+AXIS = AxisPlan("axis1", 1e4, certified=CERTIFIED, torque_max_nm=5.0)
+
 
 def loaded(gain: float, torque_nm: float = 0.5, offset_rad_s: float = 3.0) -> Rows:
     """A load step whose error rises with 20 ms to ``gain`` times it, on top of one that is always there."""
@@ -40,7 +42,7 @@ def loaded(gain: float, torque_nm: float = 0.5, offset_rad_s: float = 3.0) -> Ro
 
 
 def meter_of(*chunks: Rows) -> CertificateMeter:
-    meter = CertificateMeter(CERTIFIED, SETTLING)
+    meter = CertificateMeter(AXIS, SETTLING)
     for chunk in chunks:
         meter.add(chunk)
     return meter
@@ -91,16 +93,87 @@ def test_a_gain_above_the_certified_one_is_an_event_once() -> None:
     assert review.figures().certificates["axis1"]["gain_rad_s_nm"]["certified"] == 17.0
 
 
+def exact(rows: Rows, delay_us: int = 500, error_us: int = 0) -> Rows:
+    """The same with every command acting so long after its sample, told to ``error_us``."""
+    rows["sampled_at"] = rows["due_at"]
+    rows["received_at"] = rows["due_at"] + 300 * NS_PER_US
+    rows["command_handed_at"] = rows["due_at"] + 400 * NS_PER_US
+    rows["command_acts_after"] = rows["due_at"] + delay_us * NS_PER_US
+    rows["command_acts_by"] = rows["command_acts_after"] + error_us * NS_PER_US
+    rows["command_fate"] = COMMAND_FATES.index(CommandFate.ACTING)
+    rows["clock_error_ns"] = 2 * NS_PER_US
+    return rows
+
+
+def state_of(rows: Rows, axis: AxisPlan = AXIS) -> tuple[str, str]:
+    meter = CertificateMeter(axis, SETTLING)
+    for at in range(0, COUNT, 333):
+        meter.add(rows[at : at + 333])
+    found = meter.figures()
+    return found["state"], "; ".join([*found["premises_left"], *found["premises_unknown"]])
+
+
+def test_a_certificate_is_kept_or_exceeded_within_its_premises_alone() -> None:
+    assert state_of(exact(loaded(17.0))) == ("kept", "")
+    assert state_of(exact(loaded(18.0))) == ("exceeded", "")
+    assert state_of(exact(loaded(18.0, 0.0))) == ("not measured", "")
+    no_figure = replace(AXIS, certified=replace(CERTIFIED, gain=None))
+    assert state_of(exact(loaded(18.0)), no_figure) == ("not measured", "")
+    late = "delay: 801.0 us from sample to actuator, made for 800 us"
+    assert state_of(exact(loaded(18.0), 801)) == ("premise left", late)
+    state, why = state_of(exact(loaded(18.0), 500, 400))
+    assert state == "premises not known"
+    assert why.startswith("delay: 500.0 to 900.0 us from sample")
+    assert state_of(loaded(18.0))[1] == "delay: from sample to actuator nothing was measured"
+    assert state_of(exact(loaded(18.0)), replace(AXIS, certified=replace(CERTIFIED, left=("J",)))) == (
+        "premise left",
+        "J",
+    )
+
+
+def test_losses_and_the_age_of_a_sample_are_premises() -> None:
+    rows = exact(loaded(18.0))
+    rows["fate"][332:334] = 1
+    assert state_of(rows)[0] == "exceeded"
+    aged = replace(AXIS, certified=replace(CERTIFIED, age_us=3_400.0))
+    assert state_of(rows, aged)[1] == "age: a sample that acts for 3500.0 us, made for at most 3400 us"
+    assert state_of(rows, replace(AXIS, certified=replace(CERTIFIED, age_us=3_500.0)))[0] == "exceeded"
+    rows["fate"][334] = 1
+    assert state_of(rows) == ("premise left", "losses: 3 in a row, made for at most 2")
+
+
+def test_a_command_at_a_limit_after_the_load_step_leaves_the_premises() -> None:
+    slewed = replace(AXIS, certified=replace(CERTIFIED, torque_step_max_nm=1.0))
+    for place, state in ((10, "exceeded"), (STEP_AT + 10, "premise left")):
+        rows = exact(loaded(18.0))
+        rows["command_torque_nm"][place] = -5.0
+        assert state_of(rows)[0] == state
+        rows["command_torque_nm"][place] = 0.9
+        assert state_of(rows, slewed)[0] == "exceeded"
+        rows["command_torque_nm"][place] = 1.0
+        assert state_of(rows, slewed)[0] == state
+        rows["command_torque_nm"][place] = 0.0
+        rows["statusword"][place] |= 1 << 11
+        assert state_of(rows)[0] == state
+
+
+def test_what_the_error_did_before_the_step_is_no_gain() -> None:
+    """The rms after it grows by the noise's own largest at most, whatever its shape."""
+    ripple = 0.5 * np.sign(np.sin(2.0 * np.pi * np.arange(COUNT) / 40.0 + 0.1))
+    rows = exact(loaded(17.2))
+    rows["velocity_rad_s"] -= ripple
+    found = meter_of(rows).figures()["gain_rad_s_nm"]
+    assert found["seen"] > 17.0 > found["seen_at_least"]
+    assert state_of(rows) == ("kept", "")
+    rows["velocity_rad_s"] -= np.where(np.arange(COUNT) >= STEP_AT, 1.5, 0.0)
+    assert state_of(rows) == ("exceeded", "")
+
+
 def test_delay_and_losses_are_of_its_own_axis() -> None:
     rows = loaded(5.0)
     rows["axis"] = 3
     rows["fate"][100:102] = 1
-    rows["sampled_at"] = rows["due_at"]
-    rows["received_at"] = rows["due_at"] + 300 * NS_PER_US
-    rows["command_handed_at"] = rows["due_at"] + 400 * NS_PER_US
-    rows["command_acts_after"] = rows["due_at"] + 500 * NS_PER_US
-    rows["command_acts_by"] = rows["due_at"] + 1_000 * NS_PER_US
-    rows["command_fate"] = COMMAND_FATES.index(CommandFate.ACTING)
+    exact(rows, 500, 500)
     figures = meter_of(rows).figures()
     assert figures["delay_us"] == {"certified": 800.0, "seen": 500.0, "seen_at_most": 1000.0}
     assert figures["losses_in_a_row"] == {"certified": 2, "seen": 2}
