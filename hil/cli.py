@@ -4,7 +4,7 @@ What a command needs is imported inside it, so that ``hil --help`` answers at on
 """
 
 from hil.terminal.hidden_rooms import refuse_hidden_rooms
-from hil.terminal.options import JsonOption, SeedOption, bus_option
+from hil.terminal.options import JsonOption, SeedOption, bus_option, flag
 
 refuse_hidden_rooms()  # before the first import from a package that a folder of the user's could hide
 
@@ -91,9 +91,7 @@ BusOption = Annotated[
     str | None, bus_option("simulated, hub:NAME, socketcan:vcan0, or INTERFACE:CHANNEL of python-can.")
 ]
 
-NoRecordOption = Annotated[
-    bool, typer.Option("--no-record", help="Keep no files: figures and verdict alone.")
-]
+NoRecordOption = Annotated[bool, flag("--no-record", "Keep no files: figures and verdict alone.")]
 ReplayOption = Annotated[
     Path | None,
     typer.Option(
@@ -119,9 +117,9 @@ NetworkOption = Annotated[
 ]
 UncertifiedOption = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--allow-uncertified",
-        help="Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
+        "Warn, instead of stopping, where a controller's certificate does not hold: network or drive.",
     ),
 ]
 
@@ -137,7 +135,10 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _hil(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", metavar="", callback=_show_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Hardware-in-the-loop bench for networked PMSM servo drives over CANopen."""
@@ -169,9 +170,7 @@ def run(
     no_record: NoRecordOption = False,
     controller: ControllersOption = None,
     replay_faults: ReplayOption = None,
-    live: Annotated[
-        bool, typer.Option("--view", help="Show the run in the Rerun viewer while it goes on.")
-    ] = False,
+    live: Annotated[bool, flag("--view", "Show the run in the Rerun viewer while it goes on.")] = False,
     network: NetworkOption = None,
     allow_uncertified: UncertifiedOption = False,
     as_json: JsonOption = False,

@@ -135,9 +135,7 @@ def evaluated(problem: Problem, gamma: float, thorough: bool = True) -> Solved |
     solved = Solved(X, Y, F, Lt.T, gamma**2 / radius - 1.0 if radius > 0.0 else math.inf)
     if solved.coupling > _COUPLING_MIN:
         return solved
-    return Fails(
-        "condition (b): the spectral radius of X Y", min(solved.coupling, 0.0), lambda each: each.coupling
-    )
+    return Fails(COUPLING, min(solved.coupling, 0.0), lambda each: each.coupling)
 
 
 def _no_solution(

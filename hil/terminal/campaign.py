@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, flag
 from hil.terminal.output import columns, say, say_written
 
 if TYPE_CHECKING:
@@ -46,9 +46,7 @@ def run(
         int | None,
         typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where the campaign in the folder was ended.")
-    ] = False,
+    resume: Annotated[bool, flag("--resume", "Go on where the campaign in the folder was ended.")] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder of the campaign; campaigns/NAME if absent."),

@@ -14,6 +14,7 @@ from hil.terminal.options import (
     JsonOption,
     bus_option,
     fault_plan,
+    flag,
     seed_option,
 )
 from hil.terminal.output import put, say
@@ -21,16 +22,16 @@ from hil.verdict.verdict import ExitStatus
 
 UnwatchedOption = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--unwatched",
-        help="Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
+        "Bear a drive that cannot watch its host: slow, weak and short motions; somebody stands by.",
     ),
 ]
 TrustOption = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--trust-nameplate",
-        help="Take the nameplate, unasked, where the drive contradicts it by far.",
+        "Take the nameplate, unasked, where the drive contradicts it by far.",
     ),
 ]
 RehearsedSheetOption = Annotated[
@@ -62,13 +63,11 @@ def commission(
         Path | None,
         typer.Option("--motor", metavar="NAMEPLATE.toml", help="What is printed on the motor, and limits."),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing; every step is done.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only read; say what the other steps would do.")
-    ] = False,
+    yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False,
+    dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False,
     store: Annotated[
         bool,
-        typer.Option("--store", help="Keep the settings in the drive (1010h) instead of putting them back."),
+        flag("--store", "Keep the settings in the drive (1010h) instead of putting them back."),
     ] = False,
     period_us: Annotated[
         int | None, typer.Option("--period-us", min=250, max=100_000, help="Cycle; chosen if absent.")

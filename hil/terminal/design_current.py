@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import ControllerOutOption, JsonOption, MotorArgument, gamma_option, motor_file
+from hil.terminal.options import (
+    ControllerOutOption,
+    JsonOption,
+    MotorArgument,
+    flag,
+    gamma_option,
+    motor_file,
+)
 from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
@@ -54,7 +61,7 @@ DelayOption = Annotated[
 ]
 DiscreteOption = Annotated[
     bool,
-    typer.Option("--discrete", help="Design for the sampled plant with its delay, instead of Tustin's rule."),
+    flag("--discrete", "Design for the sampled plant with its delay, instead of Tustin's rule."),
 ]
 MarginOption = Annotated[
     float | None,

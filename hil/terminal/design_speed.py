@@ -29,7 +29,7 @@ from hil.terminal.design_predictor import (
     refuse_given,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, motor_file
+from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, flag, motor_file
 from hil.terminal.output import on_terminal, print_figures, put, say_written
 from hil.terminal.speed_options import (
     LoadOption,
@@ -113,7 +113,7 @@ MethodOption = Annotated[
     typer.Option("--method", help="exact optimum, best LMI certificate, or the paper's Algorithm 4.2 (ccl)."),
 ]
 FeedbackOption = Annotated[FeedbackName, typer.Option("--feedback", help="Current and speed, or speed only.")]
-IntegralOption = Annotated[bool, typer.Option("--integral", help="With integral action on the speed error.")]
+IntegralOption = Annotated[bool, flag("--integral", "With integral action on the speed error.")]
 IntegralTimeMsOption = Annotated[
     float | None,
     typer.Option(

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, bitrate_option
+from hil.terminal.options import JsonOption, bitrate_option, flag
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
 
@@ -32,9 +32,7 @@ def eds(
         int | None,
         typer.Option("--node", min=1, max=127, help="Node id for $NODEID; a DCF's own, or 1, if absent."),
     ] = None,
-    plan: Annotated[
-        bool, typer.Option("--plan", help="Show the PDO plan and what it costs on the bus.")
-    ] = False,
+    plan: Annotated[bool, flag("--plan", "Show the PDO plan and what it costs on the bus.")] = False,
     mode: Annotated[
         ModeName | None, typer.Option("--mode", help="Mode to plan for; the best that it has if absent.")
     ] = None,

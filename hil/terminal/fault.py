@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption
+from hil.terminal.options import BitrateOption, DriveBusOption, DriveNodeOption, JsonOption, flag
 from hil.verdict.verdict import ExitStatus
 
 
 def fault(
     bus: DriveBusOption,
     node: DriveNodeOption,
-    reset: Annotated[bool, typer.Option("--reset", help="Reset the fault. Nothing else ever does.")] = False,
+    reset: Annotated[bool, flag("--reset", "Reset the fault. Nothing else ever does.")] = False,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,
 ) -> None:

@@ -9,6 +9,7 @@ import typer
 from drivers.compiled import ROOT
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
+from hil.terminal.options import flag
 from hil.terminal.output import say_written
 
 FIRST = "first"
@@ -25,9 +26,7 @@ def init(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Where to; made if it is not there.")
     ] = Path(),
-    examples: Annotated[
-        bool, typer.Option("--examples", metavar="", help="Every example instead, in DIR/examples.")
-    ] = False,
+    examples: Annotated[bool, flag("--examples", "Every example instead, in DIR/examples.")] = False,
 ) -> None:
     """Write a first bench: bench.toml, motor.toml, controller.py and test_controller.py.
 

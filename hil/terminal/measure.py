@@ -17,6 +17,7 @@ from hil.terminal.options import (
     bus_option,
     fault_plan,
     faults_option,
+    flag,
     motor_file,
 )
 from hil.terminal.output import put, say
@@ -39,7 +40,7 @@ CyclesOption = Annotated[int, typer.Option("--cycles", min=100, max=CYCLES_MAX, 
 PeriodOption = Annotated[int, typer.Option("--period-us", min=250, max=100_000, help="Between two SYNCs.")]
 EnableOption = Annotated[
     bool,
-    typer.Option("--enable", help="Enable the drives and have them follow small torques: the shafts move."),
+    flag("--enable", "Enable the drives and have them follow small torques: the shafts move."),
 ]
 TorqueOption = Annotated[
     float | None,

@@ -10,7 +10,7 @@ import typer
 from drivers.errors import BadInput
 from hil.studies.motor.figures import FIGURES, GROUPS, missing, option, ways
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, motor_file
+from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file
 from hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def new(
     out: Annotated[Path, typer.Argument(metavar="MOTOR.toml", help="The file to be written.")],
     name: Annotated[str, typer.Option("--name", help="The motor's name; the file's if absent.")] = "",
     delta: Annotated[
-        bool, typer.Option("--delta/--star", help="How the phases are connected, if figures are of a phase.")
+        bool, flag("--delta/--star", "How the phases are connected, if figures are of a phase.")
     ] = False,
     resistance_at_c: Annotated[
         float,
@@ -35,7 +35,7 @@ def new(
         float | None,
         typer.Option("--winding-c", min=-50.0, max=250.0, help="To simulate at; the sheet's if absent."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    force: Annotated[bool, flag("--force", "Write over a file that is there.")] = False,
     **figures: float | None,
 ) -> None:
     """Write a motor file from what a data sheet says, each figure in the sheet's own convention.

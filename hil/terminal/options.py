@@ -10,6 +10,11 @@ if TYPE_CHECKING:
     from virtual_bus.hosting.injection import Faults
 
 
+def flag(name: str, text: str) -> Any:
+    """A wish that takes no value; its help shows none."""
+    return typer.Option(name, metavar="", help=text)
+
+
 def bus_option(text: str) -> Any:
     """``--bus``; ``text``: which buses."""
     return typer.Option("--bus", metavar="SPEC", help=text)
@@ -45,7 +50,7 @@ EVERY_STREAM = seed_option("Seed of every random stream.")
 
 def json_option(text: str) -> Any:
     """``--json``; ``text``: what is printed."""
-    return typer.Option("--json", help=text)
+    return flag("--json", text)
 
 
 JsonOption = Annotated[bool, json_option("Print one JSON object on stdout, all else on stderr.")]

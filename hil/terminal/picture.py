@@ -7,7 +7,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import RunArgument
+from hil.terminal.options import RunArgument, flag
 from hil.terminal.output import say_written
 
 OutArgument = Annotated[
@@ -26,7 +26,7 @@ SpanOption = Annotated[
     typer.Option("--span", metavar="S", min=1e-6, help="So much time about --at; all if absent."),
 ]
 PaperOption = Annotated[
-    bool, typer.Option("--paper", help="Speed, error, torque and delay by matplotlib, light; no viewer.")
+    bool, flag("--paper", "Speed, error, torque and delay by matplotlib, light; no viewer.")
 ]
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, bitrate_option, bus_option
+from hil.terminal.options import JsonOption, bitrate_option, bus_option, flag
 from hil.terminal.output import columns, put, say
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ def scan(
         ),
     ] = None,
     store: Annotated[
-        bool, typer.Option("--store", help="With --assign: the device keeps its node-ID without power.")
+        bool, flag("--store", "With --assign: the device keeps its node-ID without power.")
     ] = False,
-    passive: Annotated[bool, typer.Option("--passive", help="Only listen; send nothing at all.")] = False,
+    passive: Annotated[bool, flag("--passive", "Only listen; send nothing at all.")] = False,
     listen: Annotated[
         float, typer.Option("--listen", min=0.0, max=600.0, help="How long to listen before asking, s.")
     ] = 1.5,

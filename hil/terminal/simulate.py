@@ -13,6 +13,7 @@ from hil.terminal.options import (
     SeedOption,
     bus_option,
     fault_plan,
+    flag,
     motor_file,
 )
 from hil.terminal.output import say
@@ -92,9 +93,7 @@ def simulate(
     load_machine_fault: LoadMachineFaultOption = None,
     current_control: CurrentControlOption = None,
     bitrate: BitrateOption = 1_000_000,
-    force: Annotated[
-        bool, typer.Option("--force", help="Join although a node with such an id is on the bus.")
-    ] = False,
+    force: Annotated[bool, flag("--force", "Join although a node with such an id is on the bus.")] = False,
     seed: SeedOption = None,
 ) -> None:
     """Simulated drives as a process of their own on a real-time bus, until Ctrl-C."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option
+from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag
 from hil.terminal.output import say, write_line
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ def trace(
     from_s: Annotated[float | None, typer.Option("--from", metavar="T", help="From here on, s.")] = None,
     to_s: Annotated[float | None, typer.Option("--to", metavar="T", help="Up to here, s.")] = None,
     differences: Annotated[
-        bool, typer.Option("--differences", help="The log's times count from frame to frame (candump -t d).")
+        bool, flag("--differences", "The log's times count from frame to frame (candump -t d).")
     ] = False,
-    live: Annotated[bool, typer.Option("--live", help="Follow --bus until Ctrl-C; nothing is sent.")] = False,
+    live: Annotated[bool, flag("--live", "Follow --bus until Ctrl-C; nothing is sent.")] = False,
     bus: Annotated[str | None, bus_option("With --live: hub:NAME, socketcan:can0, slcan:PORT, ...")] = None,
     bitrate: Annotated[
         int | None, bitrate_option("With --live: bit rate, bit/s; found by listening if absent.")

@@ -44,3 +44,10 @@ def test_nothing_in_brackets_is_eaten_as_markup(words: tuple[str, ...]) -> None:
     for text in texts:
         for part in _BRACKETS.findall(text.replace("\\[", "[")):
             assert _flat(part) in _flat(page), part
+
+
+@pytest.mark.parametrize("words", list(_pages()), ids=" ".join)
+def test_what_takes_no_value_shows_none(words: tuple[str, ...]) -> None:
+    page = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "160"}).stdout
+    own = [line for line in page.splitlines() if not re.search("--help|-completion", line)]  # typer adds them
+    assert "<bool>" not in "".join(own)
