@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from design.errors import InfeasibleDesign, SingularPlant
+from design.errors import InfeasibleDesign, NoSolution, SingularPlant
 from design.hinf.margins import Margins, margins
 from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.hinf.reduction import Method, hankel_singular_values, reduce
@@ -19,6 +19,8 @@ _PAPER_RATE = {"q": 0.6 / 2.8e-3, "d": 0.6 / 1.4e-3}
 """r/L of the motor that the rules of 3.2 were made for, rad/s."""
 _RULES = {"q": (156.75, 1.51, 235.0 / math.sqrt(3.0)), "d": (50.0, 1.7, 1000.0 / math.sqrt(3.0))}
 """Crossing of w1, rad/s; high-frequency gain of 1/w1; end of w3's flat part, rad/s."""
+_VANISHES = 1e-12
+"""Of w3's gain at high frequency: beside it, a w2 below this is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,20 +66,36 @@ def printed_weights(axis: str) -> Weights:
     return Weights(Weight(1 / 1.7, 68.7386, 0.0040), control, Weight(1e4, 577.3503, 1.1547e7))
 
 
+def axis_gamma_min(G: StateSpace, weights: Weights) -> float:
+    """The least gamma of the mixed-sensitivity problem of ``G``.
+
+    Raises SingularPlant, InfeasibleDesign and NoSolution.
+    """
+    try:
+        return gamma_min(mixed_sensitivity(G, weights))
+    except NoSolution:
+        if weights.control.high < _VANISHES * weights.output.high:
+            raise _vanishing(weights) from None
+        raise
+
+
 def design_axis(motor: PmsmParameters, axis: str, weights: Weights, gamma: float) -> AxisDesign:
-    """The central controller of ``axis`` for ``gamma``. Raises SingularPlant and InfeasibleDesign."""
+    """The central controller of ``axis`` for ``gamma``. Raises as :func:`axis_gamma_min`."""
     G = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
-    plant = mixed_sensitivity(G, weights)
-    least = gamma_min(plant)
-    K = synthesise(plant, gamma).controller
+    least = axis_gamma_min(G, weights)
+    K = synthesise(mixed_sensitivity(G, weights), gamma).controller
     if not complementary(G, K).is_stable():
-        raise SingularPlant(
-            "A2",
-            f"nearly broken: w2 has a gain of {weights.control.high:.3g} at high frequency, and rounding "
-            "leaves an unstable loop",
-            "give w2 a larger gain at high frequency",
-        )
+        raise _vanishing(weights)
     return describe(G, weights, K, least)
+
+
+def _vanishing(weights: Weights) -> SingularPlant:
+    return SingularPlant(
+        "A2",
+        f"nearly broken: w2 has a gain of {weights.control.high:.3g} at high frequency, and rounding "
+        "leaves an unstable loop",
+        "give w2 a larger gain at high frequency",
+    )
 
 
 def describe(G: StateSpace, weights: Weights, K: StateSpace, least: float) -> AxisDesign:

@@ -6,6 +6,7 @@ from typing import Any
 
 from design.current.current_design import (
     AxisDesign,
+    axis_gamma_min,
     describe,
     design_axis,
     design_figures,
@@ -14,9 +15,8 @@ from design.current.current_design import (
     rule_weights,
 )
 from design.hinf.fixed_structure import Structure, tune
-from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
+from design.hinf.mixed_sensitivity import axis_plant
 from design.hinf.reduction import Method
-from design.hinf.synthesis import gamma_min
 from design.motor import PmsmParameters
 from design.statespace import StateSpace, zpk
 from drivers.errors import BadInput
@@ -45,7 +45,7 @@ def design_current(request: CurrentRequest) -> CurrentResult:
     motor, axis = request.motor, request.axis
     weights = request.weights or rule_weights(motor, axis)
     plant = axis_plant(motor.resistance_ohm, motor.inductance_d_h if axis == "d" else motor.inductance_q_h)
-    least = gamma_min(mixed_sensitivity(plant, weights))
+    least = axis_gamma_min(plant, weights)
     gamma = _gamma(request, least)
     full = design_axis(motor, axis, weights, gamma)
     chosen = full

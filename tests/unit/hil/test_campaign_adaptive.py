@@ -15,7 +15,7 @@ from hil.campaign.sweep_file import Adaptive, sweep_from
 
 Floats = NDArray[np.float64]
 RARE = 1e-3
-ROUND, RUNS, TIMES = 100, 1_000, 80
+ROUND, RUNS, TIMES = 100, 1_000, 40
 
 
 def campaign(
