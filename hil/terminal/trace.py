@@ -31,7 +31,9 @@ def trace(
     eds: Annotated[
         list[str] | None,
         typer.Option(
-            "--eds", metavar="[N=]FILE", help="EDS or DCF of node N, or of every node; may be repeated."
+            "--eds",
+            metavar="[N=]FILE",
+            help="EDS, DCF, XDD or XDC of node N, or of every node; may be repeated.",
         ),
     ] = None,
     node: Annotated[int | None, typer.Option("--node", min=1, max=127, help="Only this node.")] = None,

@@ -15,7 +15,7 @@ _PRODUCT: Final = 2
 
 
 class SheetFile(NamedTuple):
-    """An EDS or DCF, and the node that it is for."""
+    """A data sheet, and the node that it is for."""
 
     path: Path
     node: int | None = None
