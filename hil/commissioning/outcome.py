@@ -15,13 +15,18 @@ class StepFailed(PeerFault):
     """A step found what it must not find; it may be repeated, or skipped with a reason."""
 
 
+class ReadingsLost(PeerFault):
+    """Bus or machine were disturbed while a step measured; of the drive that says nothing."""
+
+
 def refuse_losses(lost: int, cycles: int) -> None:
-    """Raises StepFailed if more readings were lost than a figure may rest on."""
+    """Raises ReadingsLost if more were lost than a figure may rest on."""
     if lost > LOSSES_MAX * cycles:
-        raise StepFailed(
+        raise ReadingsLost(
             f"{lost} of {cycles} readings were lost",
             f"{100.0 * lost / cycles:.1f} %; at most {100.0 * LOSSES_MAX:g} % may be",
-            "look at cable, termination and load of the bus (hil measure), or give a longer period",
+            "look at cable, termination and load of the bus (hil measure) and at the load of this machine, "
+            "or give a longer period",
         )
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from drivers.errors import BusDown, PeerFault
 from hil.commissioning.dialog import Choice
-from hil.commissioning.outcome import StepFailed, StepOutcome, StepRecord, StepVerdict
+from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.session import EmergencyStopped, Session
 from hil.machine.stopping import Interrupted
 
@@ -108,8 +108,7 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
         record.verdict, record.reason = StepVerdict.FAILED, str(failure)
         session.dialog.tell(f"    failed: {failure}")
         if not session.dialog.attended:
-            if record.attempts == 1 and not isinstance(failure, StepFailed):
-                # The bus or the machine may have been disturbed; what a step has judged stands.
+            if record.attempts < _attempts_unattended(failure):
                 session.dialog.tell("    once more, as nobody is there to ask")
                 record.attempts += 1
                 continue
@@ -120,6 +119,14 @@ def _carry_out(session: Session, step: Step, record: StepRecord) -> None:
             Choice.REPEAT, Choice.SKIP, Choice.QUIT)  # fmt: skip
         choice = session.dialog.choose("    what now?", choices, session.idle)
         record.attempts += 1
+
+
+def _attempts_unattended(failure: PeerFault) -> int:
+    """How often a step that ended with ``failure`` is done in all where nobody can be asked."""
+    if isinstance(failure, ReadingsLost):
+        return 3  # seconds of a busy machine or bus, in steps of seconds
+    # A drive's fault may be passing; what a step has judged stands.
+    return 1 if isinstance(failure, StepFailed) else 2
 
 
 def _attempt(session: Session, step: Step, record: StepRecord) -> PeerFault | None:

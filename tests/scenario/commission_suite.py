@@ -13,7 +13,7 @@ from tests.scenario.processes import HIL, quiet_environment, serving
 
 SEED = 3
 """Polarity, position and velocity are told wrong."""
-COMMISSION_LIMIT_S = 110
+COMMISSION_LIMIT_S = 170
 
 
 @contextmanager

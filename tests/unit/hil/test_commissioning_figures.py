@@ -19,7 +19,7 @@ from hil.commissioning.identify import (
     ratio_of,
     slope_error,
 )
-from hil.commissioning.outcome import StepFailed, refuse_losses
+from hil.commissioning.outcome import ReadingsLost, refuse_losses
 from hil.commissioning.ripple import torque_by_angle
 
 Array = NDArray[Any]
@@ -146,7 +146,7 @@ def test_the_uncertainty_of_a_slope_holds() -> None:
 
 def test_losses_above_the_bound_end_a_step() -> None:
     refuse_losses(10, 100)
-    with pytest.raises(StepFailed, match="11 of 100 readings were lost"):
+    with pytest.raises(ReadingsLost, match="11 of 100 readings were lost"):
         refuse_losses(11, 100)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.errors import BusDown, LimitExceeded
 from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent, Terminal
-from hil.commissioning.outcome import StepFailed, StepOutcome, StepRecord, StepVerdict
+from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.sequence import Abandoned, Step, run_sequence
 from hil.commissioning.session import Session
 from hil.machine.stopping import Interrupted, StopRequest
@@ -142,12 +142,13 @@ def test_nobody_there_goes_on_after_a_failure_unless_it_is_essential() -> None:
         play(silent, [Played("one", failures=9, essential=True)])
 
 
-def test_nobody_there_repeats_once_what_was_disturbed_but_not_what_was_judged() -> None:
+def test_nobody_there_repeats_what_was_disturbed_but_not_what_was_judged() -> None:
     silent = Silent(lambda _text: None)
     disturbed, judged = Played("one", error=LimitExceeded("no reading")), Played("two", failures=9)
-    records = play(silent, [disturbed, judged])
-    assert verdicts(records) == [StepVerdict.FAILED, StepVerdict.FAILED]
-    assert (disturbed.runs, judged.runs) == (2, 1)
+    blind = Played("three", error=ReadingsLost("14 of 80 readings were lost"))
+    records = play(silent, [disturbed, judged, blind])
+    assert verdicts(records) == [StepVerdict.FAILED] * 3
+    assert (disturbed.runs, judged.runs, blind.runs) == (2, 1, 3)
 
 
 def test_what_a_drive_cannot_do_is_left_out_with_the_reason() -> None:
