@@ -25,6 +25,7 @@ from drivers.timebase import NS_PER_S, Instant
 from virtual_bus.drive import motor_kernel as kernel
 from virtual_bus.drive.current_bandwidth import current_bandwidth_hz
 from virtual_bus.drive.current_controller import check_controller, fill_controllers
+from virtual_bus.drive.load_table import LoadTable, fill_loads
 from virtual_bus.drive.plant import fill_machine
 
 _REST_SPEED_RAD_S: Final = 0.5
@@ -33,6 +34,7 @@ _COUNTS_AT_REST: Final = 1.5
 
 _advance_drive: Final = kernel.advance_drive
 _torque_demand: Final = kernel.torque_demand
+_NO_LOADS: Final = np.zeros(0)
 _TORQUE: Final = int(kernel.D_TORQUE)
 _CONTROL: Final = int(kernel.D_CONTROL)
 _TORQUE_MAX: Final = int(kernel.D_TORQUE_MAX)
@@ -45,6 +47,8 @@ _TORQUE_IN_FORCE: Final = int(kernel.S_TORQUE_DEMAND)
 _CONTROL_OFF: Final = float(kernel.CONTROL_OFF)
 _CONTROL_TORQUE: Final = float(kernel.CONTROL_TORQUE)
 _CONTROL_SPEED: Final = float(kernel.CONTROL_SPEED)
+_LOADS_AT_ONCE: Final = 256
+"""Inner periods: the loads of the next 16 ms are looked up in one call, which costs as much as a tick."""
 _MOTION_RATE_HZ: Final = 1000
 """Profiles and the position loop run this often, or at the inner rate if that is slower."""
 
@@ -123,6 +127,16 @@ class Firmware:
         self._p = np.zeros(kernel.PARAMETERS_SIZE)
         self._power_on = Instant(0)
         self._rate_hz = parameters.inner_rate_hz
+        self._load: LoadTable | None = None
+        """That the shaft bears now."""
+        self._loads = np.zeros(_LOADS_AT_ONCE)
+        self._loads_end = 0
+        """The first tick beyond those that the loads are looked up for."""
+        self._load_held = False
+        self._load_place = 0
+        """Of the last point that was passed."""
+        self._load_from_s = 0.0
+        """Its time 0, counted from power-on."""
         self.motion_ticks = max(1, parameters.inner_rate_hz // _MOTION_RATE_HZ)
         """Inner ticks of a motion period; the grid of these starts at power-on too."""
         self.tick_s = 1.0 / parameters.inner_rate_hz
@@ -133,7 +147,7 @@ class Firmware:
         self._set_gains()
         self._set_limits()
         # Loaded or compiled now, not in the first cycle.
-        kernel.advance_drive(self.state, self._p, self.demand, 0)
+        kernel.advance_drive(self.state, self._p, self.demand, _NO_LOADS, 0, 0)
         kernel.torque_demand(self.state, self._p, self.demand)
 
     def _turning(self) -> PmsmParameters:
@@ -198,9 +212,28 @@ class Firmware:
         return due >= missing
 
     def _run(self, ticks: int) -> None:
-        _advance_drive(self.state, self._p, self.demand, ticks)
-        self.ticks += ticks
         self._asked = False
+        if self._load is None:
+            _advance_drive(self.state, self._p, self.demand, _NO_LOADS, 0, ticks)
+            self.ticks += ticks
+            return
+        while ticks > 0:
+            if self.ticks >= self._loads_end:
+                self._fill_loads(self._load, _LOADS_AT_ONCE)
+            part = min(ticks, self._loads_end - self.ticks)
+            place = self.ticks + _LOADS_AT_ONCE - self._loads_end
+            _advance_drive(self.state, self._p, self.demand, self._loads, place, part)
+            self.ticks += part
+            ticks -= part
+
+    def _fill_loads(self, load: LoadTable, ticks: int) -> None:
+        """Of the next periods; each period's is that of its middle."""
+        at_s = (self.ticks + 0.5) * self.tick_s - self._load_from_s
+        times_s, torques_nm, held = load.times_s, load.torques_nm, self._load_held
+        self._load_place = fill_loads(
+            self._loads, times_s, torques_nm, held, at_s, self.tick_s, ticks, self._load_place
+        )
+        self._loads_end = self.ticks + ticks
 
     @property
     def tick_at(self) -> Instant:
@@ -246,6 +279,14 @@ class Firmware:
     def brake_shaft(self, torque_nm: float) -> None:
         """What an outside brake holds against the shaft's motion from the next tick on, N m."""
         self._p[kernel.P_COULOMB] = self.motor.coulomb_friction_nm + torque_nm
+
+    def bear(self, load: LoadTable | None, held: bool = False, begins_at: Instant | None = None) -> None:
+        """Bear a load torque over time from the next tick on, its time 0 at ``begins_at``; None: that of the
+        demand, which stays as it was at last. ``held``: as at the point before, not straight to the next."""
+        self._load, self._load_held, self._load_place = load, held, 0
+        if load is not None:
+            self._load_from_s = ((begins_at or self._power_on) - self._power_on) / NS_PER_S
+            self._fill_loads(load, 0)  # loaded or compiled now, not in the first cycle under it
 
     def hold_encoder(self, held: bool) -> None:
         """``held``: the encoder's line is broken, and from the next tick on its count stands still."""

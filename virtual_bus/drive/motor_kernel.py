@@ -21,16 +21,13 @@ FloatArray = NDArray[np.float64]
 Motion = tuple[float, float, float, float, float]
 """i_d, i_q, omega, v_d, v_q: A, A, rad/s, V, V."""
 F = TypeVar("F", bound=Callable[..., Any])
-
-
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 
 
 def compiled(function: F) -> F:
     """numba without fastmath, typed as the plain function it is.
 
-    Without numba's reference counts: nothing here makes an array, and counting those passed in
-    would take more than half of the time.
+    Without numba's reference counts: nothing here makes an array; counting took half of the time.
     """
     return cast(F, numba.njit(**_OPTIONS)(function))
 
@@ -69,7 +66,6 @@ PARAMETERS_SIZE = P_CONTROLLER_Q + CONTROLLER_SIZE
 
 D_CONTROL, D_TORQUE, D_TORQUE_MAX, D_CURRENT_MAX, D_SPEED, D_ACCELERATION, D_SPEED_MAX, D_LOAD = range(8)
 D_TORQUE_FEED, DEMAND_SIZE = 8, 9
-
 CONTROL_OFF, CONTROL_TORQUE, CONTROL_SPEED = 0.0, 1.0, 2.0
 
 TURN = 2.0 * math.pi
@@ -392,8 +388,12 @@ def _firmware(state: FloatArray, p: FloatArray, demand: FloatArray) -> None:
 
 
 @compiled
-def advance_drive(state: FloatArray, p: FloatArray, demand: FloatArray, ticks: int) -> None:
-    """``ticks`` inner periods: the plant up to the tick, then the firmware's work at it."""
-    for _ in range(ticks):
-        _drive_motor(state, p, demand[D_LOAD])
-        _firmware(state, p, demand)
+def advance_drive(
+    s: FloatArray, p: FloatArray, demand: FloatArray, loads: FloatArray, at: int, n: int
+) -> None:
+    """``n`` inner periods: plant up to the tick, then the firmware's work. ``loads[at:]``: N m, or none."""
+    for k in range(at, at + n):
+        if len(loads) > 0:
+            demand[D_LOAD] = loads[k]
+        _drive_motor(s, p, demand[D_LOAD])
+        _firmware(s, p, demand)

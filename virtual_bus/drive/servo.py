@@ -22,11 +22,12 @@ from drivers.cia402.profile import (
     Status,
 )
 from drivers.rotation import RAD_S_PER_RPM
-from drivers.timebase import NS_PER_MS, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from virtual_bus.device.application import Application, CommunicationLoss, DeviceServices, ErrorRegister
 from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import ParameterStore
+from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.drive.actual_values import LOAD_NM, ActualValues, provide_slow_values
 from virtual_bus.drive.axis import REST_S, SimulatedAxis
 from virtual_bus.drive.error_codes import COMMUNICATION_ERROR, FOLLOWING_ERROR, LOSS_CODES
@@ -40,7 +41,7 @@ from virtual_bus.drive.open_defaults import OpenDefaults
 from virtual_bus.drive.operation_mode import OperationMode
 from virtual_bus.drive.operation_modes import MODES
 from virtual_bus.drive.power_state import MotorAction, PowerStateMachine
-from virtual_bus.drive.servo_objects import ServoObjects
+from virtual_bus.drive.servo_objects import LoadCourse, ServoObjects
 from virtual_bus.drive.servo_parameters import DriveParameters, device_options
 from virtual_bus.drive.user_units import UserUnits
 
@@ -69,6 +70,9 @@ class ServoApplication(Application):
         self._revision = -1
         self._base_status = 0
         self._controlword = 0
+        self._load_course = int(LoadCourse.OFF)
+        self._load_waits = False
+        """For the SYNC with which the load over time begins."""
         self._task: OperationMode | None = None
         """The mode, if it is followed and runs once per motion period."""
 
@@ -98,6 +102,8 @@ class ServoApplication(Application):
         for variable in (objects.rated_torque, objects.rated_current):
             variable.check, variable.on_write = self.units.check_state, lambda _value: self._take_rating()
         objects.load_torque.on_write = self._on_load
+        objects.load_course.check, objects.load_course.on_write = self._check_course, self._on_course
+        objects.load_course.provider = lambda: self._load_course
         for variable in (motion.position_min, motion.position_max, motion.home_offset):
             variable.on_write = lambda _value: self._take_guards()
         self.units.on_change(self._actual.take_units)
@@ -255,6 +261,22 @@ class ServoApplication(Application):
 
     def _on_load(self, raw: int) -> None:
         self._demand[D_LOAD] = raw * LOAD_NM
+
+    def _check_course(self, course: int) -> AbortCode | None:
+        return AbortCode.NO_DATA if course != LoadCourse.OFF and self.drive.load is None else None
+
+    def _on_course(self, course: int) -> None:
+        """A load over time waits for the SYNC from which on it counts."""
+        self._load_course = course
+        self._load_waits = course != LoadCourse.OFF
+        self.firmware.bear(None)
+        self._on_load(self.objects.load_torque.value)
+
+    def on_sync(self, _counter: int, now: Instant) -> None:
+        if self._load_waits:
+            self._load_waits = False
+            begins = Instant(now + self.objects.load_delay.value * NS_PER_US)
+            self.firmware.bear(self.drive.load, self._load_course == LoadCourse.HELD, begins)
 
     def _take_limits(self) -> None:
         objects, motor = self.objects, self.motor

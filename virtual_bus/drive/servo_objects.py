@@ -36,6 +36,19 @@ PERMANENT_MAGNET_SINUSOIDAL = 10
 LOAD_MACHINE = 0x2100
 """Manufacturer-specific: the load machine on the simulated shaft."""
 PER_THOUSAND_MAX = 0xFFFF
+
+
+class LoadCourse(IntEnum):
+    """2100h:3: the delay of 2100h:5 after the next SYNC a load over time begins."""
+
+    OFF = 0
+    """The shaft bears 2100h:1."""
+    STRAIGHT = 1
+    """Straight between two points."""
+    HELD = 2
+    """As at the point before."""
+
+
 VELOCITY_UNIT_RAD_S = RAD_S_PER_RPM / 1000.0
 
 
@@ -55,7 +68,7 @@ class ServoObjects:
         self._add_values()
         self._add_limits(motor, drive)
         self._add_motor(motor)
-        self._add_load_machine()
+        self._add_load_machine(drive)
 
     def option(self, index: Object) -> int:
         """The present value of an option code."""
@@ -125,12 +138,18 @@ class ServoObjects:
         )
         self._add(Object.DC_LINK_CIRCUIT_VOLTAGE, U32, RO, default=bus_mv)
 
-    def _add_load_machine(self) -> None:
+    def _add_load_machine(self, drive: DriveParameters) -> None:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")
         self.load_torque = load.add(
             1, "Load torque, mN m against positive speed", I32, RW, mappable=True, stored=False
         )
         self.load_actual = load.add(2, "Load torque actual value, mN m", I32, RO, mappable=True)
+        self.load_course = load.add(
+            3, "Load torque over time", U8, RW, high=int(max(LoadCourse)), stored=False
+        )
+        number = 0 if drive.load is None else drive.load.number
+        load.add(4, "Load torque over time, its number", U32, CONST, default=number)
+        self.load_delay = load.add(5, "Load torque over time, delay in us", U32, RW, stored=False)
 
 
 def add_profile_object(

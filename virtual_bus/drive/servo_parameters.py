@@ -18,6 +18,7 @@ from virtual_bus.device.device_options import (
     unmapped_tpdos,
 )
 from virtual_bus.drive.firmware import FirmwareParameters
+from virtual_bus.drive.load_table import LoadTable
 
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
@@ -45,6 +46,8 @@ class DriveParameters(FirmwareParameters):
     """How much faster than the bench the drive's clock runs."""
     lacks: tuple[str, ...] = ()
     """What it does without, see :mod:`virtual_bus.drive.lacks`."""
+    load: LoadTable | None = None
+    """What the shaft can be made to bear by 2100h:3; None: nothing over time."""
 
     def quick_stop_rad_s2(self, motor: PmsmParameters) -> float:
         """The quick stop's default deceleration for ``motor``."""
