@@ -24,6 +24,9 @@ from hil.reviewing.premises import PremisesMeter
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, Rows
 
+_STEP_MIN: Final = 0.01
+"""Of the rated torque: below it, as where a load from a file sets in, the noise of the speed is larger than
+the answer, and their ratio says nothing of the gain."""
 _BEFORE: Final = 20
 """Readings of a steady run of which the mean before a load step is taken, at least: it is the speed error
 that friction or the load of before leaves to a controller that does not integrate."""
@@ -50,6 +53,7 @@ class CertificateMeter:
         self._certified = axis.certified
         self._premises = PremisesMeter(axis, axis.certified)
         self._settling_ns = settling_ns
+        self._step_min_nm = _STEP_MIN * (axis.rated_torque_nm or 0.0)
         self._reference = self._load = 0.0
         self._changed_at: int | None = None
         self._before_sum, self._before = 0.0, 0
@@ -110,7 +114,8 @@ class CertificateMeter:
         if self._changed_at is not None and (reference, load) == (self._reference, self._load):
             return
         steady = reference == self._reference and self._before >= _BEFORE
-        self._step_nm = load - self._load if steady else 0.0
+        step_nm = load - self._load
+        self._step_nm = step_nm if steady and abs(step_nm) >= self._step_min_nm else 0.0
         self._mean = self._before_sum / self._before if self._before else 0.0
         self._noise = max(self._mean - self._before_low, self._before_high - self._mean, 0.0)
         self._square_sum, self._since = 0.0, 0

@@ -58,6 +58,8 @@ class StepMeter:
         self._open: _Step | None = None
         self._outside_at = self._seen_at = 0
         self._overshoot_rad_s = 0.0
+        self._lasted = 0
+        """Cycles since the step that is open."""
         self._settling, self._recovery, self._over = _Worst(), _Worst(), _Worst()
         self._unsettled = [False, False]
         """A step of the reference, or of the load, did not come into its band."""
@@ -78,14 +80,16 @@ class StepMeter:
         self._take(rows[: changes[0]])
         if changes.size > 1:
             self._close()
-        # of a ramp every cycle is a change, and none is looked at
-        for place in np.flatnonzero(stepped[changes[:-1]] | loaded[changes[:-1]]):
+        # of a ramp every cycle is a change, and none is looked at; the last one may go on in the next rows
+        stays = np.diff(changes) > 1
+        stays[-1:] = True
+        for place in np.flatnonzero(stepped[changes[:-1]] | (loaded[changes[:-1]] & stays)):
             start, end = int(changes[place]), int(changes[place + 1])
             of_load = bool(loaded[start])
             target = float(reference[start])
             self._open = _Step(int(due_at[start]), of_load, target, target if of_load else float(step[start]))
             self._outside_at, self._seen_at = self._open.at, -1
-            self._overshoot_rad_s = 0.0
+            self._overshoot_rad_s, self._lasted = 0.0, 0
             self._take(rows[start:end])
             if end < rows.size:
                 self._close()
@@ -116,6 +120,7 @@ class StepMeter:
 
     def _take(self, rows: Rows) -> None:
         step = self._open
+        self._lasted += rows.size
         came = rows[rows["fate"] == FATE_SAMPLE]
         if step is None or not came.size:
             return
@@ -127,11 +132,11 @@ class StepMeter:
         self._overshoot_rad_s = max(self._overshoot_rad_s, float(beyond.max()))
 
     def _close(self) -> None:
-        if self._open is not None:
+        if self._open is not None and not (self._open.of_load and self._lasted == 1):
             self._look(self._open)
             if self._outside_at == self._seen_at:
                 self._unsettled[self._open.of_load] = True
-        self._open = None
+        self._open = None  # a load that changes from cycle to cycle makes no steps
 
     def _look(self, step: _Step) -> None:
         time_ms = (self._outside_at - step.at) / NS_PER_MS

@@ -63,6 +63,16 @@ def test_a_peak_that_decays_counts_by_the_time_for_which_it_lasted() -> None:
     assert seen == pytest.approx(12.0), "rms of 6 rad/s over 30 ms for 0.5 N m"
 
 
+def test_a_load_that_sets_in_slowly_makes_no_gain_of_the_noise() -> None:
+    """As one from a file does: its first step is a millionth of the rated torque, and the noise goes on."""
+    noise = np.random.default_rng(5).normal(0.0, 0.05, COUNT)
+    load = np.interp(np.arange(COUNT), [STEP_AT, STEP_AT + 1_000], [0.0, 1e-3])
+    rows = plain_rows(COUNT, REFERENCE_RAD_S, REFERENCE_RAD_S - 3.0 - noise, load)
+    meter = CertificateMeter(replace(AXIS, rated_torque_nm=1.0), SETTLING)
+    meter.add(rows)
+    assert meter.gain_least is None
+
+
 def test_without_a_steady_run_before_the_step_nothing_is_seen() -> None:
     rows = loaded(12.0)
     moving = rows.copy()

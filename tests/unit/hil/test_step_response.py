@@ -68,6 +68,16 @@ def test_a_ramp_is_no_step() -> None:
     assert figures(plain_rows(CYCLES, reference=ramp, velocity=0.9 * ramp)) == StepResponse()
 
 
+@pytest.mark.parametrize("chunk", [1, 7, CYCLES])
+def test_a_load_that_changes_from_cycle_to_cycle_makes_no_steps_but_at_its_end(chunk: int) -> None:
+    """A load as of a file rises within 200 ms, and takes the speed out of its band until 30 ms later."""
+    cycle = np.arange(CYCLES)
+    load = np.interp(cycle, [300, 500], [0.0, 0.6])
+    speed = np.where((cycle >= 350) & (cycle < 530), 45.0, 50.0)
+    found = figures(plain_rows(CYCLES, reference=50.0, velocity=speed, load=load), chunk)
+    assert found.recovery_time_ms == 29.0
+
+
 @pytest.mark.parametrize("chunk", [1, 2, 5, 12])
 def test_losses_in_a_row_against_a_count_by_hand(chunk: int) -> None:
     rows = plain_rows(12, fate=[0, 1, 1, 0, 1, 2, 3, 4, 0, 1, 1, 0])
