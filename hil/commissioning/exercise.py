@@ -29,7 +29,7 @@ from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
-from hil.loop.scenario import LoadProfile, Quantity, ReferenceProfile, Segment
+from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 
@@ -290,7 +290,7 @@ class Exerciser:
             compensator=Arrival(),
             guard=SafetyGuard(safety, self.period_s),
             reference=ReferenceProfile(reference),
-            load=LoadProfile([]),
+            load=ReferenceProfile([], Quantity.TORQUE),
             load_machine=None,
             syncs=syncs,
             # A new map each time: between exercises the clocks part too far for the rate of the last one.

@@ -158,28 +158,31 @@ class _Expansion:
         drives = tables.get("drive")
         if isinstance(drives, Mapping):
             tables["drive"] = {name: self._drive(name, drive) for name, drive in drives.items()}
-        references = tables.get("reference")
-        if isinstance(references, Mapping):
-            tables["reference"] = {name: self._entries(name, found) for name, found in references.items()}
+        for table in ("reference", "load"):
+            profiles = tables.get(table)
+            if isinstance(profiles, Mapping):
+                tables[table] = {
+                    name: self._entries(f"{table}.{name}", found) for name, found in profiles.items()
+                }
         faults = tables.get("faults")
         if isinstance(faults, Mapping):
             tables["faults"] = self._attempt("faults", lambda: self._faults(faults))
         return tables
 
-    def _entries(self, name: str, entries: Any) -> Any:
-        """Of a reference; files are named from here, and read."""
+    def _entries(self, key: str, entries: Any) -> Any:
+        """Of a reference or a load; files are named from here, and read. A load is a step unless it says
+        something else."""
         if not isinstance(entries, list | tuple):
             return entries
         expanded = []
         for index, entry in enumerate(entries):
-            if (
-                isinstance(entry, Mapping)
-                and entry.get("kind") == "file"
-                and isinstance(entry.get("path"), str)
-            ):
-                path = self._folder / entry["path"]
-                self._attempt(f"reference.{name}[{index}]", partial(load_signal, path))
-                entry = {**entry, "path": str(path)}
+            if isinstance(entry, Mapping):
+                if key.startswith("load."):
+                    entry = {"kind": "step", **entry}
+                if entry.get("kind") == "file" and isinstance(entry.get("path"), str):
+                    path = self._folder / entry["path"]
+                    self._attempt(f"{key}[{index}]", partial(load_signal, path))
+                    entry = {**entry, "path": str(path)}
             expanded.append(entry)
         return expanded
 

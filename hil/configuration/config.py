@@ -11,11 +11,11 @@ from pydantic import Field, PrivateAttr
 
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from hil.configuration.background import BackgroundTables
-from hil.configuration.config_axis import DriveConfig, LoadStep
+from hil.configuration.config_axis import DriveConfig
 from hil.configuration.config_files import Section
 from hil.configuration.config_load_machine import LoadMachineConfig
 from hil.configuration.quantities import HeartbeatTimeout
-from hil.configuration.references import Reference
+from hil.configuration.references import Load, Reference
 from hil.configuration.toml_text import toml_text
 from hil.verdict.verdict import VerdictLimits
 from virtual_bus.hosting.injection import Faults as InjectedFaults
@@ -198,7 +198,7 @@ class BenchConfig(Section):
     loop: LoopConfig = LoopConfig()
     drive: dict[AxisName, DriveConfig] = Field(min_length=1, description="at least one table [drive.NAME]")
     reference: dict[str, Annotated[tuple[Reference, ...], Field(strict=False)]] = Field(default_factory=dict)
-    load: dict[str, Annotated[tuple[LoadStep, ...], Field(strict=False)]] = Field(default_factory=dict)
+    load: dict[str, Annotated[tuple[Load, ...], Field(strict=False)]] = Field(default_factory=dict)
     load_machine: LoadMachineConfig | None = None
     """The instrument that makes the load of its axis; without it a simulated drive's own load object does."""
     faults: Faults | None = None

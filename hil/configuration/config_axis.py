@@ -14,7 +14,6 @@ from hil.configuration.motor_file import MotorFile
 from hil.configuration.quantities import (
     DropoutsInARow,
     HeartbeatTimeout,
-    SignedTorque,
     SlewRate,
     Speed,
     Torque,
@@ -129,10 +128,3 @@ class DriveConfig(Section):
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: CompensatorSection = ArrivalCompensator(kind="arrival")
     controller: ControllerSection = Field(description="a table with its kind, e.g. 'pid', or a path")
-
-
-class LoadStep(Section):
-    """From ``at_s`` on: this load torque; a positive one opposes positive speed."""
-
-    at_s: float = Field(ge=0, description="the time since the run began, s")
-    torque_nm: SignedTorque = Field(description="the load torque, N m")

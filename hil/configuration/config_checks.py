@@ -16,7 +16,8 @@ from hil.configuration.config_axis import DriveConfig
 from hil.configuration.controller_kinds import StampCompensator
 from hil.configuration.mode_checks import Fault, mode_faults, reference_faults
 from hil.configuration.motor_file import speed_max_rpm
-from hil.configuration.references import SineReference
+from hil.configuration.references import Load, LoadStep, SignalFile, SineReference
+from hil.loop.scenario import Quantity
 
 FRAME_BITS_WITHOUT_DATA = 47
 """Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
@@ -24,6 +25,8 @@ STUFFED_BITS_WITHOUT_DATA = 34
 """Of those, the bits from the start of the frame to its CRC; each four after the first five may add one."""
 _BROADCASTS = (0x000, 0x080, 0x100, 0x7E4, 0x7E5)
 """NMT, SYNC, TIME and LSS (CiA 301, 7.3.5)."""
+LOAD_DELAY_MAX_S = 4294
+"""Of 2100h:5, 32 bits of microseconds."""
 TOLERANCE = 1.0 + 1e-9
 """So that a limit written as the rounded decimal of the motor's own is accepted."""
 
@@ -232,12 +235,36 @@ def _load_machine(config: BenchConfig) -> Iterator[Fault]:
         yield f"{key}.axis", machine.axis, expected, _did_you_mean(machine.axis, config)
     if machine.kind == "magtrol_dsp6001" and machine.channel != 1:
         yield f"{key}.channel", machine.channel, "1, the only channel of a DSP6001", ""
-    for index, step in enumerate(config.load.get(config.load_machine_axis or "", ())):
-        place = f"load.{config.load_machine_axis}[{index}].torque_nm"
-        if step.torque_nm < 0.0:
-            yield place, step.torque_nm, "0 or more: a brake takes power and gives none", ""
-        if step.torque_nm > machine.torque_max_nm:
-            yield place, step.torque_nm, f"at most {key}.torque_max_nm = {machine.torque_max_nm:g}", ""
+    for index, entry in enumerate(config.load.get(config.load_machine_axis or "", ())):
+        place, least_nm = _torque_of(f"load.{config.load_machine_axis}[{index}]", entry)
+        if least_nm < 0.0:
+            yield place, least_nm, "0 or more: a brake takes power and gives none", ""
+        if abs(entry.level) > machine.torque_max_nm:
+            yield place, entry.level, f"at most {key}.torque_max_nm = {machine.torque_max_nm:g}", ""
+
+
+def _torque_of(key: str, entry: Load) -> tuple[str, float]:
+    """The key that its torque comes from, and the least that it is, N m."""
+    if isinstance(entry, LoadStep):
+        return f"{key}.torque_nm", entry.torque_nm
+    return f"{key}.path", min(entry.signal.levels)
+
+
+def _load_files(axis: str, entries: Sequence[Load], config: BenchConfig) -> Iterator[Fault]:
+    """A load over time is of torques and alone; a simulated drive begins it with the run's first SYNC."""
+    for index, entry in enumerate(entries):
+        if not isinstance(entry, SignalFile):
+            continue
+        key = f"load.{axis}[{index}]"
+        if entry.quantity is not Quantity.TORQUE:
+            yield f"{key}.path", entry.path, "a file with torque_nm: a load is a torque", ""
+        if len(entries) > 1:
+            yield key, f"{len(entries)} entries", "one entry: a load from a file is alone on its axis", ""
+        if entry.at_s > LOAD_DELAY_MAX_S:
+            yield f"{key}.at_s", entry.at_s, f"at most {LOAD_DELAY_MAX_S}, which 2100h:5 can say", ""
+        if config.loop.sync != "own" and config.load_machine_axis != axis:
+            expected = 'loop.sync = "own": the drive begins the load with the run\'s first SYNC'
+            yield "loop.sync", config.loop.sync, expected, ""
 
 
 def _did_you_mean(axis: str, config: BenchConfig) -> str:
@@ -261,12 +288,15 @@ def _demands(axis: str, drive: DriveConfig, config: BenchConfig) -> Iterator[Fau
         if isinstance(segment, SineReference) and segment.frequency_hz > fastest_hz:
             expected = f"at most {fastest_hz:g}, half the rate of the loop"
             yield f"reference.{axis}[{index}].frequency_hz", segment.frequency_hz, expected, ""
-    for index, step in enumerate(config.load.get(axis, ())):
-        if abs(step.torque_nm) > drive.limits.torque_max_nm:
+    loads = config.load.get(axis, ())
+    yield from _load_files(axis, loads, config)
+    for index, entry in enumerate(loads):
+        if abs(entry.level) > drive.limits.torque_max_nm:
             expected = (
                 f"at most drive.{axis}.limits.torque_max_nm = {drive.limits.torque_max_nm:g} in magnitude"
             )
-            yield f"load.{axis}[{index}].torque_nm", step.torque_nm, expected, "no command could hold it"
+            place, _ = _torque_of(f"load.{axis}[{index}]", entry)
+            yield place, entry.level, expected, "no command could hold it"
 
 
 _CHECKS = (

@@ -1,4 +1,6 @@
-"""``[[reference.NAME]]`` of a bench file: what is asked of an axis, a speed, a position or a torque.
+"""``[[reference.NAME]]`` and ``[[load.NAME]]`` of a bench file: what an axis is to do, what its shaft bears.
+
+A reference is a speed, a position or a torque.
 
 Every entry has one of the keys ``speed_rpm``, ``position_rad`` and ``torque_nm``, or of a sine's amplitudes,
 and all entries of an axis have the same. A position counts from where the shaft is when the run begins.
@@ -128,14 +130,17 @@ class SineReference(_Entry):
         return Sine(self.at_s, self.level_si, self.frequency_hz)
 
 
-class FileReference(_Entry):
-    """From ``at_s`` on: what a file says, whose time 0 lies there (:mod:`hil.configuration.signal_file`)."""
+class SignalFile(_Entry):
+    """From ``at_s`` on: what a file says, whose time 0 lies there (:mod:`hil.configuration.signal_file`).
+
+    As a load it is of torques, positive against positive speed, and alone.
+    """
 
     kind: Literal["file"]
     at_s: float = Field(default=0.0, ge=0, description="the time since the run began, s")
     path: str = Field(description="a CSV or Parquet file with time_s and, say, speed_rpm")
     between: Literal["interpolated", "held"] = "interpolated"
-    """What is asked for between two rows."""
+    """What is meant between two rows."""
 
     @property
     def signal(self) -> Signal:
@@ -176,9 +181,31 @@ class FileReference(_Entry):
         return Table(self.at_s, signal.times_s, signal.levels, self.between == "held")
 
 
-Reference = Annotated[
-    StepReference | RampReference | SineReference | FileReference, Field(discriminator="kind")
-]
+Reference = Annotated[StepReference | RampReference | SineReference | SignalFile, Field(discriminator="kind")]
+
+
+class LoadStep(Section):
+    """From ``at_s`` on: this load torque; a positive one opposes positive speed."""
+
+    kind: Literal["step"] = "step"
+    at_s: float = Field(ge=0, description="the time since the run began, s")
+    torque_nm: SignedTorque = Field(description="the load torque, N m")
+
+    @property
+    def level(self) -> float:
+        """N m."""
+        return self.torque_nm
+
+    def describe(self) -> str:
+        """In words, for the events of a run."""
+        return f"torque {self.torque_nm:g} N m"
+
+    def segment(self) -> Segment:
+        """As the loop has it."""
+        return LevelStep(self.at_s, self.torque_nm)
+
+
+Load = Annotated[LoadStep | SignalFile, Field(discriminator="kind")]
 
 
 def peak_level(profile: tuple[Reference, ...]) -> float:
@@ -200,7 +227,7 @@ def peak_rate(profile: tuple[Reference, ...]) -> float:
             continue
         if isinstance(entry, RampReference):
             peak = max(peak, (abs(entry.level - before) + swing) / entry.over_s)
-        elif isinstance(entry, FileReference):
+        elif isinstance(entry, SignalFile):
             peak = max(peak, entry.rate)
         before, swing = entry.level, 0.0
     return peak

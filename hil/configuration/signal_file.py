@@ -42,9 +42,18 @@ class Signal:
     """Largest change per second between two points."""
 
 
-@lru_cache(maxsize=8)
 def load_signal(path: Path) -> Signal:
     """The signal in a file. Raises BadInput, naming file, column and value."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise BadInput(str(path), "file", error.strerror or str(error), "a file that is there") from None
+    return _load(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path, _modified_ns: int, _size: int) -> Signal:
+    """A file that is changed is read again."""
     table = _read(path)
     told = [name for name in COLUMNS if name in table.column_names]
     if TIME not in table.column_names or len(told) != 1:

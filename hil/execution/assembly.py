@@ -12,8 +12,9 @@ from drivers.wire.adapters import BusSpec
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
 from hil.configuration.mode_checks import GIVEN, quantity_of
-from hil.configuration.references import FileReference
+from hil.configuration.references import SignalFile
 from hil.control.setup import Setup
+from hil.execution.kept_signals import with_kept_signals
 from hil.execution.world import SegmentPlan, World, WorldPlan
 from hil.loop.axis import Axis, AxisParts
 from hil.loop.axis_roles import Compensator, Controller, LoadMachine
@@ -24,7 +25,7 @@ from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import Limits, PositionLimits, SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, ReferenceProfile
+from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
@@ -194,7 +195,7 @@ def axis(
         compensator=compensator,
         guard=_guard(config, name, period_s),
         reference=reference_profile(config, name),
-        load=LoadProfile([(step.at_s, step.torque_nm) for step in config.load.get(name, ())]),
+        load=ReferenceProfile([entry.segment() for entry in config.load.get(name, ())], Quantity.TORQUE),
         load_machine=load_machine,
         syncs=syncs,
         by_stamp=StampAttribution(syncs, ClockMap(), timing.period, transit, tell),
@@ -254,7 +255,7 @@ def recording_plan(
         real_time=world.real_time,
         deadline=config.loop.deadline,
         review=review_plan(config, certified, world.real_time),
-        bench_toml=config.resolved_text(bus_spec=bus, seed=seed),
+        bench_toml=(with_kept_signals(config) if folder else config).resolved_text(bus_spec=bus, seed=seed),
         started_at=world.clock.now(),
         wall_offset=world.wall_offset,
         frames=config.recording.frames,
@@ -308,13 +309,12 @@ def _set_points(config: BenchConfig) -> tuple[PlannedSetPoint, ...]:
     """What the bench file plans for each axis, in words."""
     planned: list[PlannedSetPoint] = []
     for number, axis in enumerate(config.axes):
-        for segment in config.reference.get(axis, ()):
-            text = f"{axis}: reference {segment.describe()}"
-            planned.append(PlannedSetPoint(duration_s(segment.at_s), number, text))
-            if isinstance(segment, FileReference):
-                text = f"{axis}: reference of {Path(segment.path).name} ends"
-                planned.append(PlannedSetPoint(duration_s(segment.ends_s), number, text))
-        for step in config.load.get(axis, ()):
-            text = f"{axis}: load torque {step.torque_nm:g} N m"
-            planned.append(PlannedSetPoint(duration_s(step.at_s), number, text))
+        profiles = (("reference", config.reference.get(axis, ())), ("load", config.load.get(axis, ())))
+        for what, entries in profiles:
+            for entry in entries:
+                text = f"{axis}: {what} {entry.describe()}"
+                planned.append(PlannedSetPoint(duration_s(entry.at_s), number, text))
+                if isinstance(entry, SignalFile):
+                    text = f"{axis}: {what} of {Path(entry.path).name} ends"
+                    planned.append(PlannedSetPoint(duration_s(entry.ends_s), number, text))
     return tuple(sorted(planned))

@@ -29,6 +29,7 @@ from hil.execution.commissioned_drive import write_commissioned
 from hil.execution.conclusion import Conclusion
 from hil.execution.connecting import connect
 from hil.execution.drive_settings import data_sheets, drive_settings, identity_notes
+from hil.execution.kept_signals import keep_signals
 from hil.execution.network_guard import Uncertified, certified_plans, uncertified, watched
 from hil.execution.segments import listen_for_syncs, masters, record_frames
 from hil.execution.simulated_drives import simulated_drives
@@ -110,6 +111,7 @@ def run_bench(
         recorder = recording(plan)
         if folder is not None:
             keep_sources(code, folder)
+            keep_signals(config, folder)
         if log is not None:
             log.send_to(recorder.fault_block)
         planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)
@@ -226,7 +228,7 @@ class _Run:
         self._prepare(timing)
         syncs, pace = listen_for_syncs(config, world, self._networks, self._master, timing.period)
         self._syncs = {segment or str(world.link.name): log for segment, log in syncs.items()}
-        axes = [
+        self._axes = [
             assembly.axis(
                 config,
                 number,
@@ -242,10 +244,9 @@ class _Run:
             )
             for number, drive in enumerate(self._drives)
         ]
-        self._axes = axes
         self._guard.arm(syncs, own_sync=self._sync_source is SyncSource.OWN)
         chore = self._guard.attending(self._load.chore)
-        loop = Loop(self._master, world.clock, axes, pace, timing, chore)
+        loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
         with sync_producer(self._sync_source, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
 
@@ -261,6 +262,7 @@ class _Run:
             self._note_state(drive)
             self._tell_guard(drive)
         self._stop.check()
+        self._load.begin_with_next_sync()
         self._enter("running")
         wall = MonotonicClock()
         began = wall.now()
@@ -325,11 +327,9 @@ class _Run:
             own = self._sync_source is SyncSource.OWN
             why = "the host was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
-        reason = f"ended by {self._stop.asked_by}" if ended.interrupted else ""
-        if reason:
+        if reason := f"ended by {self._stop.asked_by}" if ended.interrupted else "":
             self._say(reason, "WARN")
-        doubts = distrust(self._axes, self._config.loop.period)
-        for doubt in doubts:
+        for doubt in (doubts := distrust(self._axes, self._config.loop.period)):
             self._say(f"not trustworthy: {doubt}", "ERROR")
         self._conclusion.ended(
             ended,
@@ -346,16 +346,16 @@ class _Run:
     def _tell_guard(self, drive: ServoDrive) -> None:
         """From now on somebody notices when the drive does not hear its commands any more."""
         guard = drive.supervise_commands()
-        level = "INFO" if drive.supervision.active else "WARN"
-        self._say(f"{drive.name}: its commands are watched by {guard}", level)
+        active = drive.supervision.active
+        self._say(f"{drive.name}: its commands are watched by {guard}", "INFO" if active else "WARN")
 
     def _teller(self, drive: ServoDrive) -> Callable[[str], None]:
         return lambda text: self._say(f"{drive.name}: {text}", "WARN")
 
     def _watched(self, axis: str) -> Callable[[CycleRecord], None]:
         """Where the records of an axis with the bench's own controller go."""
-        tell = partial(self._say, level="WARN")
-        return watched(self._config, axis, self._worse, self._recorder.record, tell, self._stop)
+        say, record = partial(self._say, level="WARN"), self._recorder.record
+        return watched(self._config, axis, self._worse, record, say, self._stop)
 
     def _release(self) -> None:
         """Every way out of a run leads through here."""

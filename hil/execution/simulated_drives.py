@@ -1,9 +1,11 @@
 """Simulated drives as a bench or a command line asks for them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
@@ -13,15 +15,18 @@ from drivers.errors import BadInput
 from drivers.wire.adapters import BusSpec, parse_bus_spec
 from hil.configuration.config import BenchConfig
 from hil.configuration.current_controller_file import CurrentController, read_current_controller
+from hil.configuration.references import SignalFile
 from hil.execution.device_files import DeviceFiles
 from hil.execution.node_ids_taken import refuse_taken
 from hil.execution.world import WorldPlan, open_world
+from hil.load.load_files import load_table
 from hil.load.simulated_load import SimulatedLoadMachine
 from hil.machine.realtime import realtime_process
 from hil.machine.stopping import stop_signals
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.device.lss_slave import NODE_ID_KEY
 from virtual_bus.device.parameter_storage import FileStore
+from virtual_bus.drive.load_table import LoadTable
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Device
@@ -45,6 +50,7 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
             resistance_factor=simulation.resistance_factor,
             inductance_factor=simulation.inductance_factor,
             lacks=simulation.lacks,
+            load=_load_of(config, name),
         )
         try:
             drives.append(SimulatedServo(wanted.node, wanted.motor.parameters, parameters, seed))
@@ -53,6 +59,14 @@ def simulated_drives(config: BenchConfig, seed: int) -> list[SimulatedServo]:
             expected = "objects that the simulated drive has and could do without"
             raise BadInput(config.source, key, str(error), expected, "see docs/simulated-drive.md") from None
     return drives
+
+
+def _load_of(config: BenchConfig, axis: str) -> LoadTable | None:
+    """What the shaft bears over time; None if an instrument makes it, or nothing does."""
+    if axis == config.load_machine_axis:
+        return None
+    files = (each for each in config.load.get(axis, ()) if isinstance(each, SignalFile))
+    return next((load_table(each.signal) for each in files), None)
 
 
 def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace | None:
@@ -93,13 +107,15 @@ def simulate(
     files: DeviceFiles,
     background: Sequence[Stream] = (),
     current_control: Sequence[Path] = (),
+    loads: Mapping[int, LoadTable] = MappingProxyType({}),
     load_machine: SimulatedLoadMachine | None = None,
     serials: Sequence[int] = (),
     force: bool = False,
 ) -> None:
     """Simulated drives, and other nodes' traffic beside them, on a real-time bus until a stop signal comes.
 
-    ``announce`` is told once the drives are on the bus. ``serials``: as in :func:`serial_of_each`.
+    ``announce`` is told once the drives are on the bus. ``loads``: by node, what a bench can have its shaft
+    bear. ``serials``: as in :func:`serial_of_each`.
     ``force``: also where somebody has their node-IDs.
     Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
     somebody has, and BusDown if the bus cannot be opened or goes away.
@@ -117,7 +133,7 @@ def simulate(
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s), serial_of_each(nodes, serials))
     drive = files.drive(drive_parameters(current_control))
     devices = [
-        SimulatedServo(node, motor, drive, seed, store=store, vendor=vendor)
+        SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)
         for node, vendor in zip(nodes, makers, strict=True)
     ]
     files.write_data_sheet(devices[0].dictionary, announce)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from drivers.errors import BadInput
 from drivers.instruments.dynamometer import Dynamometer, LineCounts, LoadReading
-from drivers.timebase import NS_PER_S, Clock, Instant
+from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from drivers.wire.serial_line import ByteLine, open_line
 from hil.configuration.config_load_machine import SIMULATED, LoadMachineConfig
 from virtual_bus.drive.servo import SimulatedServo
@@ -61,12 +61,18 @@ class InstrumentLoadMachine:
         axis: str,
         wait: Wait,
         record: Callable[[str, LoadReading], None],
+        every: Duration | None = None,
     ) -> None:
-        """``record`` takes the axis and each reading."""
+        """``record`` takes the axis and each reading. ``every``: how often it is told the torque of a load
+        over time; None: of each step, and what came of it."""
         self.axis = axis
         self._dynamometer = dynamometer
         self._wait = wait
         self._record = record
+        self._every = every
+        self._due_nm: float | None = None
+        """Of a load over time, not told yet."""
+        self._due_at = Instant(0)
         self._begun_at: Instant | None = None
         self._plateaus: list[_Plateau] = []
         self._kept = 0
@@ -83,16 +89,23 @@ class InstrumentLoadMachine:
 
     def set_torque(self, torque_nm: float) -> None:
         """Ask for a load torque, N m. Does not wait."""
+        if self._every is not None:
+            self._due_nm = torque_nm
+            return
         self._dynamometer.set_torque(torque_nm)
         self._plateaus.append(_Plateau(self._wait.clock.now(), torque_nm))
 
     def attend(self, now: Instant) -> None:
         """Once in each cycle: speak with the instrument, and keep what it measured. Raises PeerFault."""
+        if self._every is not None and self._due_nm is not None and now >= self._due_at:
+            self._dynamometer.set_torque(self._due_nm)
+            self._due_nm, self._due_at = None, Instant(now + self._every)
         self._dynamometer.pump(now)
         self._keep()
 
     def take_off(self) -> None:
         """Open the brake and see that it did. Raises PeerFault."""
+        self._due_nm = None
         self._dynamometer.take_off(self._wait.until)
         self._keep()
 

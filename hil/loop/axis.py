@@ -18,7 +18,7 @@ from hil.loop.delay import DelayMeter, Fate
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard
 from hil.loop.samples import CycleRecord, Dropout, DropoutCause, Sending
-from hil.loop.scenario import LoadProfile, Quantity, ReferenceProfile
+from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import REVOKED, StampAttribution
 from hil.loop.syncs import SyncLog, SyncMark
 
@@ -40,7 +40,8 @@ class AxisParts:
     """It makes the demands of the controller commands: of a torque, a speed or a position."""
     reference: ReferenceProfile
     """Of a position it is counted from where the shaft is when the run begins."""
-    load: LoadProfile
+    load: ReferenceProfile
+    """Torques that oppose positive speed."""
     load_machine: LoadMachine | None
     syncs: SyncLog
     """Of the axis's segment."""

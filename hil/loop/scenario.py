@@ -113,7 +113,7 @@ class Table:
     def _find(self, elapsed_s: float) -> int:
         """The last point that is not later; the first where all are."""
         place, times_s = self._place, self._times_s
-        for _ in range(4):
+        for _ in range(8):
             if place < self._last and times_s[place + 1] <= elapsed_s:
                 place += 1
             elif place > 0 and times_s[place] > elapsed_s:
@@ -126,7 +126,7 @@ class Table:
 
 
 class ReferenceProfile:
-    """Reference of one axis: segments in order of time, 0 before the first.
+    """Reference or load torque of one axis: segments in order of time, 0 before the first.
 
     Of a position the segments count from where the shaft is when the run begins (:meth:`count_from`).
     """
@@ -174,27 +174,6 @@ class ReferenceProfile:
             before = self._segments[number - 1]
             levels.append(before.value(segment.at_s - before.at_s, levels[number - 1]))
         return levels
-
-
-class LoadProfile:
-    """Load torque of one axis: steps in order of time, 0 N m before the first.
-
-    ``steps``: pairs (at_s, torque_nm); a positive torque opposes positive speed.
-    """
-
-    def __init__(self, steps: Sequence[tuple[float, float]]) -> None:
-        ordered = sorted(steps)
-        self._starts_s = [at_s for at_s, _ in ordered]
-        self._torques_nm = [0.0, *(torque for _, torque in ordered)]
-
-    @property
-    def change_times_s(self) -> tuple[float, ...]:
-        """When the load changes, s."""
-        return tuple(self._starts_s)
-
-    def value(self, time_s: float) -> float:
-        """Load torque ``time_s`` after the run began, N m."""
-        return self._torques_nm[bisect_right(self._starts_s, time_s)]
 
 
 _TAYLOR = tuple((-1.0) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(9))

@@ -29,7 +29,7 @@ from hil.loop.loop import LoopTiming
 from hil.loop.order_attribution import OrderAttribution
 from hil.loop.safety import SafetyGuard, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LoadProfile, ReferenceProfile
+from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 from hil.measuring.excitation import Excitation, steps_of
@@ -148,7 +148,7 @@ class Subject:
             compensator=self.probe.decision,
             guard=SafetyGuard(self._limits(unit_nm), period / NS_PER_S),
             reference=ReferenceProfile([]),
-            load=LoadProfile([]),
+            load=ReferenceProfile([], Quantity.TORQUE),
             load_machine=None,
             syncs=syncs,
             by_stamp=StampAttribution(syncs, clock, period, transit, tell),

@@ -70,6 +70,14 @@ LoadMachineFaultOption = Annotated[
         help="A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
     ),
 ]
+LoadOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load",
+        metavar="NODE=FILE",
+        help="CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
+    ),
+]
 CurrentControlOption = Annotated[
     list[Path] | None,
     typer.Option(
@@ -89,6 +97,7 @@ def simulate(
     store: StoreOption = None,
     export_eds: ExportOption = None,
     background: BackgroundOption = None,
+    load: LoadOption = None,
     load_machine: LoadMachineOption = None,
     load_machine_fault: LoadMachineFaultOption = None,
     current_control: CurrentControlOption = None,
@@ -102,6 +111,7 @@ def simulate(
         from hil.configuration.background import load_background
         from hil.configuration.motor_file import LING2012
         from hil.execution.device_files import DeviceFiles
+        from hil.load.load_files import load_tables
         from hil.terminal.node_list import node_ids, serial_numbers
 
         files = DeviceFiles(eds, store, export_eds)
@@ -129,6 +139,7 @@ def simulate(
             files=files,
             background=others,
             current_control=current_control or (),
+            loads=load_tables(load or [], nodes),
             load_machine=instrument,
             force=force,
         )

@@ -13,6 +13,7 @@ from hil.configuration.bench_file import bench_from, load_faults
 from hil.configuration.bench_tables import Bench, PathLike
 from hil.configuration.config import BenchConfig
 from hil.configuration.motor_file import MotorFile
+from hil.configuration.references import SignalFile
 from hil.execution.bench import run_bench
 from hil.loop.axis_roles import Controller
 from hil.machine.progress import no_progress
@@ -132,5 +133,17 @@ class BenchRunner:
                     break
             else:
                 missing.append((drive.motor, [drive.node]))
+        loads = {
+            config.drive[axis].node: entry.path
+            for axis, entries in config.load.items()
+            for entry in entries
+            if isinstance(entry, SignalFile) and axis != config.load_machine_axis
+        }
         for motor, nodes in missing:
-            self._host.start(nodes, motor, seed=config.bench.seed, bitrate_bit_s=config.bus.bitrate_bit_s)
+            self._host.start(
+                nodes,
+                motor,
+                seed=config.bench.seed,
+                bitrate_bit_s=config.bus.bitrate_bit_s,
+                loads={node: path for node, path in loads.items() if node in nodes},
+            )

@@ -6,6 +6,7 @@ import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from drivers.errors import PeerFault
@@ -117,8 +118,10 @@ class DriveHost:
         store: str | os.PathLike[str] | None = None,
         seed: int = 0,
         bitrate_bit_s: int = 1_000_000,
+        loads: Mapping[int, str] = MappingProxyType({}),
     ) -> DriveProcess:
-        """Start drives with one motor and one fault plan. Raises PeerFault with what it said if it fails."""
+        """Start drives with one motor and one fault plan; ``loads``: by node, the file of a load over time.
+        Raises PeerFault with what it said if it fails."""
         number = next(self._numbers)
         options = ["--bus", self.spec, "--node", ",".join(map(str, nodes))]
         options += ["--motor", str(self._file(f"motor-{number}.toml", motor))]
@@ -127,6 +130,8 @@ class DriveHost:
             options += ["--faults", str(self._file(f"faults-{number}.toml", faults))]
         options += ["--eds", str(eds)] if eds is not None else []
         options += ["--store", str(store)] if store is not None else []
+        for node, path in loads.items():
+            options += ["--load", f"{node}={path}"]
         log = self._scratch / f"drive-{number}.log"
         process = DriveProcess(python_command("hil.cli", "simulate", *options), log)
         self._processes.append(process)

@@ -1,7 +1,7 @@
 """A bench, run from Python; what it needs is imported when it is called."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ def run(
     bus: str | None = None,
     time: str | None = None,
     controllers: "Mapping[str, Controller] | None" = None,
+    signals: "Mapping[str, Callable[[float], float]] | None" = None,
     network: str | os.PathLike[str] | None = None,
     allow_uncertified: bool = False,
     stop: "StopRequest | None" = None,
@@ -33,13 +34,13 @@ def run(
     keys of it, see :meth:`hil.Bench.changed`. ``record``: the folder of the recording, new or empty; True:
     one below ``runs``; False: nothing is written, and all but the frames is kept in memory. ``seed``,
     ``bus``, ``time`` ("real" paces a simulated bus), ``network``, ``allow_uncertified``: as for ``hil run``.
-    ``controllers``: by axis, an object in place of the controller that the bench describes. ``stop``: by
-    which another thread ends the run; in the main thread Ctrl-C ends it, too, and the run says so.
-    ``progress``: called with the phase, and how many seconds of the loop are done.
+    ``controllers``: by axis, an object in place of the bench's own. ``signals``: functions of the time in s
+    in place of references and loads, e.g. ``{"load.axis1.torque_nm": f}``; they are asked for each cycle
+    before anything moves, and what they said is kept. ``stop``: by which another thread ends the run; in the
+    main thread Ctrl-C does, too. ``progress``: called with the phase, and how many seconds are done.
 
-    From any thread; two runs at once only in simulated time. Raises BadInput or BadInputs before anything
-    moves, PeerFault if bus or drive failed, RecordingFailed; the drives are brought to rest first, and what
-    was recorded until then is kept.
+    From any thread; two at once in simulated time alone. Raises BadInput or BadInputs before anything moves,
+    PeerFault or RecordingFailed with the drives at rest again and all kept that was recorded.
     """
     from drivers.errors import BadInput
     from drivers.timebase import utc_stamp
@@ -51,11 +52,11 @@ def run(
     from hil.recording.recorder_choice import recorder_of
     from hil.rows.recording_plan import RecordingPlan
     from hil.testing.run import Run
+    from hil.testing.signals import with_signals
 
-    config = Bench.of(bench).changed(changes or {}).config
-    if record is True:
-        record = RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
-    folder = Path(record) if record else None
+    config = with_signals(Bench.of(bench).changed(changes or {}), signals or {}).config
+    below_runs = RUNS_FOLDER / f"{config.bench.name}-{utc_stamp()}"
+    folder = Path(below_runs if record is True else record) if record else None
     if folder is None and not parse_bus_spec(bus or config.bus.spec, "bus").simulated:
         raise BadInput("run", "record", False, "a folder: on a bus in real time another process records")
     memory: list[MemoryRecorder] = []

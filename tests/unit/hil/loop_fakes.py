@@ -21,7 +21,7 @@ from hil.loop.order_attribution import OrderAttribution
 from hil.loop.pace import OwnSync
 from hil.loop.safety import SafetyGuard, SpeedLimits, TorqueLimits
 from hil.loop.samples import CycleRecord
-from hil.loop.scenario import LevelStep, LoadProfile, ReferenceProfile
+from hil.loop.scenario import LevelStep, Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
 
@@ -193,7 +193,7 @@ def make_axis(
         compensator=compensator or Arrival(),
         guard=SafetyGuard(limits or TorqueLimits(5.0, 200.0), 0.001),
         reference=ReferenceProfile([LevelStep(0.01, 2.0)]),
-        load=LoadProfile([]),
+        load=ReferenceProfile([], Quantity.TORQUE),
         load_machine=None,
         syncs=log,
         by_stamp=StampAttribution(log, ClockMap(), PERIOD, TRANSIT, tell),

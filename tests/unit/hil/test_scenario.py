@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.loop.scenario import LevelStep, LoadProfile, Ramp, ReferenceProfile, Sine, sine_of_turns
+from hil.loop.scenario import LevelStep, Quantity, Ramp, ReferenceProfile, Sine, sine_of_turns
 
 
 def test_zero_before_the_first_segment_and_for_an_empty_profile() -> None:
@@ -30,7 +30,7 @@ def test_a_segment_that_is_cut_off_hands_over_the_speed_it_had_reached() -> None
 
 
 def test_load_steps_hold_until_the_next() -> None:
-    profile = LoadProfile([(1.0, 0.6), (1.5, 0.0)])
+    profile = ReferenceProfile([LevelStep(1.0, 0.6), LevelStep(1.5, 0.0)], Quantity.TORQUE)
     assert [profile.value(t) for t in (0.0, 1.0, 1.49, 1.5, 9.0)] == [0.0, 0.6, 0.6, 0.0, 0.0]
 
 

@@ -1,0 +1,48 @@
+"""References and loads that a caller has as functions of the time: asked for each cycle, before a run."""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+from drivers.errors import BadInput
+from drivers.timebase import NS_PER_S
+from hil.configuration.bench_tables import Bench
+from hil.configuration.signal_file import COLUMNS, TIME
+
+_numbers: Final = count(1)
+
+
+def with_signals(bench: Bench, signals: Mapping[str, Callable[[float], float]]) -> Bench:
+    """``bench`` with files in place of the references and loads that ``signals`` names.
+
+    A key is ``reference.AXIS.COLUMN`` or ``load.AXIS.COLUMN``, its columns those of a signal file; a function
+    is given the time since the run began, s. Between two cycles the values lie on a straight line. Raises
+    BadInput; what a function raises passes.
+    """
+    config = bench.config
+    period_s = config.loop.period / NS_PER_S
+    times = np.arange(round(config.bench.duration_s / period_s) + 1) * period_s
+    changes = {}
+    for key, signal in signals.items():
+        table, axis, column = (*key.split("."), "", "")[:3]
+        if table not in ("reference", "load") or key.count(".") != 2 or column not in COLUMNS:
+            expected = f"reference.AXIS.COLUMN or load.AXIS.COLUMN, of the columns {', '.join(COLUMNS)}"
+            raise BadInput("signals", key, key, expected)
+        path = Path(_scratch().name) / f"{next(_numbers)}.parquet"
+        levels = [float(signal(time)) for time in times.tolist()]
+        parquet.write_table(pa.table({TIME: times, column: levels}), path)
+        changes[f"{table}.{axis}"] = [{"kind": "file", "path": str(path)}]
+    return bench.changed(changes)
+
+
+@cache
+def _scratch() -> "TemporaryDirectory[str]":
+    """Gone with the process."""
+    return TemporaryDirectory(prefix="servobench-")
