@@ -261,19 +261,22 @@ def _kind(name: str) -> str:
 def _explained(first: str, one: float, second: str, other: float) -> str:
     """Which readings of one of the two make them agree; a figure that is read otherwise keeps its kind."""
     sides = ((first, one, emf_constant(second, other)), (second, other, emf_constant(first, one)))
-    readings = [
-        f"{reading} = {value:g}"
-        for name, value, fixed in sides
-        for reading in CONVENTIONS
-        if reading != name and _kind(reading) == _kind(name)
-        if _agree(emf_constant(reading, value), fixed, AGREEING_WELL)
-    ]
-    return f"they agree if {' or '.join(readings)} is meant" if readings else ""
+    for within in (AGREEING_WELL, AGREEING):
+        readings = [
+            f"{reading} = {value:g}"
+            for name, value, fixed in sides
+            for reading in CONVENTIONS
+            if reading != name and _kind(reading) == _kind(name)
+            if _agree(emf_constant(reading, value), fixed, within)
+        ]
+        if readings:
+            return f"they agree if {' or '.join(readings)} is meant"
+    return ""
 
 
 def _time_explained(ratio: float) -> str:
     """``ratio``: the time constant on the sheet over the one that follows."""
-    reasons = {2.0: "as if the resistance were entered of a phase and is between terminals",
-               0.5: "as if the resistance were entered between terminals and is of a phase"}  # fmt: skip
-    near = [text for factor, text in reasons.items() if _agree(ratio, factor, AGREEING_WELL)]
+    reasons = {2.0: "as if the resistance were entered between terminals and is of a phase",
+               0.5: "as if the resistance were entered of a phase and is between terminals"}  # fmt: skip
+    near = [text for factor, text in reasons.items() if _agree(ratio, factor, AGREEING)]
     return near[0] if near else ""
