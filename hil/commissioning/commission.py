@@ -7,7 +7,7 @@ from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 from hil.commissioning.dialog import Dialog, EmergencyStop
 from hil.commissioning.files import set_objects, write_files
-from hil.commissioning.recording import RECORDING_FOLDER, SessionLog
+from hil.commissioning.recording import SessionLog
 from hil.commissioning.report import Commissioned, write_report
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.sequence import Step, run_sequence
@@ -16,6 +16,7 @@ from hil.commissioning.steps import all_steps
 from hil.execution.world import World
 from hil.restoring.journaled import STORE_PARAMETERS, JournaledNetwork
 from hil.restoring.restore import restore
+from hil.rows.run_files import COMMISSIONING_RECORDING
 
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""
@@ -36,7 +37,7 @@ def commission(
     """
     request.out.mkdir(parents=True, exist_ok=True)
     title = f"commissioning of node {request.node} on {request.bus}"
-    log = SessionLog(request.out / RECORDING_FOLDER, world, request.bus, title)
+    log = SessionLog(request.out / COMMISSIONING_RECORDING, world, request.bus, title)
     network = JournaledNetwork(world.link, world.clock)
     session = Session(request, world, network, dialog, stop, sheet, log)
     result = Commissioned(findings=session.found)

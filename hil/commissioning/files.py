@@ -15,8 +15,8 @@ from hil.configuration.toml_text import toml_text
 from hil.restoring.journal import ObjectKey
 from hil.restoring.journaled import SET_POINTS
 from hil.restoring.restore import pdo_of
+from hil.rows.run_files import COMMISSIONED_FILE
 
-DRIVE_FILE: Final = "drive.toml"
 MOTOR_FILE: Final = "motor.toml"
 NETWORK_FILE: Final = "network.toml"
 BENCH_FILE: Final = "bench.toml"
@@ -36,7 +36,7 @@ def write_files(session: Session) -> None:
     texts: dict[str, str] = {}
     found = session.found
     if found.identity is not None and found.told is not None:
-        texts[DRIVE_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
+        texts[COMMISSIONED_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
     if found.mechanics is not None:
         texts[MOTOR_FILE] = _motor_text(session)
     if found.network is not None:
@@ -205,7 +205,7 @@ def _bench_tables(session: Session) -> dict[str, Any]:
     drive: dict[str, Any] = {
         "node": session.request.node,
         "motor": MOTOR_FILE,
-        "commissioned": DRIVE_FILE,
+        "commissioned": COMMISSIONED_FILE,
         **_heartbeats(session),
         "limits": limits,
         "controller": found.controller,

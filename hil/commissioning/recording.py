@@ -19,8 +19,6 @@ from hil.rows.recording_plan import SIMULATED_EPOCH
 from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
 from hil.rows.side_rows import EXTENDED_FLAG, FRAME_DTYPE, REMOTE_FLAG, StateEvent, TextEvent, frame_row
 
-RECORDING_FOLDER: Final = "recording"
-"""In the folder of the report: beside bench.toml it would pass for a run."""
 _TRACK: Final = "step"
 
 

@@ -14,10 +14,10 @@ from hil.commissioning.report_html import html_report
 from hil.commissioning.request import CommissionRequest
 from hil.commissioning.session import Session
 from hil.restoring.restore import Restoration
+from hil.rows.run_files import COMMISSIONING_FIGURES
 
 REPORT_FILE = "report.md"
 HTML_FILE = "report.html"
-FIGURES_FILE = "figures.json"
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ def write_report(session: Session, result: Commissioned) -> None:
     request.out.mkdir(parents=True, exist_ok=True)
     (request.out / REPORT_FILE).write_text("\n".join(lines), encoding="utf-8")
     figures = as_json(request, result)
-    (request.out / FIGURES_FILE).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    (request.out / COMMISSIONING_FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     (request.out / HTML_FILE).write_text(html_report(figures, request.out), encoding="utf-8")
 
 

@@ -16,6 +16,7 @@ from rerun.experimental import ViewerClient
 from drivers.errors import BadInput, PeerFault
 from drivers.printable import printable
 from drivers.timebase import NS_PER_MS, NS_PER_S, Instant, MonotonicClock
+from hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from hil.recording.blueprint import GUTTER
 from hil.recording.page_series import TIMELINE
 from hil.recording.telemetry import RERUN_FILE
@@ -117,20 +118,32 @@ class HeadlessViewer:
         self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
 
 
+def page_file(run: Path) -> Path:
+    """What the viewer opens of a folder: a run's run.rrd, a commissioning's, made now; a file is itself.
+
+    Raises BadInput.
+    """
+    if run.is_dir() and is_commissioning(run):
+        return commissioning_page(run)
+    recording = run / RERUN_FILE if run.is_dir() else run
+    if not recording.is_file():
+        expected = f"the folder of a run, with its {RERUN_FILE}, or of a commissioning"
+        raise BadInput("RUN", "", str(run), expected)
+    return recording
+
+
 def draw_page(
     run: Path,
     page: str | None = None,
     at_s: float | None = None,
     window_s: tuple[float | None, float | None] = (None, None),
 ) -> bytes:
-    """A page of the run in a folder, or of a run.rrd, as PNG.
+    """A page of the run or commissioning in a folder, or of a run.rrd, as PNG.
 
     ``at_s``: the cursor, None: at the end. ``window_s``: from when to when, None: as the page opens. Raises
     BadInput, and PeerFault if the viewer cannot run here.
     """
-    recording = run / RERUN_FILE if run.is_dir() else run
-    if not recording.is_file():
-        raise BadInput("RUN", "", str(run), f"the folder of a run, with its {RERUN_FILE}")
+    recording = page_file(run)
     with headless_viewer() as viewer:
         viewer.show(recording)
         if page is not None:

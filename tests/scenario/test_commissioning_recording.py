@@ -1,22 +1,25 @@
 """A commissioning is recorded like a run: its frames open as a log, its events say what was done."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
-from hil.commissioning.recording import RECORDING_FOLDER
-from hil.rows.run_files import DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
+from hil.recorded.commissioning_page import commissioning_page
+from hil.rows.run_files import COMMISSIONING_RECORDING, DIRECTIONS_FILE, EVENTS_FILE, FRAMES_FILE
 from tests.commissioning import unknown_world
+from tests.rrd_columns import columns, numbers
 
 
 def events(folder: Path) -> list[dict[str, Any]]:
     """Of the recording below ``folder``."""
-    lines = (folder / RECORDING_FOLDER / EVENTS_FILE).read_text().splitlines()
+    lines = (folder / COMMISSIONING_RECORDING / EVENTS_FILE).read_text().splitlines()
     return [json.loads(line) for line in lines]
 
 
@@ -30,7 +33,7 @@ def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_frame_is_there_with_who_sent_it(commissioned: Path) -> None:
-    recording = commissioned / RECORDING_FOLDER
+    recording = commissioned / COMMISSIONING_RECORDING
     with can.CanutilsLogReader(recording / FRAMES_FILE) as log:
         frames = list(log)
     directions = (recording / DIRECTIONS_FILE).read_text().split()
@@ -46,7 +49,7 @@ def test_every_frame_is_there_with_who_sent_it(commissioned: Path) -> None:
 
 
 def test_it_opens_by_hil_trace(commissioned: Path) -> None:
-    done = CliRunner().invoke(app, ["trace", str(commissioned / RECORDING_FOLDER)])
+    done = CliRunner().invoke(app, ["trace", str(commissioned / COMMISSIONING_RECORDING)])
     assert done.exit_code == 0, done.stderr
     assert "8130h" in done.stdout, "the EMCY of the proof of the watch"
 
@@ -75,3 +78,32 @@ def test_what_failed_stands_in_the_events(tmp_path: Path) -> None:
 def test_a_folder_of_a_commissioning_is_no_run(commissioned: Path) -> None:
     done = CliRunner().invoke(app, ["runs", str(commissioned), "--json"])
     assert json.loads(done.stdout)["runs"] == []
+
+
+def test_its_page_has_the_steps_the_states_and_the_shaft(commissioned: Path) -> None:
+    page = commissioning_page(commissioned)
+    at, steps = columns(page, "/state/1_step", "StateChange:state")
+    told = [event for event in events(commissioned) if event.get("track") == "step"]
+    assert at.tolist() == [event["at_ns"] for event in told]
+    assert len(steps) == len(told)
+    _, states = columns(page, "/state/2_drive", "StateChange:state")
+    assert ["Operation enabled"] in states
+    assert ["Quick stop active"] in states, "the proof of the watch"
+    _, texts = columns(page, "/events", "TextLog:text")
+    assert any("8130h" in str(text) for text in texts)
+    times, turns = numbers(page, "/position/6064h")
+    with can.CanutilsLogReader(commissioned / COMMISSIONING_RECORDING / FRAMES_FILE) as log:
+        read = [frame for frame in log if frame.arbitration_id == 0x181 and len(frame.data) == 8]
+    stamps = [round((frame.timestamp - 1e9) * 1e9) for frame in read]
+    assert abs(times[-1] - stamps[-1]) < 2_000, "the stamps of frames.log have microseconds"
+    raw = [int.from_bytes(frame.data[4:8], "little", signed=True) for frame in read]
+    assert (np.ptp(turns) == 0.0) == (np.ptp(raw) == 0)
+
+
+def test_a_commissioning_that_was_killed_has_a_page_too(commissioned: Path, tmp_path: Path) -> None:
+    left = tmp_path / "left" / COMMISSIONING_RECORDING
+    shutil.copytree(commissioned / COMMISSIONING_RECORDING, left, ignore=shutil.ignore_patterns("*.rrd"))
+    text = (left / EVENTS_FILE).read_text()
+    (left / EVENTS_FILE).write_text(text[:-20])
+    _, figures = columns(commissioning_page(left.parent), "/figures", "TextDocument:text")
+    assert "did not come to its end" in str(figures)

@@ -23,10 +23,11 @@ from hil.rows.records_file import read_records
 from hil.rows.side_rows import FRAME_DTYPE, BeginEvent, StateEvent
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary
+from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.row_tools import rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
-from tests.unit.hil.test_telemetry import RPM, columns, numbers
+from tests.unit.hil.test_telemetry import RPM
 
 BENCH = Path(__file__).parents[3] / "examples" / "ling2012.toml"
 PERIOD_S = 0.001
@@ -37,6 +38,7 @@ from dataclasses import replace
 from pathlib import Path
 from drivers.timebase import Instant
 from hil.recording.recorder import start_recording
+from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for
 from tests.unit.hil.synthetic_run import synthetic_records
 

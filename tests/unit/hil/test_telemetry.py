@@ -20,6 +20,7 @@ from hil.rows.side_rows import BeginEvent, IdentityEvent, RunEvent, StateEvent, 
 from hil.verdict.plain_values import from_plain
 from hil.verdict.summary import Summary, summarise
 from hil.verdict.verdict import VerdictLimits
+from tests.rrd_columns import columns, numbers
 from tests.unit.hil.recording_tools import plan_for, whole_outcome
 from tests.unit.hil.row_tools import plain_rows, rows_of
 from tests.unit.hil.synthetic_run import synthetic_records
@@ -60,35 +61,6 @@ def rows() -> Rows:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory, rows: Rows) -> Path:
     return write_run(plan_for(tmp_path_factory.mktemp("run")), rows)
-
-
-def columns(path: Path, entity: str, component: str) -> Column:
-    """Times (ns; 0 for static) and values of one component, in order of time."""
-    times: list[int] = []
-    values: list[list[object]] = []
-    for chunk in RrdReader(path).stream():
-        if str(chunk.entity_path) != entity:
-            continue
-        batch = chunk.to_record_batch()
-        if component not in batch.schema.names:
-            continue
-        values += batch.column(component).to_pylist()
-        static = "run_time" not in batch.schema.names
-        times += [0] * batch.num_rows if static else batch.column("run_time").cast("int64").to_pylist()
-    order = np.argsort(times, kind="stable")
-    return np.array(times)[order], [values[place] for place in order]
-
-
-def numbers(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and scalars; (n,) or (n, series). Points without a value are left out."""
-    times, values = columns(path, entity, "Scalars:scalars")
-    found = (
-        np.squeeze(np.array(values, np.float64), axis=1)
-        if len(values[0]) == 1
-        else np.array(values, np.float64)
-    )
-    kept = ~np.isnan(found) if found.ndim == 1 else np.ones(len(times), bool)
-    return times[kept], found[kept]
 
 
 RPM = 30 / np.pi

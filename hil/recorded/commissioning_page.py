@@ -1,0 +1,293 @@
+"""A commissioning as Rerun shows it: what was done, how the shaft moved, and what came of each step.
+
+It is made from the recorded frames, so from what was on the bus: set-points and actual values as the PDOs of
+that moment carried them, in the units that were found in the end. A commissioning that was killed has its
+page, too, in the units that the drive tells.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from uuid import uuid4
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from drivers.cia402.objects402 import Object
+from drivers.errors import BadInput
+from drivers.rotation import RPM_PER_RAD_S
+from drivers.timebase import NS_PER_S
+from hil.configuration.drive_file import load_drive_file
+from hil.recording.lanes import lane_colors
+from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
+from hil.recording.telemetry import RERUN_FILE
+from hil.reviewing.envelope import Envelope
+from hil.reviewing.trace.decoder import decode
+from hil.reviewing.trace.known_nodes import KnownNodes
+from hil.reviewing.trace.run_trace import RecordedBus
+from hil.reviewing.trace.trace_entry import TraceEntry
+from hil.rows.run_files import (
+    COMMISSIONED_FILE,
+    COMMISSIONING_FIGURES,
+    COMMISSIONING_RECORDING,
+    EVENTS_FILE,
+    FRAMES_FILE,
+)
+
+_APPLICATION: Final = "servobench commissioning"
+_ZERO: Final = re.compile(r"0 ns is \((\d+)\.(\d{6})\)")
+"""How the first event tells where the events' time begins in frames.log."""
+_STEP, _DRIVE = "/state/1_step", "/state/2_drive"
+"""Rerun lays lanes out by their paths."""
+_EVENTS, _FIGURES = "/events", "/figures"
+_GREEN, _RED, _GREY, _BLUE = 0x1E6B35FF, 0xB3202AFF, 0x50555CFF, 0x1F5FA8FF
+_STEP_COLORS: Final = {"done": _GREEN, "failed": _RED, "skipped": _GREY, "left out": _GREY, "not done": _GREY}
+"""By verdict; a step whose verdict nobody has written down was under way."""
+
+
+class _Signal(NamedTuple):
+    plot: str
+    name: str
+    color: Color
+    scale: float
+    """From SI to the plot's unit."""
+
+
+_SIGNALS: Final = {
+    Object.TARGET_VELOCITY: _Signal("speed", "set-point 60FFh", GREY, RPM_PER_RAD_S),
+    Object.VELOCITY_ACTUAL_VALUE: _Signal("speed", "actual 606Ch", BLUE, RPM_PER_RAD_S),
+    Object.TARGET_POSITION: _Signal("position", "set-point 607Ah", GREY, 1.0 / (2.0 * np.pi)),
+    Object.POSITION_ACTUAL_VALUE: _Signal("position", "actual 6064h", BLUE, 1.0 / (2.0 * np.pi)),
+    Object.TARGET_TORQUE: _Signal("torque", "set-point 6071h", GREY, 1.0),
+    Object.TORQUE_ACTUAL_VALUE: _Signal("torque", "actual 6077h", GREEN, 1.0),
+}
+_PLOTS: Final = {"speed": "Speed [r/min]", "position": "Position [turns]", "torque": "Torque [N m]"}
+
+
+def is_commissioning(folder: Path) -> bool:
+    """Whether ``hil commission`` has left it."""
+    return (folder / COMMISSIONING_RECORDING / FRAMES_FILE).is_file()
+
+
+def commissioning_page(folder: Path) -> Path:
+    """The page of a commissioning, made if it is not there yet or older than what it is made from.
+
+    Raises BadInput for a folder that cannot be read or written to.
+    """
+    recording = folder / COMMISSIONING_RECORDING
+    page = recording / RERUN_FILE
+    sources = [recording / FRAMES_FILE, folder / COMMISSIONING_FIGURES]
+    newest = max((path.stat().st_mtime_ns for path in sources if path.exists()), default=0)
+    if not page.exists() or page.stat().st_mtime_ns < newest:
+        _write(folder, page)
+    return page
+
+
+def _write(folder: Path, page: Path) -> None:
+    figures = _figures(folder)
+    events = list(_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
+    zero_ns = next((found for event in events if (found := _zero_ns(event)) is not None), None)
+    stream = rr.RecordingStream(_APPLICATION, recording_id=uuid4().hex)
+    part = page.with_suffix(".part")
+    try:
+        stream.set_sinks(rr.FileSink(part))
+    except (RuntimeError, ValueError) as error:
+        raise BadInput("RUN", "", str(page), "a place to write to", str(error)) from None
+    bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
+    end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
+    _send_steps(stream, events, figures)
+    _send_bus(stream, bus)
+    text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
+    stream.log(_FIGURES, text, static=True)
+    stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
+    stream.flush(timeout_sec=60.0)
+    stream.disconnect()
+    part.replace(page)
+
+
+def _figures(folder: Path) -> Mapping[str, Any]:
+    """Of figures.json; a commissioning that was killed has none."""
+    path = folder / COMMISSIONING_FIGURES
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {"steps": []}
+    except (OSError, ValueError) as error:
+        raise BadInput(str(path), "file", str(error), "what hil commission wrote") from None
+
+
+def _known(folder: Path) -> KnownNodes:
+    """The drive with the units that were found; with its own if none were."""
+    path = folder / COMMISSIONED_FILE
+    if not path.exists():
+        return KnownNodes()
+    found = load_drive_file(path)
+    return KnownNodes((), {("", found.drive.node): found.override})
+
+
+def _events(path: Path) -> Iterator[dict[str, Any]]:
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            yield json.loads(line)
+        except ValueError:
+            return  # the last one of a commissioning that was killed
+
+
+def _zero_ns(event: Mapping[str, Any]) -> int | None:
+    found = _ZERO.search(str(event.get("text", "")))
+    return None if found is None else int(found[1]) * NS_PER_S + int(found[2]) * 1000
+
+
+class _Bus:
+    """What the frames tell: signals, and the drive's states."""
+
+    def __init__(self, recorded: RecordedBus, known: KnownNodes, zero_ns: int | None) -> None:
+        self.signals: dict[Object, Envelope] = {}
+        self.states: list[tuple[int, str]] = []
+        self.emergencies: list[tuple[int, str]] = []
+        self.end_ns = 0
+        self._zero_ns = zero_ns
+        held: dict[Object, tuple[list[int], list[float]]] = {index: ([], []) for index in _SIGNALS}
+        for entry in decode(iter(recorded), known):
+            if entry.at_ns is not None:
+                self._take(entry, entry.at_ns, held)
+        for index, (times, values) in held.items():
+            if times:
+                self.signals[index] = envelope = Envelope()
+                envelope.add(np.array(times, np.int64), np.array(values))
+
+    def _take(
+        self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, tuple[list[int], list[float]]]
+    ) -> None:
+        if self._zero_ns is None:
+            self._zero_ns = stamp_ns
+        at_ns = self.end_ns = stamp_ns - self._zero_ns
+        if entry.kind == "emcy":
+            self.emergencies.append((at_ns, entry.text))
+        if entry.kind not in ("pdo", "sdo"):
+            return
+        for value in entry.values:
+            if value.index == Object.STATUSWORD and value.words:
+                label = value.words[:1].upper() + value.words[1:]
+                if not self.states or self.states[-1][1] != label:
+                    self.states.append((at_ns, label))
+            elif entry.kind == "pdo" and value.index in held and value.si is not None:
+                times, values = held[Object(value.index)]
+                times.append(at_ns)
+                values.append(value.si * _SIGNALS[Object(value.index)].scale)
+
+
+def _send_steps(stream: rr.RecordingStream, events: list[dict[str, Any]], figures: Mapping[str, Any]) -> None:
+    steps = {step["name"]: step for step in figures["steps"]}
+    begun = [event for event in events if event.get("track") == "step"]
+    titles = [str(steps.get(event["state"], {}).get("title", event["state"])) for event in begun]
+    verdicts = {step["title"]: step["verdict"] for step in steps.values()}
+    labels = list(dict.fromkeys(titles))
+    colors = [_STEP_COLORS.get(verdicts.get(label, ""), _BLUE) for label in labels]
+    times = [event["at_ns"] for event in begun]
+    _send_lane(stream, _STEP, times, titles, dict(zip(labels, colors, strict=True)))
+    told = [event for event in events if "text" in event]
+    _send_texts(stream, [(each["at_ns"], each["level"], each["text"]) for each in told])
+
+
+def _send_bus(stream: rr.RecordingStream, bus: _Bus) -> None:
+    times, labels = [at for at, _ in bus.states], [label for _, label in bus.states]
+    _send_lane(stream, _DRIVE, times, labels, lane_colors("axis drive", ["axis"]))
+    _send_texts(stream, [(at, "WARN", text) for at, text in bus.emergencies])
+    for index, envelope in bus.signals.items():
+        signal, path = _SIGNALS[index], _path(index)
+        style = rr.SeriesLines(
+            names=signal.name, colors=signal.color, widths=1.2, aggregation_policy="MinMax"
+        )
+        stream.log(path, style, static=True)
+        at, values = envelope.points()
+        stream.send_columns(path, _times(at), rr.Scalars.columns(scalars=values))
+
+
+def _send_lane(
+    stream: rr.RecordingStream, path: str, times: list[int], labels: list[str], colors: Mapping[str, int]
+) -> None:
+    if not times:
+        return
+    names, shades = list(colors), np.array(list(colors.values()), np.uint32)
+    stream.log(path, rr.StateConfiguration(values=names, labels=names, colors=shades), static=True)
+    stream.send_columns(path, _times(times), rr.StateChange.columns(state=labels))
+
+
+def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) -> None:
+    if told:
+        rows = rr.TextLog.columns(text=[text for _, _, text in told], level=[level for _, level, _ in told])
+        stream.send_columns(_EVENTS, _times([at for at, _, _ in told]), rows)
+
+
+def _times(instants: "np.typing.NDArray[np.int64] | list[int]") -> list[rr.TimeColumn]:
+    return [rr.TimeColumn(TIMELINE, duration=np.asarray(instants, np.int64).astype("timedelta64[ns]"))]
+
+
+def _path(index: Object) -> str:
+    return f"/{_SIGNALS[index].plot}/{index:04X}h"
+
+
+def _markdown(folder: Path, figures: Mapping[str, Any]) -> str:
+    """What came of each step, as report.md has it, in short."""
+    header = figures.get("header", {})
+    parts = [f"# Commissioning · {folder.name}"]
+    origin = [str(header[key]) for key in ("date", "tool", "adapter") if header.get(key)]
+    parts += [", ".join(origin)] if origin else []
+    if not figures["steps"]:
+        parts.append("It did not come to its end: nothing but frames and events is there.")
+    if figures.get("error"):
+        parts.append(f"**{figures['error']}**")
+    rows = [f"| {each['title']} | {each['verdict']} | {_result(each)} |" for each in figures["steps"]]
+    parts.append("\n".join(["| step | | |", "|:--|:--|:--|", *rows]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _result(step: Mapping[str, Any]) -> str:
+    told = [f"**{fault}**" for fault in step["faults"]]
+    for each in step["quantities"]:
+        half = f" +- {each['uncertainty']:.2g}" if each["uncertainty"] is not None else ""
+        told.append(f"{each['name']} {each['value']:.5g}{half} {each['unit']}".strip())
+    if not told:
+        told = [step["reason"] or step["headline"] or ""]
+    return "; ".join(told).replace("|", "/").replace("\n", " ")
+
+
+def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
+    boundary = rrb.TimeRangeBoundary
+    window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
+    axis = rrb.TimeAxis(link="Independent", view_range=window)
+    there = {_SIGNALS[index].plot for index in bus.signals}
+    plots = [
+        rrb.TimeSeriesView(
+            origin="/",
+            contents=[f"+ /{plot}/**"],
+            name=f"{title}",
+            axis_x=axis,
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+            time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
+        )
+        for plot, title in _PLOTS.items()
+        if plot in there
+    ]
+    lanes = rrb.StateTimelineView(
+        origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
+    )
+    columns = rrb.archetypes.TextLogColumns(
+        timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"]
+    )
+    right = rrb.Vertical(
+        rrb.TextDocumentView(origin=_FIGURES, name="What came of it"),
+        rrb.TextLogView(origin=_EVENTS, name="Events", columns=columns),
+        row_shares=[6.5, 3.5],
+    )
+    shares = [1.0, *(2.0 for _ in plots)]
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(lanes, *plots, row_shares=shares), right, column_shares=[6.5, 3.5]),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,37 @@
+"""What a Rerun recording holds, by Rerun's own reader."""
+
+from pathlib import Path
+
+import numpy as np
+from rerun.chunk import RrdReader
+
+Column = tuple[np.ndarray, list[list[object]]]
+
+
+def columns(path: Path, entity: str, component: str) -> Column:
+    """Times (ns; 0 for static) and values of one component, in order of time."""
+    times: list[int] = []
+    values: list[list[object]] = []
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) != entity:
+            continue
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names:
+            continue
+        values += batch.column(component).to_pylist()
+        static = "run_time" not in batch.schema.names
+        times += [0] * batch.num_rows if static else batch.column("run_time").cast("int64").to_pylist()
+    order = np.argsort(times, kind="stable")
+    return np.array(times)[order], [values[place] for place in order]
+
+
+def numbers(path: Path, entity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and scalars; (n,) or (n, series). Points without a value are left out."""
+    times, values = columns(path, entity, "Scalars:scalars")
+    found = (
+        np.squeeze(np.array(values, np.float64), axis=1)
+        if len(values[0]) == 1
+        else np.array(values, np.float64)
+    )
+    kept = ~np.isnan(found) if found.ndim == 1 else np.ones(len(times), bool)
+    return times[kept], found[kept]
