@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from design.hinf.robustness import axis_real_mu
 from design.motor import PmsmParameters
 from design.statespace import Array, ComplexArray, StateSpace, append, balanced
 
@@ -83,8 +84,14 @@ def coupled_real_mu(
 ) -> Array:
     """(k,) bound of mu at the k frequencies, for the box +-``spread``; a box that holds r = 0 is the largest.
 
-    Above ``spread`` only, where a motor is still one: the smallest value is ``spread`` itself.
+    Above ``spread`` only, where a motor is still one: the smallest value is ``spread`` itself. At standstill
+    the axes do not meet, and it is exact.
     """
+    if speed_rad_s == 0.0:
+        resistance = motor.resistance_ohm
+        d_axis = axis_real_mu(resistance, motor.inductance_d_h, K_d, omega, spread)
+        q_axis = axis_real_mu(resistance, motor.inductance_q_h, K_q, omega, spread)
+        return np.maximum(np.maximum(d_axis, q_axis), spread)
     k_d, k_q = K_d.response(omega)[:, 0, 0], K_q.response(omega)[:, 0, 0]
     low, high = np.zeros(len(omega)), np.full(len(omega), 1.0 / spread)
     for _ in range(_HALVINGS):

@@ -131,7 +131,7 @@ def _radau(points: int) -> tuple[Array, Array]:
     """Right Radau points in (0, 1] and the integrals from 0 to each of the polynomials through them."""
     last = np.zeros(points + 1)
     last[points - 1], last[points] = 1.0, -1.0
-    roots = np.sort(np.polynomial.legendre.legroots(last))
+    roots = np.sort(np.polynomial.legendre.legroots(last).real)  # numpy 2.5 tells them as complex
     roots[-1] = 1.0
     V = np.polynomial.legendre.legvander(roots, points - 1)
     integrals = np.stack(

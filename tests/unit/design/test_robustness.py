@@ -126,7 +126,7 @@ def test_at_standstill_the_coupled_axes_are_no_better_than_one() -> None:
         (2.8e-3, Q_REDUCED.controller, Q), (1.4e-3, D_REDUCED.controller, D)
     ))  # fmt: skip
     coupled = coupled_robustness(MOTOR, D_REDUCED.controller, Q_REDUCED.controller, 0.0)
-    assert one * 0.99 <= coupled.real_mu_bound < 1.2 * one
+    assert coupled.real_mu_bound == pytest.approx(one, rel=1e-3)
 
 
 def test_largest_gain_is_that_of_the_formula() -> None:
