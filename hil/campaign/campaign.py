@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import BadInput, BenchError
 from drivers.timebase import NS_PER_S, MonotonicClock
-from hil.campaign.plan import CampaignPlan
+from hil.campaign.plan import CampaignPlan, GridAxis
 from hil.campaign.pool import rows_of
 from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
@@ -78,6 +78,12 @@ class Campaign:
     def column(self, name: str) -> NDArray[Any]:
         """(n,) of a column; NaN where a figure was not measured."""
         found: NDArray[Any] = self.table.column(name).to_numpy()
+        return found
+
+    def at(self, axis: GridAxis, place: int) -> NDArray[np.bool_]:
+        """(n,) which runs have the ``place``-th value of an axis."""
+        value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
+        found: NDArray[np.bool_] = self.column(axis.title) == value
         return found
 
     @property

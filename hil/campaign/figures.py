@@ -198,15 +198,9 @@ def grid_of(done: Campaign, rows: GridAxis, across: GridAxis) -> dict[str, NDArr
     rate, peak = np.full(shape, np.nan), np.full(shape, np.nan)
     passed, error = done.column("passed").astype(float), done.column(PEAK).astype(float)
     for row, column in product(range(shape[0]), range(shape[1])):
-        where = _at(done, rows, row) & _at(done, across, column)
+        where = done.at(rows, row) & done.at(across, column)
         if where.any():
             rate[row, column] = passed[where].mean()
             finite = error[where][np.isfinite(error[where])]
             peak[row, column] = finite.max() if finite.size else np.nan
     return {"pass rate": rate, "largest peak error, %": peak}
-
-
-def _at(done: Campaign, axis: GridAxis, place: int) -> NDArray[np.bool_]:
-    value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
-    found: NDArray[np.bool_] = done.column(axis.title) == value
-    return found

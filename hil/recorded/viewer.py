@@ -20,6 +20,7 @@ from hil.recorded.commissioning_page import commissioning_page, is_commissioning
 from hil.recording.blueprint import GUTTER
 from hil.recording.page_series import TIMELINE
 from hil.recording.telemetry import RERUN_FILE
+from hil.rows.run_files import CAMPAIGN_PAGE
 from virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
@@ -90,7 +91,9 @@ class HeadlessViewer:
         self._client.set_blueprint(found.blueprint, store_id=found.store_id)
 
     def put_cursor(self, at_s: float | None) -> None:
-        """At an instant of the run time; None: at its end."""
+        """At an instant of the run time, where there is one; None: at its end."""
+        if not self._ends():
+            return
         self._client.set_time(TIMELINE, duration=self._end_s() if at_s is None else at_s, play_state="paused")
 
     def picture(self) -> bytes:
@@ -106,28 +109,36 @@ class HeadlessViewer:
         return last
 
     def _end_s(self) -> float:
-        ends = [
+        return max(self._ends(), default=0) / NS_PER_S
+
+    def _ends(self) -> list[int]:
+        """Of the run time of each recording."""
+        return [
             timeline.end
             for recording in self._client.get_state().recordings
             for timeline in recording.timelines
             if timeline.name == TIMELINE and timeline.end is not None
         ]
-        return max(ends, default=0) / NS_PER_S
 
     def _wait(self, duration_ns: int) -> None:
         self._clock.sleep_until(Instant(self._clock.now() + duration_ns))
 
 
 def page_file(run: Path) -> Path:
-    """What the viewer opens of a folder: a run's run.rrd, a commissioning's, made now; a file is itself.
+    """What the viewer opens of a folder: a run's run.rrd, a campaign's, a commissioning's,
+    made now; a file is itself.
 
     Raises BadInput.
     """
     if run.is_dir() and is_commissioning(run):
         return commissioning_page(run)
+    if (run / CAMPAIGN_PAGE).is_file():
+        return run / CAMPAIGN_PAGE
     recording = run / RERUN_FILE if run.is_dir() else run
     if not recording.is_file():
-        expected = f"the folder of a run, with its {RERUN_FILE}, or of a commissioning"
+        expected = (
+            f"the folder of a run, with its {RERUN_FILE}, of a commissioning, or of a reported campaign"
+        )
         raise BadInput("RUN", "", str(run), expected)
     return recording
 

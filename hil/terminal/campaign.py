@@ -90,16 +90,22 @@ def run(
 
 @campaign.command("report")
 def report(folder: DirArgument, as_json: JsonOption = False) -> None:
-    """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters."""
+    """Write DIR/report.html: rates with their intervals, heat maps, worst cases, what matters; and
+    DIR/campaign.rrd, which hil view opens.
+    """
     with reported_errors():
         from hil.campaign.campaign import Campaign
+        from hil.campaign.page import write_page
         from hil.campaign.report import write_report
+        from hil.rows.run_files import CAMPAIGN_PAGE
 
         found = Campaign.load(folder)
         place = folder / "report.html"
         write_report(found, place)
+        write_page(found, folder / CAMPAIGN_PAGE)
         _print(found, as_json)
         say_written(place)
+        say_written(folder / CAMPAIGN_PAGE)
 
 
 @campaign.command("replay")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -17,12 +18,14 @@ from hil import run as run_bench
 from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
 from hil.campaign import pool as pool_module
 from hil.campaign.campaign import NotTheSame
-from hil.campaign.figures import figures_of
+from hil.campaign.figures import figures_of, grid_of
+from hil.campaign.page import write_page
 from hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerDied, WorkerPool
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
 from hil.testing.campaign_runs import CampaignRunner
+from tests.rrd_columns import columns
 
 ROOT = Path(__file__).parents[2]
 LING = ROOT / "examples" / "ling2012.toml"
@@ -262,6 +265,24 @@ def test_the_command_runs_reports_and_tells(tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, command)
     assert refused.exit_code == 2
     assert "--resume goes on with it" in refused.stderr
+
+
+def test_its_page_has_every_run_and_a_cell_s_worst_run(done: Campaign, tmp_path: Path) -> None:
+    two_keys = {"key": "loop.deadline_us", "values": [900, 1000]}
+    both = run_campaign(written(tmp_path, sweep(1, vary=[*sweep(1)["vary"], two_keys])), tmp_path / "out")
+    write_page(both, tmp_path / "page.rrd")
+    passed = both.column("passed").astype(bool)
+    for name, kept in (("passed", passed), ("failed", ~passed)):
+        shown = both.column(PEAK)[kept & np.isfinite(both.column(PEAK).astype(float))]
+        _, drawn = columns(tmp_path / "page.rrd", f"/members/{name}", "Scalars:scalars")
+        assert [value for (value,) in drawn] == pytest.approx(shown.tolist())
+    _, labels = columns(tmp_path / "page.rrd", "/map0/rate/values", "Points2D:labels")
+    rows, across = both.plan.axes
+    rate = grid_of(both, rows, across)["pass rate"]
+    assert labels == [[f"{value:.2f} · run {number}" for number, value in enumerate(rate.ravel())]]
+    write_page(done, tmp_path / "one_key.rrd")
+    _, text = columns(tmp_path / "one_key.rrd", "/summary", "TextDocument:text")
+    assert "hil campaign replay" in str(text)
 
 
 def test_claims_hold_with_their_confidence(servo_campaign: CampaignRunner, done: Campaign) -> None:
