@@ -10,6 +10,7 @@ hands the chunks of a worker that died to others; it alone is imported here, and
 
 import asyncio
 import json
+import logging
 import threading
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -27,6 +28,7 @@ from hil.machine.stopping import StopRequest
 
 if TYPE_CHECKING:
     from distributed import Client
+    from distributed import Future as DaskFuture
 
 CONNECT_S: Final = 10.0
 """For an answer of the scheduler."""
@@ -75,10 +77,25 @@ def dask_client(address: str) -> Iterator["Client"]:
     except (OSError, ValueError) as error:
         expected = "the address of a Dask scheduler that runs, e.g. tcp://192.168.1.5:8786"
         raise BadInput("--dask", "", address, expected, str(error)) from None
+    with _quiet():
+        try:
+            yield client
+        finally:
+            client.close(CLOSE_S)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What the client logs of a scheduler that is gone, tracebacks of a hundred lines, is told here."""
+    loggers = [logging.getLogger(name) for name in ("distributed.client", "distributed.utils")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
-        yield client
+        yield
     finally:
-        client.close(CLOSE_S)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 async def _reach(address: str) -> None:
@@ -102,16 +119,16 @@ def rows_on_dask(client: "Client", plan: CampaignPlan, numbers: range, stop: Sto
     """
     if not numbers:
         return
-    order = _order(client, plan, numbers.start, stop)
+    order = order_of(client, plan, numbers.start, stop)
     chunks, cluster = Chunks(plan, numbers), _Cluster(client)
-    executor = client.get_executor(pure=False)
-    flying: dict[Flying, list[int]] = {}
+    flying: dict[Flying, _Flight] = {}
     try:
         while chunks.left:
             stop.check()
             workers = cluster.workers()
             while len(flying) < EACH_HOLDS * max(1, workers) and (chunk := chunks.next(workers)):
-                flying[executor.submit(run_chunk, order, chunks.drawn(chunk))] = chunk
+                task = client.submit(run_chunk, order, chunks.drawn(chunk), pure=False)
+                flying[_outcome(client, task)] = _Flight(chunk, task)
             for landed in wait(flying, POLL_S, FIRST_COMPLETED).done:
                 for answer in cluster.answers(landed, flying.pop(landed)):
                     chunks.take(answer)
@@ -120,10 +137,23 @@ def rows_on_dask(client: "Client", plan: CampaignPlan, numbers: range, stop: Sto
                 yield row
     finally:
         if client.status == "running":
-            executor.shutdown(wait=False)
+            client.cancel([flight.task for flight in flying.values()])
 
 
-def _order(client: "Client", plan: CampaignPlan, number: int, stop: StopRequest) -> Order:
+class _Flight(NamedTuple):
+    chunk: list[int]
+    task: "DaskFuture[list[Answer]]"
+    """As long as it is held Dask holds what it comes to."""
+
+
+def _outcome(client: "Client", task: "DaskFuture[list[Answer]]") -> Flying:
+    """As the standard library waits for it; whatever goes wrong on the way is an outcome too."""
+    loop: Any = client.loop
+    return asyncio.run_coroutine_threadsafe(client.gather(task, asynchronous=True), loop.asyncio_loop)
+
+
+def order_of(client: "Client", plan: CampaignPlan, number: int, stop: StopRequest) -> Order:
+    """With run ``number`` as it comes out here. Raises as :meth:`hil.campaign.worker.Workshop.row`."""
     drawn = plan.drawn(number)
     row = Workshop(plan, stop).row(number, drawn)
     return Order(client.id, str(plan.source.absolute()), plan.identity, json.dumps([number, drawn, row]))
@@ -161,14 +191,14 @@ class _Cluster:
             )
         return self._count
 
-    def answers(self, landed: Flying, chunk: list[int]) -> list[Answer]:
+    def answers(self, landed: Flying, flight: _Flight) -> list[Answer]:
         """Of a chunk that is done. Raises ClusterLost or WorkerDied: there are none."""
         from distributed import KilledWorker
 
-        if landed.cancelled():
+        error = None if landed.cancelled() else landed.exception()
+        if landed.cancelled() or (error is not None and flight.task.status != "error"):
             raise self._gone()
-        error = landed.exception()
-        runs = f"runs {chunk[0]} to {chunk[-1]}"
+        runs = f"runs {flight.chunk[0]} to {flight.chunk[-1]}"
         if isinstance(error, KilledWorker):
             deaths, last = error.allowed_failures + 1, error.last_worker.address
             raise WorkerDied(f"{runs}: {deaths} workers died with them, the last of them {last}")
@@ -206,7 +236,7 @@ def _workshop(order: Order) -> Workshop:
     workshop = Workshop.of_sweep(order.sweep, order.identity)
     number, drawn, expected = json.loads(order.witness)
     (answer,) = workshop.answers([[number, drawn]])
-    if answer["row"] != expected:
+    if json.dumps(answer["row"]) != json.dumps(expected):
         parts = ", ".join(name for name, value in expected.items() if answer["row"].get(name) != value)
         raise NotTheSame(
             f"run {number} comes to another result than where the campaign was started ({parts}): "

@@ -208,6 +208,18 @@ def test_a_worker_that_comes_to_other_results_is_refused(
         run_campaign(done.plan, tmp_path / "out", dask=cluster.scheduler_address)
 
 
+def broken(_order: on_dask.Order, _chunk: list[int]) -> list[Answer]:
+    raise PermissionError("no such right")
+
+
+def test_an_error_of_a_worker_is_not_taken_for_one_of_the_connection(
+    done: Campaign, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(on_dask, "run_chunk", broken)
+    with pytest.raises(WorkerDied, match="a Dask worker failed with PermissionError: no such right"):
+        run_campaign(done.plan, tmp_path / "out", dask=cluster.scheduler_address)
+
+
 def deadly(_order: on_dask.Order, _chunk: list[int]) -> list[Answer]:
     os.kill(os.getpid(), signal.SIGKILL)
     return []
