@@ -1,7 +1,8 @@
 """A campaign from its sweep to its table: runs, stops, goes on, and says what came of it."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 
 from drivers.errors import BadInput, BenchError
 from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.campaign.on_dask import dask_client, rows_on_dask
 from hil.campaign.plan import CampaignPlan, GridAxis
-from hil.campaign.pool import rows_of
+from hil.campaign.pool import RowSource, rows_of
 from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
-from hil.campaign.worker import Row, Workshop
+from hil.campaign.worker import NotTheSame, Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.reviewing.certificate_meter import CertificateState
 from hil.verdict.summary import Summary
@@ -37,12 +39,6 @@ class CampaignProgress(NamedTuple):
     runs_per_s: float
     left_s: float
     """Until all planned runs are done; a stopping rule may end it before."""
-
-
-class NotTheSame(BenchError):
-    """A run that was repeated came to another digest: something in it is not deterministic."""
-
-    exit_status = 70
 
 
 class CounterExample(BenchError):
@@ -231,35 +227,55 @@ def run_campaign(
     out: str | os.PathLike[str],
     *,
     workers: int | None = None,
+    dask: str | None = None,
     resume: bool = False,
     against_certificate: bool = False,
     stop: StopRequest | None = None,
-    progress: Callable[[CampaignProgress], None] = lambda _: None,
+    progress: Callable[[CampaignProgress], object] = lambda _: None,
 ) -> Campaign:
     """Run a sweep file to its end; from any thread.
 
     ``out``: folder of the campaign, new or empty; with ``resume`` also that of the same sweep, which goes on
     where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
+    ``dask``: address of a Dask scheduler, whose workers run it instead.
     ``against_certificate``: a counter-example ends it, see :meth:`Campaign.hold_certificate`.
-    Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, Interrupted; what is
-    stored then stays, and can be resumed.
+    Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, ClusterLost,
+    Interrupted; what is stored then stays, and can be resumed.
     """
     plan = sweep if isinstance(sweep, CampaignPlan) else CampaignPlan.load(Path(sweep))
     campaign = Campaign(Path(out), plan)
-    store = open_campaign(campaign.folder, plan, resume)
-    with stop_signals(stop) as asked:
-        enough = Enough(plan, against_certificate)
-        _run(plan, store, workers or len(os.sched_getaffinity(0)), asked, progress, enough)
+    with stop_signals(stop) as asked, _row_maker(plan, workers, dask, asked) as make_rows:
+        store = open_campaign(campaign.folder, plan, resume)
+        _run(plan, store, make_rows, progress, Enough(plan, against_certificate))
         _record_failures(campaign)
     return campaign
+
+
+RowMaker = Callable[[range], RowSource]
+
+
+@contextmanager
+def _row_maker(
+    plan: CampaignPlan, workers: int | None, dask: str | None, stop: StopRequest
+) -> Iterator[RowMaker]:
+    """Who makes the rows of runs. Raises BadInput before anything is written."""
+    if dask is None:
+        cores = len(os.sched_getaffinity(0))
+        yield lambda numbers: rows_of(plan, numbers, workers or cores, stop)
+        return
+    if workers is not None:
+        raise BadInput(
+            "--workers", "", workers, "nothing beside --dask", "its workers are those of the cluster"
+        )
+    with dask_client(dask) as client:
+        yield lambda numbers: rows_on_dask(client, plan, numbers, stop)
 
 
 def _run(
     plan: CampaignPlan,
     store: RunStore,
-    workers: int,
-    stop: StopRequest,
-    progress: Callable[[CampaignProgress], None],
+    make_rows: RowMaker,
+    progress: Callable[[CampaignProgress], object],
     enough: Enough,
 ) -> None:
     passed = 0
@@ -271,7 +287,7 @@ def _run(
     clock = MonotonicClock()
     began = stored_at = clock.now()
     first, fresh = store.count, list[Row]()
-    rows = rows_of(plan, range(first, plan.count), workers, stop)
+    rows = make_rows(range(first, plan.count))
     try:
         for row in rows:
             fresh.append(row)

@@ -1,9 +1,7 @@
 """Rows of runs from several processes, in order of their number; one that dies is replaced.
 
-    here -> worker   lines of JSON: where the plan is; then run numbers with what they draw, a chunk each
-    worker -> here   "ready"; then a line for each run: its row; or why there is none
-
-Results come in any order and leave in order, so nothing behind this file can depend on who ran what.
+here -> worker   lines of JSON: where the plan is; then run numbers with what they draw, a chunk each
+worker -> here   "ready"; then a line for each run: its row; or why there is none
 """
 
 import json
@@ -12,20 +10,14 @@ import selectors
 import subprocess
 from collections import deque
 from collections.abc import Generator
-from pathlib import Path
 from typing import Any, Final
 
-from drivers.errors import BadInput, BenchError
-from drivers.timebase import NS_PER_S
+from hil.campaign.chunks import EACH_HOLDS, Chunks, WorkerDied
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import Row, Workshop
 from hil.machine.stopping import Interrupted, StopRequest
 from virtual_bus.child_python import python_command, python_environment
 
-CHUNK_NS: Final = NS_PER_S // 2
-"""What a chunk is to take: a thousand times its handing over, and little to lose with a worker."""
-AHEAD: Final = 64
-"""Chunks that may be done before one that is missing: bounds what waits in memory."""
 DEATHS_MAX: Final = 3
 """A run during which so many workers died is the cause; so many that died in a row before they were ready are
 no accident."""
@@ -35,18 +27,6 @@ MODULE: Final = "hil.campaign.worker_process"
 
 RowSource = Generator[Row, None, None]
 """To be closed when no more are needed: then its processes are gone."""
-
-
-class WorkerDied(BenchError):
-    """A run kills its process, or none can be started."""
-
-    exit_status = 70
-
-
-class SweepChanged(BenchError):
-    """A worker has read another sweep than the campaign."""
-
-    exit_status = 2
 
 
 def rows_here(plan: CampaignPlan, numbers: range, stop: StopRequest) -> RowSource:
@@ -121,14 +101,9 @@ class WorkerPool:
         self._plan, self._workers, self._stop = plan, workers, stop
         self._selector = selectors.DefaultSelector()
         self._alive: list[Worker] = []
-        self._done: dict[int, Row] = {}
-        self._again: deque[list[int]] = deque()
-        """Chunks of workers that died."""
         self._deaths: dict[int, int] = {}
         self._starts_lost = 0
         """Workers in a row that died before they were ready."""
-        self._cost_ns = CHUNK_NS
-        """Of a run, as measured; before the first a chunk is one run."""
 
     @property
     def process_ids(self) -> list[int]:
@@ -137,17 +112,14 @@ class WorkerPool:
 
     def rows(self, numbers: range) -> RowSource:
         """Of these runs. Raises BadInput of a run that cannot be run, WorkerDied, Interrupted."""
-        fresh = deque(numbers)
-        due = numbers.start
+        chunks = Chunks(self._plan, numbers)
         try:
             for _ in range(min(self._workers, len(numbers))):
                 self._start()
-            while due < numbers.stop:
-                self._hand_out(fresh, due)
-                self._listen()
-                while due in self._done:
-                    yield self._done.pop(due)
-                    due += 1
+            while chunks.left:
+                self._hand_out(chunks)
+                self._listen(chunks)
+                yield from chunks.rows()
         finally:
             for worker in self._alive:
                 worker.end()
@@ -159,49 +131,39 @@ class WorkerPool:
         self._alive.append(worker)
         self._selector.register(worker.output, selectors.EVENT_READ, worker)
 
-    def _hand_out(self, fresh: deque[int], due: int) -> None:
-        """Two chunks for each worker, so that none waits for the next."""
+    def _hand_out(self, chunks: Chunks) -> None:
         for worker in self._alive:
-            while worker.ready and len(worker.chunks) < 2 and (self._again or fresh):
-                size = max(1, CHUNK_NS // max(1, self._cost_ns))
-                known = 0 if self._again else self._plan.known - fresh[0]
-                if not self._again and (fresh[0] - due > AHEAD * size or not known):
+            while worker.ready and len(worker.chunks) < EACH_HOLDS:
+                chunk = chunks.next(self._workers)
+                if chunk is None:
                     return
-                if self._again:
-                    chunk = self._again.popleft()
-                else:
-                    chunk = [fresh.popleft() for _ in range(min(size, known, len(fresh)))]
                 worker.chunks.append(chunk)
-                worker.send([[number, self._plan.drawn(number)] for number in chunk])
+                worker.send(chunks.drawn(chunk))
 
-    def _listen(self) -> None:
+    def _listen(self, chunks: Chunks) -> None:
         for key, _ in self._selector.select(timeout=0.2):
             worker: Worker = key.data
             lines = worker.lines()
             if lines is None:
+                chunks.put_back(worker.chunks)
                 self._replace(worker)
                 continue
             for line in lines:
-                self._take(worker, line)
+                self._take(worker, line, chunks)
         if self._stop():
             raise Interrupted(f"ended by {self._stop.asked_by}")
 
-    def _take(self, worker: Worker, line: dict[str, Any]) -> None:
+    def _take(self, worker: Worker, line: dict[str, Any], chunks: Chunks) -> None:
         if "ready" in line:
             worker.ready = True
             self._starts_lost = 0
-        elif "row" in line:
-            row: Row = line["row"]
-            self._done[row["run"]] = row
-            self._cost_ns = int(0.9 * self._cost_ns + 0.1 * line["took_ns"])
-            worker.chunks[0].remove(row["run"])
-            if not worker.chunks[0]:
-                worker.chunks.popleft()
-        else:
-            raise _error_of(line)
+            return
+        worker.chunks[0].remove(chunks.take(line))
+        if not worker.chunks[0]:
+            worker.chunks.popleft()
 
     def _replace(self, worker: Worker) -> None:
-        """It died: what it had not done is done by others, first of all."""
+        """It died."""
         self._selector.unregister(worker.output)
         self._alive.remove(worker)
         status = worker.status()
@@ -213,7 +175,6 @@ class WorkerPool:
             self._deaths[number] = self._deaths.get(number, 0) + 1
             if self._deaths[number] == DEATHS_MAX:
                 raise WorkerDied(f"run {number}: {DEATHS_MAX} workers died with it, with status {status}")
-        self._again.extend(worker.chunks)
         self._start()
 
     def _count_start(self, status: int) -> None:
@@ -227,29 +188,8 @@ class WorkerPool:
             raise WorkerDied(told)
 
 
-def _error_of(line: dict[str, Any]) -> BenchError:
-    """What a worker could not run."""
-    if line["status"] == BadInput.exit_status:
-        return RunRefused(line["error"])
-    return WorkerDied(line["error"])
-
-
-class RunRefused(BenchError):
-    """A run of the sweep cannot be run: its bench is at fault, or its controller's certificate."""
-
-    exit_status = 2
-
-
 def rows_of(plan: CampaignPlan, numbers: range, workers: int, stop: StopRequest) -> RowSource:
     """Of runs ``numbers`` in order; in this process if one worker is enough."""
     if workers == 1:
         return rows_here(plan, numbers, stop)
     return WorkerPool(plan, workers, stop).rows(numbers)
-
-
-def sweep_at(path: str, identity: str) -> CampaignPlan:
-    """The plan, as a worker reads it. Raises SweepChanged."""
-    plan = CampaignPlan.load(Path(path))
-    if plan.identity != identity:
-        raise SweepChanged(f"{path}, or a file that it names, has changed since the campaign began")
-    return plan

@@ -1,11 +1,12 @@
 """Runs of a campaign back to back in one process, without logger, disk or viewer."""
 
 import gc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from drivers.errors import BadInput, BenchError
+from drivers.timebase import MonotonicClock
 from hil.campaign.adaptive import Drawn
 from hil.campaign.plan import CampaignPlan, PlannedRun
 from hil.configuration.config import BenchConfig
@@ -90,6 +91,20 @@ FIGURES: Final[Mapping[str, Figure]] = {
 
 Row = dict[str, Any]
 """A row of the table of a campaign: plain values by column."""
+Answer = dict[str, Any]
+"""Of a worker, plain values: ``row`` and ``took_ns`` of a run; or ``error`` and ``status``: there is none."""
+
+
+class SweepChanged(BenchError):
+    """A worker has read another sweep than the campaign."""
+
+    exit_status = 2
+
+
+class NotTheSame(BenchError):
+    """A run that was repeated came to another digest: something in it is not deterministic."""
+
+    exit_status = 70
 
 
 class Workshop:
@@ -99,8 +114,24 @@ class Workshop:
         self._plan = plan
         self._stop = stop
         self._since_collected = 0
+        self._clock = MonotonicClock()
         gc.collect()
         gc.freeze()
+
+    @classmethod
+    def of_sweep(cls, path: str, identity: str) -> "Workshop":
+        """Of a worker, which reads the sweep by itself. Raises SweepChanged, BadInput or BadInputs."""
+        plan = CampaignPlan.load(Path(path))
+        if plan.identity != identity:
+            raise SweepChanged(f"{path}, or a file that it names, is not as it was when the campaign began")
+        return cls(plan, StopRequest())
+
+    def answers(self, chunk: Iterable[Any]) -> Iterator[Answer]:
+        """Of a chunk: pairs of a run's number and what it draws. Raises as :meth:`row`."""
+        for number, drawn in chunk:
+            began = self._clock.now()
+            row = self.row(number, Drawn(*drawn))
+            yield {"row": row, "took_ns": self._clock.now() - began}
 
     def row(self, number: int, drawn: Drawn | None = None) -> Row:
         """Run ``number``; ``drawn``: as :meth:`CampaignPlan.run` takes it.
@@ -129,6 +160,12 @@ class Workshop:
 
     def _config(self, planned: PlannedRun) -> BenchConfig:
         return self._plan.bench.changed(planned.changes).config
+
+
+def refusal(error: BenchError) -> Answer:
+    """What a worker answers where it has no row."""
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    return {"error": f"{error}{notes}", "status": error.exit_status}
 
 
 def _run(

@@ -7,11 +7,7 @@ import sys
 from typing import Any
 
 from drivers.errors import BenchError
-from drivers.timebase import MonotonicClock
-from hil.campaign.adaptive import Drawn
-from hil.campaign.pool import sweep_at
-from hil.campaign.worker import Workshop
-from hil.machine.stopping import StopRequest
+from hil.campaign.worker import Workshop, refusal
 
 
 def main() -> int:
@@ -25,17 +21,13 @@ def main() -> int:
 
     try:
         asked = json.loads(sys.stdin.readline())
-        workshop = Workshop(sweep_at(asked["sweep"], asked["identity"]), StopRequest())
+        workshop = Workshop.of_sweep(asked["sweep"], asked["identity"])
         tell({"ready": True})
-        clock = MonotonicClock()
         for line in sys.stdin:
-            for number, drawn in json.loads(line):
-                began = clock.now()
-                row = workshop.row(number, Drawn(*drawn))
-                tell({"row": row, "took_ns": clock.now() - began})
+            for answer in workshop.answers(json.loads(line)):
+                tell(answer)
     except BenchError as error:
-        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-        tell({"error": f"{error}{notes}", "status": error.exit_status})
+        tell(refusal(error))
         return error.exit_status
     except BrokenPipeError:
         """Nobody asks any more."""

@@ -26,7 +26,10 @@ class TimeHistogram:
         if not times_ns.size:
             return
         clipped = np.clip(times_ns, 0, _LARGEST_NS)
-        self._counts += np.bincount(_bucket_of(clipped), minlength=_BUCKETS)
+        places = _bucket_of(clipped)
+        first = int(places.min())
+        found = np.bincount(places - first)
+        self._counts[first : first + found.size] += found
         self.total += clipped.size
         self._smallest_ns = min(self._smallest_ns, int(clipped.min()))
         self._largest_ns = max(self._largest_ns, int(clipped.max()))
@@ -41,7 +44,8 @@ class TimeHistogram:
         if not self.total:
             return None
         rank = max(1, math.ceil(share * self.total))
-        place = int(np.searchsorted(np.cumsum(self._counts), rank))
+        first, last = _bucket_of(np.array([self._smallest_ns, self._largest_ns])).tolist()
+        place = first + int(np.searchsorted(np.cumsum(self._counts[first : last + 1]), rank))
         low, width = _bucket_range(place)
         return float(min(max(low + (width - 1) / 2, self._smallest_ns), self._largest_ns))
 

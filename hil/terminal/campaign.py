@@ -46,6 +46,12 @@ def run(
         int | None,
         typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
     ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, whose workers run it instead."
+        ),
+    ] = None,
     resume: Annotated[bool, flag("--resume", "Go on where the campaign in the folder was ended.")] = False,
     out: Annotated[
         Path | None,
@@ -77,6 +83,7 @@ def run(
                 plan,
                 folder,
                 workers=workers,
+                dask=dask,
                 resume=resume,
                 against_certificate=against is not None,
                 progress=line.show,

@@ -17,10 +17,11 @@ from drivers.errors import BadInput
 from hil import run as run_bench
 from hil.campaign import Campaign, CampaignPlan, CampaignProgress, run_campaign
 from hil.campaign import pool as pool_module
-from hil.campaign.campaign import NotTheSame
+from hil.campaign.chunks import RunRefused, WorkerDied
 from hil.campaign.figures import figures_of, grid_of
 from hil.campaign.page import write_page
-from hil.campaign.pool import DEATHS_MAX, RunRefused, Worker, WorkerDied, WorkerPool
+from hil.campaign.pool import DEATHS_MAX, Worker, WorkerPool
+from hil.campaign.worker import NotTheSame
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
