@@ -156,7 +156,8 @@ def _look_for_unconfigured(
         with _lss(network) as master:
             for address in master.search():
                 if free:
-                    master.assign(address, free[0], plan.store)
+                    if not master.assign(address, free[0], plan.store):
+                        report.notes.append(f"node {free[0]} sent no boot-up message; switch it off and on")
                     report.assigned.append((free.pop(0), address))
                 else:
                     report.unconfigured.append(address)

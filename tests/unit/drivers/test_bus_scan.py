@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from drivers.canopen.bus_scan import BusScan, NodeFound
-from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.canopen.lss import BOOT_NS, LssAddress, LssMaster
 from drivers.canopen.network import CanopenNetwork
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
@@ -191,13 +191,23 @@ def test_an_assigned_device_boots_with_its_node_id() -> None:
     master = LssMaster(bench.network)
     (address,) = master.find_all()
     bench.frames.clear()
-    master.assign(address, 9, store=True)
-    bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
-    assert Frame(0x709, b"\x00") in bench.frames
+    servo.follow_boot_time(lambda: 2 * NS_PER_S)
+    assert master.assign(address, 9, store=True)
+    assert bench.frames[-1] == Frame(0x709, b"\x00"), "it was left to boot, and not asked meanwhile"
     assert not master.any_unconfigured()
     assert master.find_all() == []
     assert bench.network.upload(9, 0x1018, 4) == (77).to_bytes(4, "little")
     assert servo.node_id == 9
+
+
+def test_a_device_that_does_not_boot_with_its_node_id_is_told() -> None:
+    bench = Bench()
+    bench.add(UNCONFIGURED, 77).follow_boot_time(lambda: 60 * NS_PER_S)
+    master = LssMaster(bench.network)
+    (address,) = master.find_all()
+    began = bench.timeline.now
+    assert not master.assign(address, 9)
+    assert BOOT_NS <= bench.timeline.now - began < BOOT_NS + NS_PER_S
 
 
 def test_a_search_gets_through_where_frames_are_lost() -> None:
