@@ -5,22 +5,25 @@ commands the drive any more.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
+from drivers.canopen.nmt_states import NmtCommand
 from drivers.cia402.profile import State
 from drivers.errors import BenchError, DriveInFault, LimitExceeded, PeerFault, PowerLost
 from drivers.timebase import NS_PER_MS, Instant
 from hil import run
 from hil.control.own_code import OwnCodeFailed
 from hil.machine.stopping import StopRequest
+from tests.exits.written_witness import SYNC_ID
 from tests.scenario.processes import EXAMPLES
 from tests.swarm.witness import DriveWitness, witnessed
 from virtual_bus.drive.motor_kernel import S_SPEED
+from virtual_bus.frame import Frame
 
 TURNING_RAD_S: Final = 30.0
 STILL_RAD_S: Final = 0.5
@@ -122,7 +125,24 @@ class ShaftWitness(DriveWitness):
             assert state is not State.OPERATION_ENABLED, f"enabled after {ms} ms"
 
 
-def rests(changes: Mapping[str, Any], ends_in: type[BenchError] | None, stop_at_s: float = math.inf) -> None:
+class ResetWitness(ShaftWitness):
+    """Another master resets the drive's communication, which takes it off the bus until its boot-up."""
+
+    syncs = 0
+
+    def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
+        self.syncs += frame.can_id == SYNC_ID
+        if frame.can_id == SYNC_ID and self.syncs == round(STRUCK_S * 1000):
+            super().receive(Frame(0x000, bytes([NmtCommand.RESET_COMMUNICATION, 1])), now)
+        return super().receive(frame, now)
+
+
+def rests(
+    changes: Mapping[str, Any],
+    ends_in: type[BenchError] | None,
+    stop_at_s: float = math.inf,
+    witness_of: type[ShaftWitness] = ShaftWitness,
+) -> None:
     witnesses: list[DriveWitness] = []
     stop = StopRequest()
 
@@ -130,7 +150,7 @@ def rests(changes: Mapping[str, Any], ends_in: type[BenchError] | None, stop_at_
         if phase == "running" and elapsed_s >= stop_at_s:
             stop.ask()
 
-    with witnessed(witnesses, ShaftWitness), nullcontext() if ends_in is None else pytest.raises(ends_in):
+    with witnessed(witnesses, witness_of), nullcontext() if ends_in is None else pytest.raises(ends_in):
         run(EXAMPLES / "position_csp.toml", changes, stop=stop, progress=progress)
     (witness,) = witnesses
     assert isinstance(witness, ShaftWitness)
@@ -156,3 +176,8 @@ def test_a_controller_that_raises_ends_with_the_shaft_at_rest(tmp_path: Path, mo
     code.write_text(OWN)
     own = {"kind": "python", "object": f"{code}:Failing", "parameters": {"mode": mode}}
     rests({**bench_of(mode), "drive.axis1.controller": own, "reference": {}}, OwnCodeFailed)
+
+
+@pytest.mark.parametrize("mode", LEVELS)
+def test_a_drive_that_another_master_resets_ends_with_the_shaft_at_rest(mode: str) -> None:
+    rests(bench_of(mode), PeerFault, witness_of=ResetWitness)
