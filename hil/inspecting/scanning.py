@@ -129,6 +129,7 @@ def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
             say("asking the nodes 1 to 127")
             scan.probe()
             _look_for_unconfigured(network, plan, scan, report, say)
+            scan.read_booted()
         report.nodes = scan.found()
         if scan.traffic.running:
             report.notes.append("a network is running: SYNC or process data are on the bus")

@@ -57,8 +57,9 @@ class Bench:
         self.servos = [self.add(node) for node in nodes]
         self.network.pump(Instant(NS_PER_MS))
 
-    def add(self, node: int, serial_number: int | None = None) -> SimulatedServo:
+    def add(self, node: int, serial_number: int | None = None, boot_ns: int = 0) -> SimulatedServo:
         servo = SimulatedServo(node, LING2012.parameters)
+        servo.follow_boot_time(lambda: boot_ns)
         if serial_number is not None:
             identity = servo.dictionary.variable(0x1018, 4)
             identity.value = identity.default = serial_number
@@ -94,6 +95,20 @@ def test_nodes_are_found_with_what_they_say_of_themselves() -> None:
         assert node.note == ""
     assert found[1].heartbeat_ms == 100
     assert found[1].heard["heartbeat"] >= 9
+
+
+def test_a_node_that_boots_while_it_is_asked_is_read_once_it_has() -> None:
+    bench = Bench([1])
+    bench.add(9, boot_ns=2 * NS_PER_S)
+    scan = bench.scan(0.1)
+    scan.probe()
+    scan.read_booted()
+    assert list(scan.nodes) == [1], "it is silent"
+    bench.network.pump(Instant(2 * NS_PER_S + 10 * NS_PER_MS))
+    bench.frames.clear()
+    scan.read_booted()
+    assert [node.serial_number for node in scan.found()] == [1, 9]
+    assert {frame.can_id for frame in bench.frames} == {0x589, 0x609}, "nobody is read twice"
 
 
 def test_listening_sends_nothing() -> None:
