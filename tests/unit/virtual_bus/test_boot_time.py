@@ -31,6 +31,9 @@ class Tap:
         segment.add_monitor(lambda frame, at: self.seen.append((at, frame)))
         self.pass_ms(1)
 
+    def state(self) -> NmtState:
+        return self.servo.state
+
     def pass_ms(self, milliseconds: int) -> None:
         self.timeline.run_until(Instant(self.timeline.now + milliseconds * NS_PER_MS))
 
@@ -55,12 +58,12 @@ def test_nothing_is_heard_of_it_until_its_boot_up(reset: int) -> None:
         tap.send(0x080)
         tap.send(0x205, b"\x0f\x00\x00\x00")
         tap.send(0x000, b"\x01\x05")
-    assert tap.servo.state is NmtState.INITIALISING
+    assert tap.state() is NmtState.INITIALISING
     tap.pass_ms(60)
     ((at, frame),) = tap.told(began)
     assert frame == BOOT_UP
     assert 40 * NS_PER_MS <= at - began <= 40 * NS_PER_MS + FRAME_NS
-    assert tap.servo.state is NmtState.PRE_OPERATIONAL, "the start it was sent while it booted went by"
+    assert tap.state() is NmtState.PRE_OPERATIONAL, "the start it was sent while it booted went by"
     tap.send(0x605, UPLOAD)
     assert tap.seen[-1][1].can_id == 0x585
 
