@@ -7,6 +7,7 @@ import pytest
 from drivers.canopen.bus_scan import BusScan, NodeFound
 from drivers.canopen.lss import BOOT_NS, LssAddress, LssMaster
 from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import FramePort
@@ -264,3 +265,13 @@ def test_nobody_to_find() -> None:
     assert not master.any_unconfigured()
     assert master.find_all() == []
     assert bench.timeline.now - began < 400 * NS_PER_MS
+
+
+def test_a_drive_is_waited_for_while_it_boots() -> None:
+    bench = Bench()
+    bench.add(5, boot_ns=3 * NS_PER_S)
+    assert ServoDrive(bench.network, 5).connect(Instant(5 * NS_PER_S)).serial == 5
+    assert 3 * NS_PER_S < bench.timeline.now < 4 * NS_PER_S
+    bench.add(6, boot_ns=10 * NS_PER_S)
+    with pytest.raises(NoAnswer):
+        ServoDrive(bench.network, 6).connect(Instant(8 * NS_PER_S))
