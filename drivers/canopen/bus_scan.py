@@ -151,6 +151,15 @@ class BusScan:
                 node.note = "not asked: another master uses its SDO channel"
         self._take_states()
 
+    def read_booted(self) -> None:
+        """Read the nodes that were asked while they booted, and have sent their boot-up message since."""
+        for node_id in NODES:
+            new = node_id not in self._read_already and not self.traffic.masters_on(node_id)
+            if new and self._network.status(node_id).boot_ups:
+                self._read_already.add(node_id)
+                self._read(self._node(node_id))
+        self._take_states()
+
     def found(self) -> list[NodeFound]:
         """The nodes, by number."""
         return [self.nodes[node_id] for node_id in sorted(self.nodes)]

@@ -16,13 +16,15 @@ from typing import NamedTuple
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.errors import NoAnswer, PeerFault
-from drivers.timebase import NS_PER_MS, Duration, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
 ANSWER_NS = Duration(20 * NS_PER_MS)
 """Wait for an answer of a fast scan; half of the 128 steps wait for all of it."""
 PATIENCE_NS = Duration(500 * NS_PER_MS)
 """Wait for the answer to a service that one device confirms."""
+BOOT_NS = Duration(5 * NS_PER_S)
+"""Wait for the boot-up message of a device that got its node-ID: slow drives take seconds."""
 ATTEMPTS = 4
 TRIALS = 3
 ASK_AGAIN = 2
@@ -123,8 +125,9 @@ class LssMaster:
         """All that :meth:`search` finds; it raises what that raises."""
         return list(self.search(limit))
 
-    def assign(self, address: LssAddress, node_id: int, store: bool = False) -> None:
-        """Give the device its node-ID, have it store that if ``store``, and let it boot.
+    def assign(self, address: LssAddress, node_id: int, store: bool = False) -> bool:
+        """Give the device its node-ID, have it store that if ``store``, and wait until it has booted; False:
+        no boot-up message came.
 
         Raises NoAnswer if it does not answer, PeerFault if it refuses.
         """
@@ -134,8 +137,14 @@ class LssMaster:
             self._confirmed(_CONFIGURE_NODE_ID, node_id, f"node-ID {node_id}", address)
             if store:
                 self._confirmed(_STORE, 0, "to store its node-ID", address)
+            status = self._network.status(node_id)
+            boot_ups = status.boot_ups
         finally:
             self.to_waiting()
+        deadline = self._network.deadline_after(BOOT_NS)
+        while status.boot_ups == boot_ups and self._network.clock.now() < deadline:
+            self._network.pump(min(deadline, self._network.deadline_after(self._answer)))
+        return status.boot_ups != boot_ups
 
     # ---- inside ---------------------------------------------------------------------------------------
 

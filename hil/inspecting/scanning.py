@@ -129,6 +129,7 @@ def scan_bus(plan: ScanPlan, say: Callable[[str], None]) -> BusReport:
             say("asking the nodes 1 to 127")
             scan.probe()
             _look_for_unconfigured(network, plan, scan, report, say)
+            scan.read_booted()
         report.nodes = scan.found()
         if scan.traffic.running:
             report.notes.append("a network is running: SYNC or process data are on the bus")
@@ -156,7 +157,8 @@ def _look_for_unconfigured(
         with _lss(network) as master:
             for address in master.search():
                 if free:
-                    master.assign(address, free[0], plan.store)
+                    if not master.assign(address, free[0], plan.store):
+                        report.notes.append(f"node {free[0]} sent no boot-up message; switch it off and on")
                     report.assigned.append((free.pop(0), address))
                 else:
                     report.unconfigured.append(address)

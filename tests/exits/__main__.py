@@ -11,7 +11,7 @@ from tests.exits.cells import CELLS, Cell
 from tests.exits.findings import findings
 from tests.exits.one_run import Ended, run_cell
 
-LINE = "{:10}{:8}{:10}{:13}{:28}{:>7}{:>11}{:>10}"
+LINE = "{:10}{:8}{:10}{:13}{:5}{:28}{:>7}{:>11}{:>10}"
 
 
 def main() -> None:
@@ -50,7 +50,7 @@ def line(ended: Ended) -> str:
 
 def print_table(lines: Iterable[str]) -> None:
     """Rest: from what befell it until the drive was at rest for good, as a witness in the drive saw it."""
-    print(LINE.format("bus", "whom", "what", "phase", "outcome", "status", "rest [ms]", "rows lost"))
+    print(LINE.format("bus", "whom", "what", "phase", "mode", "outcome", "status", "rest [ms]", "rows lost"))
     for text in lines:
         print(text)
 

@@ -20,6 +20,8 @@ class Cell(NamedTuple):
     victim: str
     deed: str
     phase: str
+    mode: str = "cst"
+    """In which the drive is run."""
 
     def __str__(self) -> str:
         return " ".join(self)
@@ -34,8 +36,14 @@ CELLS: Final = tuple(
     )
     for deed in deeds
     for phase in PHASES
+) + tuple(
+    Cell(HUB, victim, deed, phase, mode)
+    for mode in ("csv", "csp")
+    for victim in (HOST, BROKER, DRIVE)
+    for deed in (KILL, STOP, TERMINATE)
+    for phase in ("enabling", RUNNING, STOPPING)
 )
-
+"""What the drive is given matters while it is enabled, to those who move it."""
 
 _STATUSES: Final = {
     (HOST, KILL): (6,),

@@ -65,6 +65,10 @@ _MISHAPS: Final = {
     (DISK, FULL): Mishap.DISK_FULL,
     (DISK, SLOW): Mishap.DISK_SLOW,
 }
+_CONTROLLERS: Final = {
+    "csv": {"kind": "position", "made_for": {"delay_us": 10_000, "speed_bandwidth_hz": 30}},
+    "csp": {"kind": "stream"},
+}
 _POLL_NS: Final = NS_PER_MS
 _NUMBERS: Final = itertools.count()
 
@@ -97,14 +101,18 @@ class Ended:
         return max(0, drive.cycles - int(np.sum(self.ran.rows["fate"] != FATE_MISSED)))
 
 
-def config() -> BenchConfig:
+def config(mode: str) -> BenchConfig:
     """A second in which the shaft turns, and of which nothing is asked that a disturbance could break."""
     tables = tomllib.loads(BENCH.read_text(encoding="utf-8"))
     tables["bench"]["duration_s"] = DURATION_S
     tables["host"]["connect_timeout_s"] = 3.0
     # a cycle is recorded when its fate is known: after so many periods at the latest
     tables["loop"]["horizon_periods"] = 5
-    tables["reference"] = {"axis1": [{"at_s": 0.0, "kind": "ramp", "speed_rpm": 600.0, "over_s": 0.2}]}
+    level: dict[str, float] = {"speed_rpm": 600.0, "over_s": 0.2}
+    if mode != "cst":
+        level = {"position_rad": 60.0, "over_s": 1.0}
+        tables["drive"]["axis1"] |= {"mode": mode, "controller": _CONTROLLERS[mode]}
+    tables["reference"] = {"axis1": [{"at_s": 0.0, "kind": "ramp", **level}]}
     tables["verdict"] = {"dropouts_percent_max": 100.0}
     del tables["load"]
     return bench_from(tables, "exits", BENCH.parent)
@@ -115,7 +123,7 @@ class Host:
 
     def __init__(self, cell: Cell, bus: str, folder: Path) -> None:
         bench, self._disk, kept = folder / "bench.toml", folder / "disk", folder / "kept"
-        bench.write_text(config().resolved_text(), encoding="utf-8")
+        bench.write_text(config(cell.mode).resolved_text(), encoding="utf-8")
         self._disk.mkdir()
         self.slow, self.witness = folder / "slow", folder / "witness"
         self._told, told = os.pipe()
@@ -197,7 +205,7 @@ def _run(cell: Cell, host: Host, bus: str, drive: DriveProcess | None) -> Ended:
     killed_at = struck_at if mishap is Mishap.HOST_KILLED else None
     told = Told(status, out, said, [WrittenTestimony(1, host.witness)], killed_at)
     around = Circumstances(mishap, 0.0, 0, ())
-    ran = Ran(config(), around, host.folder, told, statuses(cell), TELLING_NS)
+    ran = Ran(config(cell.mode), around, host.folder, told, statuses(cell), TELLING_NS)
     return Ended(cell, struck_at, rest, ran)
 
 

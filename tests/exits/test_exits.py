@@ -13,6 +13,8 @@ pytestmark = pytest.mark.xdist_group("real time")
 CELLS = (
     Cell("hub", "host", "kill", "enabling"),
     Cell("hub", "drive", "stop", "running"),
+    Cell("hub", "host", "kill", "running", "csp"),
+    Cell("hub", "host", "stop", "running", "csv"),
     Cell("simulated", "disk", "slow", "running"),
     Cell("simulated", "disk", "full", "stopped"),
 )

@@ -257,3 +257,20 @@ def test_all_modes_by_pdo_alone(runtime: Path, event_timer_ms: int) -> None:  # 
         assert {request[:4] for request in drive.asked} <= (
             {b"\x40\x41\x60\x00"} if not event_timer_ms else set()
         )
+
+
+@pytest.mark.parametrize("reset", ["RESET", "RESET COMMUNICATION"])
+def test_a_reset_drive_is_driven_on_from_its_boot_up(runtime: Path, reset: str) -> None:  # noqa: ARG001
+    with client(reset.replace(" ", "-")) as node:
+        heard: list[bytes] = []
+        node.network.subscribe(0x700 + NODE, lambda _id, data, _at: heard.append(bytes(data)))
+        node.nmt.state = "OPERATIONAL"
+        node.setup_402_state_machine(False)
+        node.state = "OPERATION ENABLED"
+        node.nmt.state = reset
+        assert eventually(lambda: heard[-1:] == [b"\0"])
+        assert node.nmt.state == "PRE-OPERATIONAL"
+        node.nmt.state = "OPERATIONAL"
+        node.state = "SWITCH ON DISABLED"
+        node.state = "OPERATION ENABLED"
+        assert node.state == "OPERATION ENABLED"

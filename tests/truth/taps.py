@@ -232,6 +232,10 @@ class DriveTap:
         """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.follow_bit_rate(set_bit_rate)
 
+    def follow_boot_time(self, boot_time: Callable[[], int]) -> None:
+        """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
+        self._drive.follow_boot_time(boot_time)
+
     def answer_scan_in_configuration(self) -> None:
         """See :class:`virtual_bus.device.canopen_device.CanopenDevice`."""
         self._drive.answer_scan_in_configuration()

@@ -14,7 +14,7 @@ from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
 from virtual_bus.device.device_clock import DeviceClock
@@ -69,13 +69,18 @@ class CanopenDevice:
         self._time = TimeConsumer(station)
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
-        self._lss = LssSlave(station, store, self._restart_communication)
+        self._lss = LssSlave(station, store, self._take_node_id)
         self._sdo = SdoServer(station, options.sdo_timeout_ms)
         self._heartbeat = HeartbeatProducer(station)
         self._consumers = HeartbeatConsumers(station, self._emergency, self._nmt)
         self._guarding = NodeGuarding(station, self._emergency, self._nmt, self._heartbeat)
-        for listener in (self._emergency.on_state, self._sdo.on_state, self._pdos.on_state):
-            self._nmt.add_listener(listener)
+        for part in (self._emergency, self._sdo, self._pdos, self._heartbeat):
+            self._nmt.add_listener(part.on_state)
+        self._boot_after_reset_ns = options.boot_after_reset_ms * NS_PER_MS
+        self._slow_boot: Callable[[], int] = _at_once
+        self._booting = False
+        """It hears and sends nothing until its boot-up message."""
+        self._boot_timer = station.timers.create(self._boot_up)
         self._attach_clock()
 
     def _attach_clock(self) -> None:
@@ -127,6 +132,10 @@ class CanopenDevice:
         """Have LSS set the bit rate, bit/s, of the controller that the device is behind."""
         self._lss.follow_bit_rate(set_bit_rate)
 
+    def follow_boot_time(self, boot_time: Callable[[], int]) -> None:
+        """Boot for at least as long as ``boot_time`` says, ns; it is asked once a boot, power-on included."""
+        self._slow_boot = boot_time
+
     def answer_scan_in_configuration(self) -> None:
         """From now on every frame of an LSS fast scan is answered in the configuration state too."""
         self._lss.scan_answered_in_configuration = True
@@ -151,14 +160,15 @@ class CanopenDevice:
         self._station.out.clear()
         self._storage.power_on()
         self._lss.power_on()
-        self._reset_node(now)
+        self._enter_reset(now)
+        self._restart_communication(now, 0)
         return self._take_frames()
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
         """A frame ended on the bus at ``now``; one that nobody listens to costs a dictionary look-up."""
         station = self._station
         handlers = (station.remote_handlers if frame.remote else station.data_handlers).get(frame.can_id)
-        if handlers is None or frame.extended:
+        if handlers is None or frame.extended or self._booting:
             return _NOTHING
         station.now = now
         self._application.advance(now)
@@ -203,32 +213,46 @@ class CanopenDevice:
         return frames
 
     def _reset_node(self, now: Instant) -> None:
+        self._enter_reset(now)
+        self._restart_communication(now, self._boot_after_reset_ns)
+
+    def _enter_reset(self, now: Instant) -> None:
         self._nmt.enter(NmtState.INITIALISING, now)
         self.clock.start(now)
         self._station.dictionary.restore(*_APPLICATION, self._lss.pending_node_id)
         self._emergency.reset_node()
         self._application.on_reset(now)
-        self._restart_communication(now)
 
     def _reset_communication(self, now: Instant) -> None:
         self._nmt.enter(NmtState.INITIALISING, now)
         self._emergency.reset_communication()
-        self._restart_communication(now)
+        self._restart_communication(now, self._boot_after_reset_ns)
 
-    def _restart_communication(self, now: Instant) -> None:
+    def _take_node_id(self, now: Instant) -> None:
+        """By LSS."""
+        self._restart_communication(now, self._boot_after_reset_ns)
+
+    def _restart_communication(self, now: Instant, takes_ns: int) -> None:
+        """``takes_ns``: until the boot-up message, if nothing makes it slower."""
         self._station.node_id = self._lss.pending_node_id
         self._station.dictionary.restore(*_COMMUNICATION_PROFILE, self.node_id)
         self._emergency.update_register()
-        parts = (
-            self._sdo,
-            self._pdos,
-            self._sync,
-            self._time,
-            self._consumers,
-            self._guarding,
-            self._heartbeat,
-        )
-        for part in parts:
+        for part in (self._sdo, self._pdos, self._sync, self._time, self._consumers, self._guarding):
             part.reset_communication()
+        self._boot_timer.stop()
+        takes_ns = max(takes_ns, self._slow_boot())
+        self._booting = self.node_id != UNCONFIGURED and takes_ns > 0
+        if self._booting:
+            self._boot_timer.start(Instant(now + takes_ns))
+        else:
+            self._boot_up(now)
+
+    def _boot_up(self, now: Instant) -> None:
+        self._booting = False
+        self._heartbeat.reset_communication()
         if self.node_id != UNCONFIGURED:
             self._nmt.boot_up(now)
+
+
+def _at_once() -> int:
+    return 0

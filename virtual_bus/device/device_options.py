@@ -67,6 +67,8 @@ class DeviceOptions:
     """Sub-indices of 1003h."""
     sdo_timeout_ms: int = 3000
     """An SDO transfer in which the client falls silent for that long is aborted (05040000h)."""
+    boot_after_reset_ms: int = 0
+    """From an NMT reset, or a node-ID by LSS, until the boot-up message. From power-on it is none."""
     clock_offset_ns: int = 0
     """Reading of the device's own clock at power-on."""
     clock_drift_ppb: int = 0

@@ -37,6 +37,11 @@ class HeartbeatProducer:
         """Whether heartbeats are sent, so that node guarding is not served."""
         return self._period_ns > 0
 
+    def on_state(self, state: NmtState, _now: Instant) -> None:
+        """A device that boots tells nothing until it has."""
+        if state is NmtState.INITIALISING:
+            self._timer.stop()
+
     def reset_communication(self) -> None:
         """Take the period from the dictionary; called when the boot-up message is about to be sent."""
         self._period_ns = self._station.value(0x1017) * NS_PER_MS

@@ -7,8 +7,8 @@
     129  reset node     INITIALISING, then boot-up and PRE-OPERATIONAL, from every state
     130  reset comm.    the same, only the communication profile is reset
 
-CiA 301, 7.2.8.2 and 7.3.2. INITIALISING takes no time here, but in a device without a
-node-ID, which stays there until LSS gives it one.
+CiA 301, 7.2.8.2 and 7.3.2. INITIALISING takes the time that the device takes to boot; one without a
+node-ID stays there until LSS gives it one.
 """
 
 from collections.abc import Callable
@@ -89,7 +89,7 @@ class NmtSlave:
 
     def _on_command(self, frame: Frame, now: Instant) -> None:
         if self._station.state is NmtState.INITIALISING:
-            # A device without a node-ID: it waits for LSS.
+            # A device without a node-ID: it waits for LSS. One that boots hears nothing at all.
             return
         if len(frame.data) != 2 or frame.data[1] not in (0, self._station.node_id):
             return

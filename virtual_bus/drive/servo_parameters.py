@@ -40,6 +40,9 @@ class DriveParameters(FirmwareParameters):
     """6007h."""
     heartbeat_ms: int = 0
     """1017h; 0: no heartbeat until the master asks for it."""
+    boot_after_reset_ms: int = 40
+    """From an NMT reset until the boot-up message: firmware takes tens of ms to set itself up anew. From
+    power-on none; what a drive takes then is told by ``[[slow_drive]]``."""
     clock_offset_us: int | None = None
     """Reading of 1013h at power-on; None: drawn from the seed, anywhere in its range."""
     clock_drift_ppm: float = 0.0
@@ -84,6 +87,7 @@ def device_options(node_id: int, drive: DriveParameters, seed: int) -> DeviceOpt
         rpdos=(RPDO1, *unmapped_rpdos()[1:]),
         tpdos=(TPDO1, TPDO2, *unmapped_tpdos()[2:]),
         heartbeat_ms=drive.heartbeat_ms,
+        boot_after_reset_ms=drive.boot_after_reset_ms,
         clock_offset_ns=offset_us * 1000,
         clock_drift_ppb=round(drive.clock_drift_ppm * 1000),
     )

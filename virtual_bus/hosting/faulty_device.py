@@ -1,7 +1,7 @@
 """A device that things happen to: it stands between a host and a simulated device.
 
     host -- receive, wake -->  FaultyDevice  -- receive, wake, bus_off ... -->  device
-         <-- frames -- lost while it is silent or boots, held while it is slow --
+         <-- frames -- lost while it is silent, held while it is slow --
 
 With fates it is a gateway too: frames in and out of the device are lost or held as those say, which no
 echo at the sender tells. It works on any bus, for it only lets through or keeps back what passes. A device
@@ -28,8 +28,6 @@ from virtual_bus.faults.node_faults import NodeSource, node_kind
 from virtual_bus.frame import Device, Frame
 
 _NOTHING: tuple[Frame, ...] = ()
-_NMT_RESETS = (0x81, 0x82)
-"""Reset node, reset communication (CiA 301, 7.2.8.3.1.2)."""
 _LATE, _BOOT = KIND_CODES["late"], KIND_CODES["boot"]
 
 
@@ -48,6 +46,8 @@ class SimulatedNode(Device, Protocol):
     def application(self) -> Application: ...
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None: ...
+
+    def follow_boot_time(self, boot_time: Callable[[], int]) -> None: ...
 
     def answer_scan_in_configuration(self) -> None: ...
 
@@ -104,10 +104,10 @@ class FaultyDevice:
         self._source = source
         self._log = log
         self._zero: Instant | None = None
-        self._powered_at = Instant(0)
+        self._powered_at = self._now = Instant(0)
         self._silent_until = 0
-        self._boot: tuple[int, Sequence[Frame]] | None = None
         self._boots = 0
+        device.follow_boot_time(self._boot_time)
         self._off = False
         self._out: list[Frame] = []
         """What strikes make the device send."""
@@ -142,8 +142,6 @@ class FaultyDevice:
             due = self._timers[0][0]
         if self.held:
             due = min(due, self.held.next_at())
-        if self._boot is not None and self._boot[0] < due:
-            due = self._boot[0]
         wish = self.device.wake_at
         if wish is not None and wish < due:
             return wish
@@ -151,8 +149,8 @@ class FaultyDevice:
 
     def start(self, now: Instant) -> Sequence[Frame]:
         """Power on."""
-        self._powered_at = now
-        return self._booting(self.device.start(now), now)
+        self._powered_at = self._now = now
+        return self._pass_on(self.device.start(now), now)
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
         """A frame on the bus; it meets its fate on the way in."""
@@ -166,11 +164,8 @@ class FaultyDevice:
         """The device hears ``frame`` unless it is silent, off or booting."""
         if self._deaf(now):
             return _NOTHING
+        self._now = now
         frames = self.device.receive(frame, now)
-        command = frame.data
-        resets = frame.can_id == 0 and len(command) == 2 and command[0] in _NMT_RESETS
-        if resets and command[1] in (0, self.node_id):
-            return self._booting(frames, now)
         return self._pass_on(frames, now) if frames else _NOTHING
 
     def wake(self, now: Instant) -> Sequence[Frame]:
@@ -181,10 +176,6 @@ class FaultyDevice:
         if self._zero is not None:
             while self._strike_at() <= now:
                 self._strike(self._source.take(), now)
-        if self._boot is not None and self._boot[0] <= now:
-            boot_up = self._boot[1]
-            self._boot = None
-            out += self._pass_on(boot_up, now)
         while (held := self.held.take(now)) is not None:
             self._let_go(_Stage(held[3]), held[2], now, out)
         wish = self.device.wake_at
@@ -233,19 +224,16 @@ class FaultyDevice:
         return NEVER if due == NEVER else self._zero + due
 
     def _deaf(self, now: Instant) -> bool:
-        return now < self._silent_until or self._off or (self._boot is not None and now < self._boot[0])
+        return now < self._silent_until or self._off
 
-    def _booting(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
-        """The device has just been started; it takes its time for the boot-up."""
+    def _boot_time(self) -> int:
+        """The device has just been started; what it was about to send is gone."""
         takes = self._source.boot_time()
         n, self._boots = self._boots, self._boots + 1
-        if takes == 0:
-            return self._pass_on(frames, now)
-        if self._log is not None:
-            self._log.note(_BOOT, now - self._powered_at, self.node_id, 0, n, takes)
+        if takes and self._log is not None:
+            self._log.note(_BOOT, self._now - self._powered_at, self.node_id, 0, n, takes)
         self.held.clear()
-        self._boot = (now + takes, frames)
-        return _NOTHING
+        return takes
 
     def _pass_on(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
         """``frames`` as they go out: at once, later, or never."""

@@ -86,11 +86,9 @@ class MasterSuite:
             assert found
             lss.configure_node_id(OTHER)
             lss.store_configuration()
-            lss.send_switch_state_global(lss.WAITING_STATE)
             node = self.node(network, OTHER)
-            assert eventually(
-                lambda: node.nmt.state == "PRE-OPERATIONAL" or bool(node.sdo[0x1018][1].raw + 1)
-            )
+            lss.send_switch_state_global(lss.WAITING_STATE)
+            assert eventually(lambda: node.nmt.state == "PRE-OPERATIONAL")  # by its boot-up message
             assert node.sdo[0x1018][2].raw == identity[1]
             assert lss.send_switch_state_selective(*identity)
             assert lss.inquire_node_id() == OTHER

@@ -4,6 +4,7 @@ import pytest
 
 from drivers.canopen.nmt_states import NmtState
 from tests.contract.conformance.rig import (
+    BOOT_UP,
     GUARD,
     NODE,
     RESET_COMMUNICATION,
@@ -15,11 +16,9 @@ from tests.contract.conformance.rig import (
     initiate,
 )
 from tests.contract.conformance.rule import Rules
-from virtual_bus.frame import Frame
 
 RULES = Rules()
 rule = RULES.of
-BOOT_UP = Frame(GUARD, b"\x00")
 COMMANDS = {*STATE_COMMANDS.values(), RESET_NODE, RESET_COMMUNICATION}
 
 

@@ -14,6 +14,7 @@ from virtual_bus.frame import Frame
 
 NODE = 5
 GUARD = 0x700 + NODE
+BOOT_UP = Frame(GUARD, b"\x00")
 SDO_REQUEST, SDO_RESPONSE = 0x600 + NODE, 0x580 + NODE
 PATIENCE_S = 20.0
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
@@ -91,8 +92,15 @@ class Rig:
         return self.fence()[1]
 
     def nmt(self, command: int, node: int = NODE) -> list[Frame]:
-        """An NMT command and what comes of it."""
-        return self.ask(0x000, bytes([command, node]))
+        """An NMT command and what comes of it; after a reset the device is left to boot first."""
+        resets = command in (RESET_NODE, RESET_COMMUNICATION)
+        if resets:
+            self.fence()  # the boot-up of power-on is none that answers
+        self.send(0x000, bytes([command, node]))
+        came: list[Frame] = []
+        while resets and BOOT_UP not in came:
+            came.append(self.receive()[0])
+        return came + self.fence()[0]
 
     def enter(self, state: NmtState) -> None:
         """Go to ``state``."""

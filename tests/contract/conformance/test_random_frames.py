@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
-from drivers.timebase import NS_PER_US, Instant
+from drivers.timebase import NS_PER_MS, NS_PER_US, Instant
 from tests.contract.conformance.rig import GUARD, NODE, SDO_REQUEST, initiate
 from tests.motors import LING
 from virtual_bus.drive.servo import SimulatedServo
@@ -20,6 +20,7 @@ from virtual_bus.frame import Frame
 EXAMPLES, FRAMES = 250, 400
 """10^5 frames in all."""
 FRAME_GAP_NS = 130 * NS_PER_US
+BOOT_NS = 100 * NS_PER_MS
 WAKES_MAX = 50
 FRAMES_OUT_MAX = 300
 SERVED = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
@@ -104,7 +105,12 @@ class Ordeal:
         node_id = self.device.node_id
         if node_id <= NODE_ID_MAX:
             self.put(Frame(0x000, bytes([129, 0])))
-            assert self.device.state in (NmtState.PRE_OPERATIONAL, NmtState.INITIALISING)
+            ends_at = self.now + BOOT_NS
+            boot_up: list[Frame] = []
+            while not boot_up and (due := self.device.wake_at) is not None and due <= ends_at:
+                boot_up += [frame for frame in self.device.wake(due) if frame.can_id >= 0x700]
+            assert boot_up == [Frame(0x700 + self.device.node_id, b"\x00")]
+            assert self.device.state is NmtState.PRE_OPERATIONAL
 
 
 DRAWS = st.lists(

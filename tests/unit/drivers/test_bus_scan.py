@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import pytest
 
 from drivers.canopen.bus_scan import BusScan, NodeFound
-from drivers.canopen.lss import LssAddress, LssMaster
+from drivers.canopen.lss import BOOT_NS, LssAddress, LssMaster
 from drivers.canopen.network import CanopenNetwork
+from drivers.cia402.servo import ServoDrive
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from drivers.wire.frame_port import FramePort
@@ -57,8 +58,9 @@ class Bench:
         self.servos = [self.add(node) for node in nodes]
         self.network.pump(Instant(NS_PER_MS))
 
-    def add(self, node: int, serial_number: int | None = None) -> SimulatedServo:
+    def add(self, node: int, serial_number: int | None = None, boot_ns: int = 0) -> SimulatedServo:
         servo = SimulatedServo(node, LING2012.parameters)
+        servo.follow_boot_time(lambda: boot_ns)
         if serial_number is not None:
             identity = servo.dictionary.variable(0x1018, 4)
             identity.value = identity.default = serial_number
@@ -94,6 +96,20 @@ def test_nodes_are_found_with_what_they_say_of_themselves() -> None:
         assert node.note == ""
     assert found[1].heartbeat_ms == 100
     assert found[1].heard["heartbeat"] >= 9
+
+
+def test_a_node_that_boots_while_it_is_asked_is_read_once_it_has() -> None:
+    bench = Bench([1])
+    bench.add(9, boot_ns=2 * NS_PER_S)
+    scan = bench.scan(0.1)
+    scan.probe()
+    scan.read_booted()
+    assert list(scan.nodes) == [1], "it is silent"
+    bench.network.pump(Instant(2 * NS_PER_S + 10 * NS_PER_MS))
+    bench.frames.clear()
+    scan.read_booted()
+    assert [node.serial_number for node in scan.found()] == [1, 9]
+    assert {frame.can_id for frame in bench.frames} == {0x589, 0x609}, "nobody is read twice"
 
 
 def test_listening_sends_nothing() -> None:
@@ -191,13 +207,23 @@ def test_an_assigned_device_boots_with_its_node_id() -> None:
     master = LssMaster(bench.network)
     (address,) = master.find_all()
     bench.frames.clear()
-    master.assign(address, 9, store=True)
-    bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
-    assert Frame(0x709, b"\x00") in bench.frames
+    servo.follow_boot_time(lambda: 2 * NS_PER_S)
+    assert master.assign(address, 9, store=True)
+    assert bench.frames[-1] == Frame(0x709, b"\x00"), "it was left to boot, and not asked meanwhile"
     assert not master.any_unconfigured()
     assert master.find_all() == []
     assert bench.network.upload(9, 0x1018, 4) == (77).to_bytes(4, "little")
     assert servo.node_id == 9
+
+
+def test_a_device_that_does_not_boot_with_its_node_id_is_told() -> None:
+    bench = Bench()
+    bench.add(UNCONFIGURED, 77).follow_boot_time(lambda: 60 * NS_PER_S)
+    master = LssMaster(bench.network)
+    (address,) = master.find_all()
+    began = bench.timeline.now
+    assert not master.assign(address, 9)
+    assert BOOT_NS <= bench.timeline.now - began < BOOT_NS + NS_PER_S
 
 
 def test_a_search_gets_through_where_frames_are_lost() -> None:
@@ -239,3 +265,13 @@ def test_nobody_to_find() -> None:
     assert not master.any_unconfigured()
     assert master.find_all() == []
     assert bench.timeline.now - began < 400 * NS_PER_MS
+
+
+def test_a_drive_is_waited_for_while_it_boots() -> None:
+    bench = Bench()
+    bench.add(5, boot_ns=3 * NS_PER_S)
+    assert ServoDrive(bench.network, 5).connect(Instant(5 * NS_PER_S)).serial == 5
+    assert 3 * NS_PER_S < bench.timeline.now < 4 * NS_PER_S
+    bench.add(6, boot_ns=10 * NS_PER_S)
+    with pytest.raises(NoAnswer):
+        ServoDrive(bench.network, 6).connect(Instant(8 * NS_PER_S))

@@ -55,8 +55,7 @@ def test_they_get_their_node_ids_one_after_another() -> None:
     bench = yes_sayers(*SERIALS)
     master = LssMaster(bench.network)
     for node_id, address in enumerate(master.search(), start=9):
-        master.assign(address, node_id)
-    bench.network.pump(Instant(bench.timeline.now + NS_PER_S))
+        assert master.assign(address, node_id)
     assert not master.any_unconfigured()
     told = [bench.network.upload(node_id, 0x1018, 4) for node_id in range(9, 13)]
     assert [int.from_bytes(serial, "little") for serial in told] == SERIALS

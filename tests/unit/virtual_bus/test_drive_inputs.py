@@ -108,6 +108,7 @@ def test_the_machine_outlasts_a_reset_of_the_node() -> None:
     bench.fit(0b010, positive=-1.0)
     bench.set(MACHINE, "B", 1, STO)
     bench.nmt(129)
+    bench.wait_ms(DriveParameters().boot_after_reset_ms)
     assert bench.inputs == 0b010 | INTERLOCK
     bench.control(0x06)
     assert bench.shows(State.SWITCH_ON_DISABLED)

@@ -32,6 +32,7 @@ from virtual_bus.frame import Frame
 
 MASTER = 127
 NO_BRAKE = DriveParameters(brake_torque_nm=0.0)
+BOOT_MS = DriveParameters().boot_after_reset_ms
 
 
 def supervise(bench: ServoBench, milliseconds: int = 100) -> None:  # and hears the first heartbeat
@@ -220,6 +221,7 @@ def test_reset_node_forgets_set_points_but_not_where_the_shaft_is() -> None:
     position = bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).value
     assert position > 10_000
     bench.nmt(129)
+    bench.wait_ms(BOOT_MS)
     assert bench.servo.dictionary.variable(Object.POSITION_ACTUAL_VALUE).value >= position
     assert bench.read(Object.TARGET_TORQUE, "h") == 0
     assert bench.read(LOAD_MACHINE, "i", 1) == 100, "the load machine is no part of the drive"
@@ -266,6 +268,7 @@ def test_reset_node_brings_the_limits_back_to_their_defaults() -> None:
     bench = ServoBench()
     assert bench.write(Object.MAX_TORQUE, "H", 200) is None
     bench.nmt(129)
+    bench.wait_ms(BOOT_MS)
     bench.nmt(1)
     bench.turn(milliseconds=10, torque_raw=1000)
     assert bench.read(Object.TORQUE_ACTUAL_VALUE, "h") == pytest.approx(1000, abs=5)

@@ -214,6 +214,7 @@ def test_reset_node_brings_units_and_origin_back() -> None:
     bench.set(Object.POLARITY, "B", 0xC0)
     bench.set(Object.SI_UNIT_POSITION, "I", unit_word(0, Unit.DEGREE))
     bench.nmt(129)
+    bench.wait_ms(DriveParameters().boot_after_reset_ms)
     bench.nmt(1)
     bench.set(Object.MODES_OF_OPERATION, "b", Mode.PROFILE_POSITION)
     bench.enable()
