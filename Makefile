@@ -5,6 +5,7 @@
 #   make check       format, lint, types, import rules
 #   make test        the tests that need no SocketCAN
 #   make unit        the unit tests of one room, ROOM=drivers, virtual_bus, design or hil
+#   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
 #   make swarm       hold runs drawn at random against what must be true of each, and mutated files
@@ -36,7 +37,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-vcan truth swarm rehearsals mutate exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mutate exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -98,12 +99,15 @@ format: $(TOOLS)
 	$(BIN)/ruff check --fix .
 
 test: $(TOOLS) compile
-	$(BIN)/pytest --numprocesses=2 --dist=loadgroup --ignore=tests/vcan
+	$(BIN)/pytest --numprocesses=2 --dist=loadgroup --ignore=tests/vcan --ignore=tests/dask
 
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
 unit: $(TOOLS)
 	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup tests/unit/$(ROOM)
+
+test-dask: $(TOOLS) compile
+	@$(BIN)/pytest tests/dask
 
 test-vcan: $(TOOLS) compile
 	@.ci/test-vcan $(BIN)/pytest tests/vcan

@@ -14,7 +14,10 @@ from tests.code_mutants.safety import Guarded, safety_set
 from tests.code_mutants.sample import ROOMS, callers, calls_of, room_of, sample, unit_tests
 from tests.code_mutants.workshop import ROOT, Fate, Workshop, workshop
 
-SUITE: Final = ["tests", "--ignore=tests/vcan", "--ignore=tests/code_mutants", "--ignore=tests/test_tidy.py"]
+SUITE: Final = [
+    "tests",
+    *(f"--ignore=tests/{part}" for part in ("vcan", "dask", "code_mutants", "test_tidy.py")),
+]
 """All that may see a mutant, without what looks at the text of the sources."""
 SUITE_TIMEOUT_S: Final = 3600.0
 

@@ -1,4 +1,4 @@
-"""Commissioning in real time: on the hub, and over a serial adapter that is on the hub."""
+"""Commissioning in real time, over a serial adapter that is on the hub; on vcan it is in tests/vcan."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,14 +10,6 @@ from tests.scenario.processes import HIL, hub_name, run, run_command
 from tests.scenario.serial_processes import adapter_process
 
 pytestmark = pytest.mark.xdist_group("real time")
-
-
-class TestOnTheHub(CommissionSuite):
-    """Two processes on one machine."""
-
-    @pytest.fixture
-    def bus_spec(self) -> str:
-        return hub_name("commission")
 
 
 class TestOverSerial(CommissionSuite):

@@ -79,8 +79,10 @@ def cluster_of(workers: int) -> LocalCluster:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
-    with cluster_of(2) as made:
-        yield made
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT))  # the workers import functions of this file
+        with cluster_of(2) as made:
+            yield made
 
 
 def after(count: int, act: Callable[[], object]) -> Callable[[CampaignProgress], object]:

@@ -1,0 +1,1 @@
+"""Campaigns on a Dask cluster of this machine; apart, as its processes start in seconds."""
