@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-from uuid import uuid4
 
 import numpy as np
 import rerun as rr
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from hil.campaign.campaign import Campaign
 from hil.campaign.figures import PEAK, figures_of, grid_of
 from hil.campaign.plan import GridAxis
+from hil.recording.rerun_page import framed, stream_into
 
 TIMELINE: Final = "run"
 """Runs by their number: a sequence, no time."""
@@ -37,18 +37,12 @@ class _Map(NamedTuple):
 def write_page(done: Campaign, place: Path) -> None:
     """Write it. Error: OSError."""
     found = figures_of(done)
-    stream = rr.RecordingStream(_APPLICATION, recording_id=uuid4().hex)
-    try:
-        stream.set_sinks(rr.FileSink(place))
-    except (RuntimeError, ValueError) as error:
-        raise OSError(str(error)) from error
-    maps = list(_send_maps(stream, done))
-    _send_members(stream, done)
-    text = rr.TextDocument(_markdown(done, found), media_type=rr.MediaType.MARKDOWN)
-    stream.log("/summary", text, static=True)
-    stream.send_blueprint(_layout(maps, done.table.num_rows))
-    stream.flush(timeout_sec=60.0)
-    stream.disconnect()
+    with stream_into(place, _APPLICATION) as stream:
+        maps = list(_send_maps(stream, done))
+        _send_members(stream, done)
+        text = rr.TextDocument(_markdown(done, found), media_type=rr.MediaType.MARKDOWN)
+        stream.log("/summary", text, static=True)
+        stream.send_blueprint(_layout(maps, done.table.num_rows))
 
 
 def _send_maps(stream: rr.RecordingStream, done: Campaign) -> Iterator[_Map]:
@@ -168,13 +162,5 @@ def _layout(maps: list[_Map], runs: int) -> rrb.Blueprint:
         time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
     )
     left = rrb.Vertical(rrb.Tabs(*pairs), members, row_shares=[6, 4]) if pairs else members
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            left, rrb.TextDocumentView(origin="/summary", name="What came of it"), column_shares=[7, 3]
-        ),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    summary = rrb.TextDocumentView(origin="/summary", name="What came of it")
+    return framed(rrb.Horizontal(left, summary, column_shares=[7, 3]), TIMELINE)

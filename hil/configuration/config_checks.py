@@ -25,7 +25,7 @@ STUFFED_BITS_WITHOUT_DATA = 34
 """Of those, the bits from the start of the frame to its CRC; each four after the first five may add one."""
 _BROADCASTS = (0x000, 0x080, 0x100, 0x7E4, 0x7E5)
 """NMT, SYNC, TIME and LSS (CiA 301, 7.3.5)."""
-LOAD_DELAY_MAX_S = 4294
+LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Of 2100h:5, 32 bits of microseconds."""
 TOLERANCE = 1.0 + 1e-9
 """So that a limit written as the rounded decimal of the motor's own is accepted."""

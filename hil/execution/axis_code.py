@@ -1,7 +1,6 @@
 """The controllers and compensators of a run: made before anything moves; what its recording keeps of them."""
 
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,8 @@ from hil.configuration.config import BenchConfig
 from hil.configuration.controller_kinds import ArrivalCompensator, OwnCode
 from hil.control.own_code import source_of
 from hil.execution.assembly import setup_of
+from hil.execution.kept_signals import keep_copy
 from hil.loop.axis_roles import Compensator, Controller
-from hil.recording.logger_process import RecordingFailed
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +84,7 @@ def keep_sources(code: Mapping[str, AxisCode], folder: Path) -> None:
     """Copy the files into the recording. Raises RecordingFailed."""
     for axis, each in code.items():
         for key, kept in each.own.items():
-            place = folder / kept_name(axis, key)
-            try:
-                shutil.copyfile(kept.file, place)
-            except OSError as error:
-                raise RecordingFailed(f"{place}: {error.strerror}") from error
+            keep_copy(kept.file, folder / kept_name(axis, key))
 
 
 def with_kept_sources(config: BenchConfig, code: Mapping[str, AxisCode]) -> BenchConfig:

@@ -11,7 +11,7 @@ from hil.recording.logger_process import RecordingFailed
 _TABLES = ("reference", "load")
 
 
-def kept_name(table: str, axis: str, number: int, path: str) -> str:
+def _name(table: str, axis: str, number: int, path: str) -> str:
     """Of the copy in the recording's folder."""
     return f"{axis}-{table}-{number}{Path(path).suffix}"
 
@@ -19,11 +19,15 @@ def kept_name(table: str, axis: str, number: int, path: str) -> str:
 def keep_signals(config: BenchConfig, folder: Path) -> None:
     """Copy the files into the recording. Raises RecordingFailed."""
     for table, axis, number, entry in _files(config):
-        place = folder / kept_name(table, axis, number, entry.path)
-        try:
-            shutil.copyfile(entry.path, place)
-        except OSError as error:
-            raise RecordingFailed(f"{place}: {error.strerror}") from error
+        keep_copy(Path(entry.path), folder / _name(table, axis, number, entry.path))
+
+
+def keep_copy(file: Path, place: Path) -> None:
+    """Into the recording. Raises RecordingFailed."""
+    try:
+        shutil.copyfile(file, place)
+    except OSError as error:
+        raise RecordingFailed(f"{place}: {error.strerror}") from error
 
 
 def with_kept_signals(config: BenchConfig) -> BenchConfig:
@@ -31,7 +35,7 @@ def with_kept_signals(config: BenchConfig) -> BenchConfig:
     tables = {table: dict(getattr(config, table)) for table in _TABLES}
     for table, axis, number, entry in _files(config):
         entries = list(tables[table][axis])
-        entries[number] = entry.model_copy(update={"path": kept_name(table, axis, number, entry.path)})
+        entries[number] = entry.model_copy(update={"path": _name(table, axis, number, entry.path)})
         tables[table][axis] = tuple(entries)
     return config.model_copy(update=tables)
 

@@ -10,11 +10,11 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-from uuid import uuid4
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
@@ -23,6 +23,7 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
 from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
+from hil.recording.rerun_page import framed, stream_into
 from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
 from hil.reviewing.trace.decoder import decode
@@ -90,22 +91,19 @@ def _write(folder: Path, page: Path) -> None:
     figures = _figures(folder)
     events = list(_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
     zero_ns = next((found for event in events if (found := _zero_ns(event)) is not None), None)
-    stream = rr.RecordingStream(_APPLICATION, recording_id=uuid4().hex)
-    part = page.with_suffix(".part")
-    try:
-        stream.set_sinks(rr.FileSink(part))
-    except (RuntimeError, ValueError) as error:
-        raise BadInput("RUN", "", str(page), "a place to write to", str(error)) from None
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
-    _send_steps(stream, events, figures)
-    _send_bus(stream, bus)
-    text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
-    stream.log(_FIGURES, text, static=True)
-    stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
-    stream.flush(timeout_sec=60.0)
-    stream.disconnect()
-    part.replace(page)
+    part = page.with_suffix(".part")
+    try:
+        with stream_into(part, _APPLICATION) as stream:
+            _send_steps(stream, events, figures)
+            _send_bus(stream, bus)
+            text = rr.TextDocument(_markdown(folder, figures), media_type=rr.MediaType.MARKDOWN)
+            stream.log(_FIGURES, text, static=True)
+            stream.send_blueprint(_layout(bus, end_ns / NS_PER_S))
+        part.replace(page)
+    except OSError as error:
+        raise BadInput("RUN", "", str(page), "a place to write to", str(error)) from None
 
 
 def _figures(folder: Path) -> Mapping[str, Any]:
@@ -221,7 +219,7 @@ def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) ->
         stream.send_columns(_EVENTS, _times([at for at, _, _ in told]), rows)
 
 
-def _times(instants: "np.typing.NDArray[np.int64] | list[int]") -> list[rr.TimeColumn]:
+def _times(instants: NDArray[np.int64] | list[int]) -> list[rr.TimeColumn]:
     return [rr.TimeColumn(TIMELINE, duration=np.asarray(instants, np.int64).astype("timedelta64[ns]"))]
 
 
@@ -263,7 +261,7 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
         rrb.TimeSeriesView(
             origin="/",
             contents=[f"+ /{plot}/**"],
-            name=f"{title}",
+            name=title,
             axis_x=axis,
             plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
             time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
@@ -283,11 +281,5 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
         row_shares=[6.5, 3.5],
     )
     shares = [1.0, *(2.0 for _ in plots)]
-    return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(lanes, *plots, row_shares=shares), right, column_shares=[6.5, 3.5]),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    content = rrb.Vertical(lanes, *plots, row_shares=shares)
+    return framed(rrb.Horizontal(content, right, column_shares=[6.5, 3.5]))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
-from uuid import uuid4
 
 import numpy as np
 import rerun as rr
@@ -13,6 +12,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.recorded.comparison import Against
 from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE
+from hil.recording.rerun_page import framed, stream_into
 from hil.reviewing.envelope import Envelope
 
 _PLOTS: Final = (
@@ -26,21 +26,19 @@ _APPLICATION: Final = "servobench comparison"
 
 def write_comparison(found: Sequence[Against], markdown: str, path: Path) -> None:
     """``markdown``: what is told beside the plots. Raises BadInput for a path that cannot be written to."""
-    stream = rr.RecordingStream(_APPLICATION, recording_id=uuid4().hex)
-    try:
-        stream.set_sinks(rr.FileSink(path))
-    except (RuntimeError, ValueError) as error:
-        raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
     names = [f"{number}_{each.run.folder.name}" for number, each in enumerate(found)]
-    for place, (name, each) in enumerate(zip(names, found, strict=True)):
-        color = AXIS_COLORS[place % len(AXIS_COLORS)]
-        for path_of_signal, envelope in each.signals.signals.items():
-            beside = path_of_signal.endswith(("/reference", "/load"))
-            _send(stream, f"/{name}/{path_of_signal}", envelope, name, GREY if beside else color)
-    stream.log("/differences", rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN), static=True)
-    stream.send_blueprint(_layout(found, names))
-    stream.flush(timeout_sec=60.0)
-    stream.disconnect()
+    try:
+        with stream_into(path, _APPLICATION) as stream:
+            for place, (name, each) in enumerate(zip(names, found, strict=True)):
+                color = AXIS_COLORS[place % len(AXIS_COLORS)]
+                for path_of_signal, envelope in each.signals.signals.items():
+                    beside = path_of_signal.endswith(("/reference", "/load"))
+                    _send(stream, f"/{name}/{path_of_signal}", envelope, name, GREY if beside else color)
+            text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
+            stream.log("/differences", text, static=True)
+            stream.send_blueprint(_layout(found, names))
+    except OSError as error:
+        raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
 
 
 def _send(
@@ -68,14 +66,7 @@ def _layout(found: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
         for axis in axes
     ]
     text = rrb.TextDocumentView(origin="/differences", name="Differences")
-    return rrb.Blueprint(
-        rrb.Horizontal(rrb.Tabs(*overlaid, *beside), text, column_shares=[7, 3]),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return framed(rrb.Horizontal(rrb.Tabs(*overlaid, *beside), text, column_shares=[7, 3]))
 
 
 def _error_rpm(found: Sequence[Against], axis: str) -> float:

@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 
 from hil.recording.lanes import STATE_ROOT
 from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, TIMELINE, torque_scale
+from hil.recording.rerun_page import framed
 from hil.rows.recording_plan import RecordingPlan
 
 VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
@@ -77,16 +78,8 @@ class Pages:
         """All of it."""
         running = self._whole is None
         left = rrb.Tabs(*self._pages(), active_tab=0)
-        return rrb.Blueprint(
-            rrb.Horizontal(left, self._right(), column_shares=[7, 3]),
-            rrb.TimePanel(
-                state="collapsed", timeline=TIMELINE, play_state="following" if running else "paused"
-            ),
-            rrb.BlueprintPanel(state="hidden"),
-            rrb.SelectionPanel(state="hidden"),
-            auto_views=False,
-            auto_layout=False,
-        )
+        content = rrb.Horizontal(left, self._right(), column_shares=[7, 3])
+        return framed(content, follows=running)
 
     def _pages(self) -> Iterable[rrb.Container | rrb.View]:
         several = len(self._axes) > 1

@@ -23,6 +23,7 @@ from hil.campaign.worker import Answer, Workshop
 from hil.cli import app
 from hil.configuration.toml_text import toml_text
 from hil.machine.stopping import Interrupted, StopRequest
+from tests.scenario.test_campaign import CHANGES
 from virtual_bus.child_python import python_command, python_environment
 
 ROOT = Path(__file__).parents[2]
@@ -30,13 +31,6 @@ HOST = "127.0.0.1"
 PAGES = f"{HOST}:0"
 """Dask serves pages of its own, asked for or not."""
 WORKER = r"tcp://127\.0\.0\.1:\d+"
-CHANGES = {
-    "bench.duration_s": 0.3,
-    "reference.axis1.0.at_s": 0.05,
-    "load": {},
-    "faults": {"loss": [{"probability": 0.02}]},
-    "verdict": {"dropouts_percent_max": 10.0, "settling_ms": 100},
-}
 RUNS = 24
 
 

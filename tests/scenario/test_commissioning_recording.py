@@ -91,13 +91,23 @@ def test_its_page_has_the_steps_the_states_and_the_shaft(commissioned: Path) -> 
     assert ["Quick stop active"] in states, "the proof of the watch"
     _, texts = columns(page, "/events", "TextLog:text")
     assert any("8130h" in str(text) for text in texts)
-    times, turns = numbers(page, "/position/6064h")
-    with can.CanutilsLogReader(commissioned / COMMISSIONING_RECORDING / FRAMES_FILE) as log:
+
+
+def test_its_positions_are_those_of_the_frames(tmp_path: Path) -> None:
+    """Of a shaft that has turned: the same at the same instants, but for one unit."""
+    unknown_world(4, tmp_path, last_step="polarity")
+    times, turns = numbers(commissioning_page(tmp_path), "/position/6064h")
+    with can.CanutilsLogReader(tmp_path / COMMISSIONING_RECORDING / FRAMES_FILE) as log:
         read = [frame for frame in log if frame.arbitration_id == 0x181 and len(frame.data) == 8]
-    stamps = [round((frame.timestamp - 1e9) * 1e9) for frame in read]
-    assert abs(times[-1] - stamps[-1]) < 2_000, "the stamps of frames.log have microseconds"
-    raw = [int.from_bytes(frame.data[4:8], "little", signed=True) for frame in read]
-    assert (np.ptp(turns) == 0.0) == (np.ptp(raw) == 0)
+    counts = {
+        round((frame.timestamp - 1e9) * 1e6): int.from_bytes(frame.data[4:8], "little", signed=True)
+        for frame in read
+    }
+    seen = np.array([counts[round(at / 1e3)] for at in times.tolist()], float)
+    assert np.ptp(turns) > 0.05
+    unit = np.ptp(turns) / np.ptp(seen)
+    np.testing.assert_allclose(turns, unit * seen, atol=1e-9)
+    assert turns.max() == pytest.approx(unit * max(counts.values()))
 
 
 def test_a_commissioning_that_was_killed_has_a_page_too(commissioned: Path, tmp_path: Path) -> None:
