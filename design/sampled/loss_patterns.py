@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from design.delay.delay_loop import Array
 from design.sampled.admissible_steps import Delivery, Family, deliveries_of, families, steps_of
-from design.sampled.held_loop import SwitchedLoop, Operation, PeriodStep, decay_of
+from design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
 from design.sampled.pattern_chains import (
     Chain,
     Entries,

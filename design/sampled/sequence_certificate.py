@@ -159,7 +159,9 @@ def certify_decay(
     return best
 
 
-def _graph(loop: SwitchedLoop, L: Array, remembering: bool, other: SwitchedLoop | None) -> tuple[int, list[Edge]]:
+def _graph(
+    loop: SwitchedLoop, L: Array, remembering: bool, other: SwitchedLoop | None
+) -> tuple[int, list[Edge]]:
     """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
     nodes, edges = edges_of(loop, L, remembering, other)
     return between_deliveries(edges) if other is None else (nodes, edges)

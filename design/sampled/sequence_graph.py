@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from design.delay.delay_loop import Array
 from design.sampled.admissible_steps import families, node_count
-from design.sampled.held_loop import SwitchedLoop, PeriodStep
+from design.sampled.held_loop import PeriodStep, SwitchedLoop
 from design.sampled.step_maps import Corners, corners_of
 
 _EPSILON = 2e-5

@@ -42,7 +42,9 @@ Build = Callable[[Sequence[Sequence[int]]], LmiProblem]
 class Inequalities:
     """Those of one graph in good coordinates, for a gain level or for a decay."""
 
-    def __init__(self, loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, level: float | None) -> None:
+    def __init__(
+        self, loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, level: float | None
+    ) -> None:
         self._loop = loop
         self.nodes = nodes
         self.edges = edges

@@ -79,11 +79,11 @@ def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: f
     """Corners so dense that no bend times its difference exceeds ``target`` in ``coordinates``."""
     differences = loop.differences([window.back for window in family.windows])
     if not isinstance(loop, HeldLoop):  # whose switchings alone may come sooner or later
-        times = [window.last_s for window in family.windows]
-        variants, windows = len(loop.variants(family.at(times))), len(times)
+        ends_s = [window.last_s for window in family.windows]
+        variants, windows = len(loop.variants(family.at(ends_s))), len(ends_s)
         none = np.zeros((variants, windows))
         bends = np.zeros((variants, windows, len(loop.model.A)))
-        return Corners(family, np.tile(times, (variants, 1)), bends, none, differences)
+        return Corners(family, np.tile(ends_s, (variants, 1)), bends, none, differences)
     n = len(loop.model.A)
     inverse = np.linalg.inv(coordinates)
     grids, bounds = [], []
@@ -215,7 +215,9 @@ def step_maps(loop: SwitchedLoop, steps: Sequence[PeriodStep], gains: ArrayLike)
     return _chain_maps(loop, [loop.chain(step) for step in steps], gains)
 
 
-def _chain_maps(loop: SwitchedLoop, chains: Sequence[Sequence[Operation]], gains: ArrayLike) -> list[ValueMap]:
+def _chain_maps(
+    loop: SwitchedLoop, chains: Sequence[Sequence[Operation]], gains: ArrayLike
+) -> list[ValueMap]:
     unique = sorted({max(0.0, each.length_s) for chain in chains for each in chain if isinstance(each, Flow)})
     flow = embedded_flows(loop, np.array(unique), gains)
     k = loop.kept

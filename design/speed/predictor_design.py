@@ -256,9 +256,7 @@ def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRo
         gain_inertia_more=gain(inertia=1.3),
         gain_current_loop_slower=gain(current=0.5),
         bandwidths=(_bandwidth(found, -0.1, 0.5), _bandwidth(found, 0.1, 2.0)),
-        gains_found=tuple(
-            losses_gain(found, [lost]) for lost in range(1, losses_max + 1)
-        ),
+        gains_found=tuple(losses_gain(found, [lost]) for lost in range(1, losses_max + 1)),
         margins=own.margins(L),
         delay_margin_s=min(
             delay_margin_s(prediction, kalman.observer(walk))

@@ -1,4 +1,4 @@
-"""The gains that a predictor's filter may have, whatever is lost and whatever it takes for a step of the load.
+"""The gains that a predictor's filter may have, whatever is lost and whatever it takes for a load step.
 
 The covariance after a sample follows from what it was, from the losses before the sample, and from whether
 the bold one took its place. Every such map is monotone: what lies between two covariances before a history
@@ -101,7 +101,9 @@ class GainBoxes:
             if not len(open_):
                 break
         settled.append(self._outcome(open_))
-        return _Between(*(np.concatenate(parts) for parts in zip(*(each.parts for each in settled), strict=True)))
+        return _Between(
+            *(np.concatenate(parts) for parts in zip(*(each.parts for each in settled), strict=True))
+        )
 
     def _outcome(self, histories: NDArray[np.int_]) -> _Between:
         """(N, samples), the oldest first: twice the losses before a sample, and 1 if a step was seen."""

@@ -1,11 +1,15 @@
 """``hil design speed --structure predictor``: the design, its figures, and the controller file."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from design.motor import PmsmParameters
+from design.sampled.analysis import SampledAnalysis
+from design.speed.loss_certificate import predictor_losses, with_losses
 from design.speed.predictor_design import (
     LOST,
     PredictorDesign,
@@ -22,6 +26,7 @@ from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 from hil.configuration.toml_text import toml_text
 from hil.studies.speed.analysis import finite
 from hil.studies.speed.controller_text import plant_of, whole_us
+from hil.studies.speed.losses import certified_of, loss_certificate, loss_figures
 
 _DIGITS = 6
 _US_PER_S = 1e6
@@ -62,6 +67,8 @@ class PredictorResult:
     network: PredictorNetwork
     design: PredictorDesign
     robustness: PredictorRobustness
+    losses: Sequence[SampledAnalysis] = ()
+    """With ever fewer in a row, up to the most that are certified; empty: not looked at."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -84,7 +91,8 @@ class PredictorResult:
             "gamma": finite(found.gain),
             "certificate": {
                 "gamma": "exact, of the sampled loop with constant gains and every sample",
-                "losses": "none: gains found under regular losses, peaks by trial",
+                "losses": loss_figures(self.losses),
+                "peaks": "none: by trial",
             },
             "robustness": self._robustness(),
         }
@@ -118,6 +126,12 @@ def design_speed_predictor(
     """The design. Raises InfeasibleDesign."""
     found = design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm))
     return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
+
+
+def certified_predictor(result: PredictorResult) -> PredictorResult:
+    """The same with what is certified over lost samples. Raises NoSolution."""
+    losses = with_losses(partial(predictor_losses, result.design), result.network.losses_max)
+    return replace(result, losses=losses)
 
 
 def request_of(
@@ -160,7 +174,10 @@ def controller_of(result: PredictorResult) -> PredictorController:
         load_noise_max_nm_sqrt_s=short(design.walks.bold),
         speed_gain_nm_s_rad=short(float(design.F[1])),
         torque_gain=short(float(design.F[0])),
-        made_for=made_for_of(result.drive, result.network, motor, result.robustness.bandwidths),
+        made_for=made_for_of(
+            result.drive, result.network, motor, result.robustness.bandwidths, result.losses
+        ),
+        certificate=loss_certificate(result.losses),
         figures=PredictorFigures(
             load_nm=request.load_nm,
             peak_over_floor=short(found.peak_over_floor),
@@ -178,8 +195,12 @@ def made_for_of(
     network: PredictorNetwork,
     motor: PmsmParameters,
     bandwidths: tuple[float, float],
+    losses: Sequence[SampledAnalysis],
 ) -> MadeFor:
-    """``bandwidths``: shares of the current loop's own, between which the loop is stable."""
+    """``bandwidths``: shares of the current loop's own, between which the loop is stable.
+
+    With a certificate it is made for as many losses in a row as that covers.
+    """
     (least, most), hz = bandwidths, drive.current_bandwidth_hz
     made = MadeFor(
         delay_us=whole_us(network.period_s + network.delay_max_s),
@@ -189,10 +210,11 @@ def made_for_of(
             bandwidth_hz=hz, bandwidth_min_hz=short(hz * least), bandwidth_max_hz=short(hz * most)
         ),
     )
-    if not network.measured:
+    certified = certified_of(losses)
+    if certified is None and not network.measured:
         return made
     held = {
-        "losses_in_a_row_max": network.losses_max,
+        "losses_in_a_row_max": network.losses_max if certified is None else certified.network.losses_max,
         "delay_max_us": math.floor(network.delay_max_s * _US_PER_S + 1e-6),
     }
     return made.model_copy(update=held)
