@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import MISSING, BadInput
-from hil.terminal.output import print_figures, put, say_written
+from hil.terminal.output import on_terminal, print_figures, put, say_written
 
 if TYPE_CHECKING:
     from design.motor import PmsmParameters
@@ -149,6 +149,7 @@ def finish_predictor(
     over = _network(options, delay_s, network)
     load = load_nm or motor.rated_torque_nm
     found: HinfResult | PredictorResult
+    on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")
     try:
         if structure == "hinf":
             found = certified_hinf(design_speed_hinf(motor, drive, over, load, noise_nm))

@@ -26,6 +26,7 @@ from design.speed.predictor_gains import GainBoxes
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 from hil.control.load_filter import FilterNoise, LoadFilter
 from hil.control.motion import MotionModel
+from hil.studies.speed.losses import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
 F = PLANT.feedback(330.0, 5900.0)
@@ -133,6 +134,11 @@ def test_single_losses_can_destabilise_hinf_at_4_ms_and_the_command_says_so() ->
     assert [each.network.losses_max for each in attempts] == [1, 0]
     assert attempts[0].refuted
     assert attempts[1].certified
+    told, written = loss_figures(attempts), loss_certificate(attempts)
+    assert told["losses_in_a_row"] == 0
+    assert told["not_certified"] == {"1_in_a_row": "a pattern is known that destabilises it"}
+    assert written is not None
+    assert (written.losses_in_a_row_max, written.gain) == (0, told["gain_certified"])
     period = losses_of(attempts[0].slowest)
     assert set(period) <= {0, 1}
     missing, number = set(), 0
