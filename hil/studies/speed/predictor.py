@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.speed.loss_certificate import predictor_losses, with_losses
@@ -19,6 +21,7 @@ from design.speed.predictor_design import (
     predictor_robustness,
 )
 from design.speed.predictor_plant import encoder_noise_rad_s
+from design.speed.predictor_trial import Walks
 from drivers.errors import BadInput
 from hil.configuration.config_files import Section
 from hil.configuration.predictor_section import PredictorController, PredictorFigures
@@ -124,8 +127,14 @@ def design_speed_predictor(
     command_noise_nm: float,
 ) -> PredictorResult:
     """The design. Raises InfeasibleDesign."""
-    found = design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm))
+    found = as_written(design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm)))
     return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
+
+
+def as_written(design: PredictorDesign) -> PredictorDesign:
+    """With the digits of its file: what is proved of a design is proved of the controller that runs."""
+    walks = Walks(short(design.walks.quiet), short(design.walks.bold))
+    return replace(design, F=np.array([short(gain) for gain in design.F]), walks=walks)
 
 
 def certified_predictor(result: PredictorResult) -> PredictorResult:
@@ -146,10 +155,10 @@ def request_of(
         motor=motor,
         current_rate_rad_s=math.tau * drive.current_bandwidth_hz,
         speed_filter_hz=drive.speed_filter_hz,
-        speed_noise_rad_s=encoder_noise_rad_s(
-            drive.encoder_counts, drive.speed_filter_hz, drive.inner_rate_hz
+        speed_noise_rad_s=short(
+            encoder_noise_rad_s(drive.encoder_counts, drive.speed_filter_hz, drive.inner_rate_hz)
         ),
-        torque_noise_nm=_TORQUE_NOISE * motor.rated_torque_nm,
+        torque_noise_nm=short(_TORQUE_NOISE * motor.rated_torque_nm),
         period_s=network.period_s,
         delay_s=network.delay_max_s + drive.dead_time_s,
         load_nm=load_nm,
@@ -168,12 +177,12 @@ def controller_of(result: PredictorResult) -> PredictorController:
         current_bandwidth_hz=result.drive.current_bandwidth_hz,
         speed_filter_hz=result.drive.speed_filter_hz,
         dead_time_us=short(result.drive.dead_time_s * _US_PER_S),
-        speed_noise_rad_s=short(request.speed_noise_rad_s),
-        torque_noise_nm=short(request.torque_noise_nm),
-        load_noise_nm_sqrt_s=short(design.walks.quiet),
-        load_noise_max_nm_sqrt_s=short(design.walks.bold),
-        speed_gain_nm_s_rad=short(float(design.F[1])),
-        torque_gain=short(float(design.F[0])),
+        speed_noise_rad_s=request.speed_noise_rad_s,
+        torque_noise_nm=request.torque_noise_nm,
+        load_noise_nm_sqrt_s=design.walks.quiet,
+        load_noise_max_nm_sqrt_s=design.walks.bold,
+        speed_gain_nm_s_rad=float(design.F[1]),
+        torque_gain=float(design.F[0]),
         made_for=made_for_of(
             result.drive, result.network, motor, result.robustness.bandwidths, result.losses
         ),
