@@ -2,14 +2,17 @@
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
 
 from design.delay.speed_loop import peak_floor_rad_s, speed_model
 from design.motor import PmsmParameters
+from design.speed.conditioned import Conditioned
 from design.speed.speed_design import least_gain
 from design.speed.speed_pid import first_order_current_loop, pid_by_rule
 from drivers.rotation import RAD_S_PER_RPM
@@ -134,6 +137,46 @@ def hinf(case: Case) -> dict[str, Any]:
         0.05 * motor.rated_torque_nm,
     )
     return hinf_controller_of(found).model_dump(mode="json", exclude={"made_for", "figures"})
+
+
+def observing(case: Case) -> dict[str, Any]:
+    """PI with a load-torque observer, whose commands are as late as those that act, in the form of ``hinf``.
+
+    w^+ = w^ + h/J (u_acting - T^) + l_1 (w - w^)     T^+ = T^ - l_2 (w - w^)     u = T^ - k w^
+
+    k, l_1, l_2 by the criterion of H-infinity: peak, inertia +-30 %, delay margin, torque noise.
+    """
+    motor = case.parameters
+    drive = PredictorDrive(CURRENT_HZ, case.counts, 500.0, 16_000.0, 100e-6)
+    network = PredictorNetwork(PERIOD_S, case.delay_s, 0, measured=False)
+    made = design_speed_hinf(motor, drive, network, case.load_nm, 0.05 * motor.rated_torque_nm)
+    lever, around_s = PERIOD_S / motor.inertia_kg_m2, PERIOD_S + case.delay_s
+    late = round(case.delay_s / PERIOD_S)
+
+    def controller(point: NDArray[np.float64]) -> Conditioned:
+        gain, pole, load_pole = np.exp(point)
+        first, second = math.exp(-pole * PERIOD_S / around_s), math.exp(-load_pole * PERIOD_S / around_s)
+        l_1, l_2 = 2.0 - first - second, (1.0 - first) * (1.0 - second) / lever
+        state = np.eye(2 + late, k=-1)
+        state[:3] = 0.0
+        state[:2, :2], state[0, -1] = [[1.0 - l_1, -lever], [l_2, 1.0]], lever
+        k = gain * motor.inertia_kg_m2 / around_s
+        of_error, out = np.zeros(2 + late), np.zeros(2 + late)
+        of_error[:2], out[:2] = [-l_1, l_2], [-k, 1.0]
+        return Conditioned(state, of_error, np.eye(2 + late)[2], out, 0.0, PERIOD_S)
+
+    def cost(point: NDArray[np.float64]) -> float:
+        found = replace(made.design, controller=controller(point))
+        return found.cost if found.loop().spectral_radius() < 1.0 else 1e3
+
+    starts = [np.log([k, p, q]) for k in (0.1, 0.3, 0.6) for p in (0.5, 1.5, 4.0) for q in (0.2, 0.8)]
+    best = scipy.optimize.minimize(
+        cost, min(starts, key=cost), method="Nelder-Mead", options={"maxfev": 300, "xatol": 1e-2}
+    )
+    c = controller(best.x)
+    matrices = {name: getattr(c, name).tolist() for name in ("A", "B", "L", "C")}
+    told = hinf_controller_of(made).model_dump(mode="json", exclude={"made_for", "figures"})
+    return told | matrices | {"D": c.D}
 
 
 def pid(case: Case) -> dict[str, Any]:

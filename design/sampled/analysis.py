@@ -6,6 +6,7 @@ can be better, and between the two lies the truth.
 """
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from design.delay.delay_loop import Array
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
 from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy, SwitchedLoop
 from design.sampled.loss_patterns import (
     Pattern,
     WorstGain,
@@ -33,7 +34,7 @@ from design.sampled.worst_peak import worst_peak
 class SampledAnalysis:
     """The figures of one sampled loop."""
 
-    loop: HeldLoop
+    loop: SwitchedLoop
     regular: list[Pattern]
     """Under d lost of every d + 1, all others delayed by T: for each d from 0 to D."""
     gains: list[float]
@@ -89,8 +90,12 @@ class SampledAnalysis:
 
 
 def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> SampledAnalysis:
-    """Everything of :class:`SampledAnalysis`."""
-    loop = HeldLoop(model, np.asarray(K, dtype=float), network)
+    """Everything of :class:`SampledAnalysis` for u = K x."""
+    return analyse_loop(HeldLoop(model, np.asarray(K, dtype=float), network))
+
+
+def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)) -> SampledAnalysis:
+    """The same for any loop; ``remembering``: what is tried, as for :func:`certify_gain`."""
     regular = regular_patterns(loop)
     gains = pattern_gains(loop, regular).tolist()
     slowest = min([slowest_pattern(loop), *regular], key=lambda pattern: pattern.decay_per_s)
@@ -102,8 +107,8 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
     patterns = [worst.pattern, slowest, *regular]
     decay_proof, gain_proof, why = None, None, ""
     try:
-        decay_proof = certify_decay(loop, patterns, worst.gain)
-        gain_proof = certify_gain(loop, patterns, worst.gain)
+        decay_proof = certify_decay(loop, patterns, worst.gain, remembering)
+        gain_proof = certify_gain(loop, patterns, worst.gain, remembering)
     except NoSolution as error:
         why = str(error)
     if not why and (decay_proof is None or gain_proof is None):
@@ -112,7 +117,8 @@ def analyse_sampled(model: SpeedModel, K: Array, network: SampledNetwork) -> Sam
 
 
 def with_peak(found: SampledAnalysis) -> SampledAnalysis:
-    """The same with the largest error after a load step."""
+    """The same with the largest error after a load step, of u = K x."""
+    assert isinstance(found.loop, HeldLoop)
     if found.refuted:
         return replace(found, peak_found=math.inf)
     reached = worst_peak(found.loop).peak
@@ -126,7 +132,7 @@ def with_peak(found: SampledAnalysis) -> SampledAnalysis:
     return replace(found, peak_found=max(reached, bound.reached), peak_certified=bound.certified)
 
 
-def regular_patterns(loop: HeldLoop) -> list[Pattern]:
+def regular_patterns(loop: SwitchedLoop) -> list[Pattern]:
     """d lost of every d + 1 for d = 0 .. D, each delay T; with history losses make no difference."""
     network = loop.network
     most = 0 if network.strategy is Strategy.HISTORY else network.losses_max

@@ -17,6 +17,8 @@ operations: a jump xi -> J xi, and a flow of some length with u = w.
 """
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -136,27 +138,28 @@ class PeriodStep:
     switches: tuple[Switch, ...]
 
 
-class HeldLoop:
-    """``model`` closed by u = K x over ``network``."""
+class SwitchedLoop(ABC):
+    """``model`` under an input that is held between jumps, over ``network``: xi = [x, w, ...]."""
 
-    def __init__(self, model: SpeedModel, K: Array, network: SampledNetwork) -> None:
+    def __init__(self, model: SpeedModel, network: SampledNetwork, size: int, kept: int) -> None:
         self.model = model
-        self.K = np.asarray(K, dtype=float)
         self.network = network
-        n = len(model.A)
-        self.size = n + 2 + network.behind
+        self.size = size
         """Of xi."""
-        self.kept = n + 1 + network.behind
+        self.kept = kept
         """So many entries of xi, the first, matter from one sample to the next."""
 
+    @abstractmethod
     def chain(self, step: PeriodStep) -> list[Operation]:
-        """The operations of one period."""
-        chain: list[Operation] = [Jump(self.sampling)]
-        at_s = 0.0
-        for switch in step.switches:
-            chain += [Flow(switch.at_s - at_s), Jump(self.applying(switch.back))]
-            at_s = switch.at_s
-        return [*chain, Flow(self.network.period_s - at_s)]
+        """The operations of one period: a jump, a flow, and so on."""
+
+    def variants(self, step: PeriodStep) -> list[list[Operation]]:
+        """The chains in whose hull that of ``step`` may lie: its own alone, unless the loop varies."""
+        return [self.chain(step)]
+
+    def differences(self, backs: Sequence[int]) -> Array:
+        """(switchings, kept): what each adds to the input, as a function of xi at the period's begin."""
+        return np.zeros((len(backs), self.kept))
 
     def transition(self, chain: list[Operation]) -> Array:
         """The product of a chain, (size, size)."""
@@ -182,6 +185,37 @@ class HeldLoop:
         total = np.eye(self.size)
         total[:n, :n] = expm(self.generator[:n, :n] * length_s)
         return total
+
+
+class HeldLoop(SwitchedLoop):
+    """``model`` closed by u = K x over ``network``."""
+
+    def __init__(self, model: SpeedModel, K: Array, network: SampledNetwork) -> None:
+        self.K = np.asarray(K, dtype=float)
+        n = len(model.A)
+        super().__init__(model, network, n + 2 + network.behind, n + 1 + network.behind)
+
+    def chain(self, step: PeriodStep) -> list[Operation]:
+        chain: list[Operation] = [Jump(self.sampling)]
+        at_s = 0.0
+        for switch in step.switches:
+            chain += [Flow(switch.at_s - at_s), Jump(self.applying(switch.back))]
+            at_s = switch.at_s
+        return [*chain, Flow(self.network.period_s - at_s)]
+
+    def differences(self, backs: Sequence[int]) -> Array:
+        n = len(self.model.A)
+        before = np.eye(self.kept)[n]
+        found = []
+        for back in backs:
+            value = np.zeros(self.kept)
+            if back == 0:
+                value[:n] = self.K
+            else:
+                value[n + back] = 1.0
+            found.append(value - before)
+            before = value
+        return np.array(found).reshape(len(backs), self.kept)
 
     @property
     def sampling(self) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from design.delay.delay_loop import Array
 from design.sampled.admissible_steps import Delivery, Family, deliveries_of, families, steps_of
-from design.sampled.held_loop import HeldLoop, Operation, PeriodStep, decay_of
+from design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
 from design.sampled.pattern_chains import (
     Chain,
     Entries,
@@ -32,7 +32,7 @@ from design.sampled.pattern_chains import (
     top_of,
 )
 from design.sampled.step_maps import step_maps
-from design.sampled.value_map import ValueMap, largest_product, nothing
+from design.sampled.value_map import ValueMap, largest_product, nothing, stacked
 
 _BEAM = 40
 """Partial patterns kept at each length of the search for the gain."""
@@ -99,12 +99,12 @@ class WorstGain:
     gain: float
 
 
-def repeated(loop: HeldLoop, deliveries: Sequence[Delivery]) -> Pattern:
+def repeated(loop: SwitchedLoop, deliveries: Sequence[Delivery]) -> Pattern:
     """The pattern of ``deliveries`` with its decay."""
     return pattern_of(loop, steps_of(loop.network, deliveries))
 
 
-def pattern_of(loop: HeldLoop, steps: Sequence[PeriodStep]) -> Pattern:
+def pattern_of(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Pattern:
     """The pattern of ``steps`` with its decay."""
     total = np.eye(loop.kept)
     for step in steps:
@@ -112,23 +112,23 @@ def pattern_of(loop: HeldLoop, steps: Sequence[PeriodStep]) -> Pattern:
     return Pattern(tuple(steps), decay_of(total, len(steps) * loop.network.period_s))
 
 
-def chain_of(loop: HeldLoop, pattern: Pattern) -> list[Operation]:
+def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
     """The operations of one period of ``pattern``."""
     return list(itertools.chain.from_iterable(loop.chain(step) for step in pattern.steps))
 
 
-def named_deliveries(loop: HeldLoop, pattern: Pattern) -> tuple[Delivery, ...]:
+def named_deliveries(loop: SwitchedLoop, pattern: Pattern) -> tuple[Delivery, ...]:
     """The deliveries of ``pattern``."""
     return deliveries_of(loop.network, pattern.steps)
 
 
-def pattern_gain(loop: HeldLoop, pattern: Pattern) -> float:
+def pattern_gain(loop: SwitchedLoop, pattern: Pattern) -> float:
     """Gain under ``pattern``, rad/s per N m, not above it; inf if unstable."""
     return float(pattern_gains(loop, [pattern])[0])
 
 
 def pattern_gains(
-    loop: HeldLoop, patterns: Sequence[Pattern], tolerance: float = 1e-7, near: float | None = None
+    loop: SwitchedLoop, patterns: Sequence[Pattern], tolerance: float = 1e-7, near: float | None = None
 ) -> Array:
     """The same of each, to the relative ``tolerance``: many levels at once, then between two of them.
 
@@ -173,7 +173,7 @@ def _split(steps: Sequence[PeriodStep]) -> list[tuple[PeriodStep, ...]]:
     return [tuple(each) for each in found if each]
 
 
-def slowest_pattern(loop: HeldLoop) -> Pattern:
+def slowest_pattern(loop: SwitchedLoop) -> Pattern:
     """The periodic pattern of least decay that the search finds: a refutation of any faster certificate."""
     letters = _letters(loop)
     h = loop.network.period_s
@@ -193,7 +193,7 @@ def slowest_pattern(loop: HeldLoop) -> Pattern:
     return pattern_of(loop, _steps(letters, best[0]))
 
 
-def worst_gain(loop: HeldLoop, known: Sequence[Pattern], changed_max: int = _CHANGED_MAX) -> WorstGain:
+def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = _CHANGED_MAX) -> WorstGain:
     """The pattern of largest gain that the search finds, from ``known`` ones.
 
     ``changed_max``: deliveries up to which the best pattern is changed delivery by delivery.
@@ -219,7 +219,7 @@ def worst_gain(loop: HeldLoop, known: Sequence[Pattern], changed_max: int = _CHA
 class _Contest:
     """The chain of largest gain so far, and the level, rad/s per N m, that the next must exceed."""
 
-    def __init__(self, loop: HeldLoop, level: float) -> None:
+    def __init__(self, loop: SwitchedLoop, level: float) -> None:
         self._loop = loop
         self.letters = _letters(loop)
         self.best: Chain = ()
@@ -275,7 +275,7 @@ def _nearness(total: ValueMap) -> Array:
     return np.where(total.bounded, largest_product(total.W, total.Q), _BEYOND)
 
 
-def _letter_maps(loop: HeldLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
+def _letter_maps(loop: SwitchedLoop, letters: Sequence[Letter], gains: ArrayLike) -> ValueMap:
     """The value map of each letter at each of ``gains``, and last that of no time at all."""
     steps = sorted({step for letter in letters for step in letter.steps}, key=repr)
     by_step = dict(zip(steps, step_maps(loop, steps, gains), strict=True))
@@ -286,12 +286,10 @@ def _letter_maps(loop: HeldLoop, letters: Sequence[Letter], gains: ArrayLike) ->
             total = total.then(by_step[step])
         whole.append(total)
     whole.append(nothing(whole[0].bounded.shape, loop.kept))
-    return ValueMap(
-        *(np.stack([getattr(each, part) for each in whole]) for part in ("Phi", "W", "Q", "bounded"))
-    )
+    return stacked(whole)
 
 
-def _letters(loop: HeldLoop) -> list[Letter]:
+def _letters(loop: SwitchedLoop) -> list[Letter]:
     by_source: dict[int, list[Family]] = {}
     for family in families(loop.network):
         by_source.setdefault(family.source, []).append(family)
@@ -323,7 +321,7 @@ def _steps(letters: Sequence[Letter], chain: Chain) -> tuple[PeriodStep, ...]:
     return tuple(itertools.chain.from_iterable(letters[number].steps for number in chain))
 
 
-def _transition(loop: HeldLoop, letter: Letter) -> Array:
+def _transition(loop: SwitchedLoop, letter: Letter) -> Array:
     total = np.eye(loop.kept)
     for step in letter.steps:
         total = loop.kept_transition(loop.chain(step)) @ total

@@ -27,7 +27,7 @@ from design.delay.delay_loop import Array
 from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality, Unknowns
 from design.errors import NoSolution
 from design.sampled.admissible_steps import delivery_node_count, node_count
-from design.sampled.held_loop import HeldLoop
+from design.sampled.held_loop import SwitchedLoop
 from design.sampled.loss_patterns import Pattern
 from design.sampled.sequence_graph import Edge, between_deliveries, edges_of
 from design.sampled.sequence_inequalities import (
@@ -107,11 +107,11 @@ def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: floa
 
 
 def certify_gain(
-    loop: HeldLoop,
+    loop: SwitchedLoop,
     patterns: Sequence[Pattern],
     found: float,
     remembering: Sequence[bool] = (False, True),
-    other: HeldLoop | None = None,
+    other: SwitchedLoop | None = None,
 ) -> SequenceCertificate | None:
     """The least gain that can be certified; None if none can.
 
@@ -136,11 +136,11 @@ def certify_gain(
 
 
 def certify_decay(
-    loop: HeldLoop,
+    loop: SwitchedLoop,
     patterns: Sequence[Pattern],
     gain: float,
     remembering: Sequence[bool] = (False, True),
-    other: HeldLoop | None = None,
+    other: SwitchedLoop | None = None,
 ) -> SequenceCertificate | None:
     """The fastest decay that can be certified; None if not even stability can.
 
@@ -159,13 +159,15 @@ def certify_decay(
     return best
 
 
-def _graph(loop: HeldLoop, L: Array, remembering: bool, other: HeldLoop | None) -> tuple[int, list[Edge]]:
+def _graph(
+    loop: SwitchedLoop, L: Array, remembering: bool, other: SwitchedLoop | None
+) -> tuple[int, list[Edge]]:
     """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
     nodes, edges = edges_of(loop, L, remembering, other)
     return between_deliveries(edges) if other is None else (nodes, edges)
 
 
-def _node_count(loop: HeldLoop, other: HeldLoop | None) -> int:
+def _node_count(loop: SwitchedLoop, other: SwitchedLoop | None) -> int:
     """Of that graph where nodes do not remember."""
     return delivery_node_count(loop.network) if other is None else node_count(loop.network)
 
@@ -180,7 +182,7 @@ def _decay(certificate: SequenceCertificate) -> float:
     return certificate.decay_per_s
 
 
-def ways_of(loop: HeldLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:
+def ways_of(loop: SwitchedLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:
     """Whether nodes remember: not where there is nothing to be remembered, or too much.
 
     ``nodes``: of the graph where they do not. Raises NoSolution if the loop is too large.
@@ -198,7 +200,7 @@ def ways_of(loop: HeldLoop, remembering: Sequence[bool], nodes: int) -> Sequence
 
 
 def _least_gain(
-    loop: HeldLoop, nodes: int, edges: list[Edge], L: Array, found: float
+    loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, found: float
 ) -> SequenceCertificate | None:
     level, slope = math.log(found), -2.0
     last: tuple[float, float, list[Array]] | None = None

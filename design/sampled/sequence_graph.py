@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from design.delay.delay_loop import Array
 from design.sampled.admissible_steps import families, node_count
-from design.sampled.held_loop import HeldLoop, PeriodStep
+from design.sampled.held_loop import PeriodStep, SwitchedLoop
 from design.sampled.step_maps import Corners, corners_of
 
 _EPSILON = 2e-5
@@ -28,7 +28,7 @@ class Edge:
     source: int
     target: int
     corners: Corners
-    loop: HeldLoop
+    loop: SwitchedLoop
     epsilon: float
     """Of :mod:`design.sampled.step_maps`; nothing lies between the corners where no window is open."""
     before: tuple[PeriodStep, ...] = ()
@@ -41,7 +41,7 @@ class Edge:
 
 
 def edges_of(
-    loop: HeldLoop, coordinates: Array, remembering: bool, other: HeldLoop | None = None
+    loop: SwitchedLoop, coordinates: Array, remembering: bool, other: SwitchedLoop | None = None
 ) -> tuple[int, list[Edge]]:
     """Number of nodes, and the edges.
 

@@ -15,7 +15,7 @@ from scipy.linalg import cholesky
 from design.delay.delay_loop import Array
 from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, last_answer
 from design.sampled.admissible_steps import Delivery
-from design.sampled.held_loop import HeldLoop
+from design.sampled.held_loop import SwitchedLoop
 from design.sampled.loss_patterns import Pattern, repeated
 from design.sampled.sequence_graph import Edge
 from design.sampled.step_maps import step_maps, value_maps
@@ -42,7 +42,9 @@ Build = Callable[[Sequence[Sequence[int]]], LmiProblem]
 class Inequalities:
     """Those of one graph in good coordinates, for a gain level or for a decay."""
 
-    def __init__(self, loop: HeldLoop, nodes: int, edges: list[Edge], L: Array, level: float | None) -> None:
+    def __init__(
+        self, loop: SwitchedLoop, nodes: int, edges: list[Edge], L: Array, level: float | None
+    ) -> None:
         self._loop = loop
         self.nodes = nodes
         self.edges = edges
@@ -243,7 +245,7 @@ def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:
     return min(own, *slacks)
 
 
-def coordinates(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> Array:
+def coordinates(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) -> Array:
     """L of xi' = L xi in which the value under ``patterns``, from each of their phases, is of size 1.
 
     Delays of whole periods are seen to as well: without them an entry that matters in one node alone, where
@@ -265,7 +267,7 @@ def coordinates(loop: HeldLoop, patterns: Sequence[Pattern], gain: float) -> Arr
     return np.asarray(cholesky(correlation + _ROUND * np.eye(len(size))) * size)
 
 
-def _whole_delays(loop: HeldLoop) -> list[Pattern]:
+def _whole_delays(loop: SwitchedLoop) -> list[Pattern]:
     """Each delay of whole periods, for ever: there the sample that is held acts throughout."""
     network = loop.network
     first = math.ceil(network.delay_min_s / network.period_s)

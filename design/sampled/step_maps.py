@@ -29,8 +29,8 @@ from scipy.linalg import expm
 from design.delay.delay_loop import Array
 from design.errors import NoSolution
 from design.sampled.admissible_steps import Family, Window
-from design.sampled.held_loop import HeldLoop, PeriodStep
-from design.sampled.value_map import ValueMap, flows
+from design.sampled.held_loop import Flow, HeldLoop, Jump, Operation, PeriodStep, SwitchedLoop
+from design.sampled.value_map import ValueMap, flows, stacked
 
 _SUBCELL_TURN = 0.2
 """Norm of |A| times the width of the part of a cell on which |F''| is bounded from its value at one end."""
@@ -58,7 +58,7 @@ class Corners:
         """r above."""
         return int(np.count_nonzero(self.bends.any(axis=(0, 2)))) if self.bends.size else 0
 
-    def between_rates(self, loop: HeldLoop, other: HeldLoop) -> "Corners":
+    def between_rates(self, loop: SwitchedLoop, other: SwitchedLoop) -> "Corners":
         """The same with the terms for every rate of the current loop between those of the two loops."""
         n = len(loop.model.A)
         start = np.zeros(loop.kept)
@@ -75,9 +75,15 @@ class Corners:
         )
 
 
-def corners_of(loop: HeldLoop, family: Family, coordinates: Array, target: float) -> Corners:
+def corners_of(loop: SwitchedLoop, family: Family, coordinates: Array, target: float) -> Corners:
     """Corners so dense that no bend times its difference exceeds ``target`` in ``coordinates``."""
-    differences = _differences(loop, family)
+    differences = loop.differences([window.back for window in family.windows])
+    if not isinstance(loop, HeldLoop):  # whose switchings alone may come sooner or later
+        ends_s = [window.last_s for window in family.windows]
+        variants, windows = len(loop.variants(family.at(ends_s))), len(ends_s)
+        none = np.zeros((variants, windows))
+        bends = np.zeros((variants, windows, len(loop.model.A)))
+        return Corners(family, np.tile(ends_s, (variants, 1)), bends, none, differences)
     n = len(loop.model.A)
     inverse = np.linalg.inv(coordinates)
     grids, bounds = [], []
@@ -101,23 +107,7 @@ def corners_of(loop: HeldLoop, family: Family, coordinates: Array, target: float
     return Corners(family, times_s, all_bends, outputs_s, differences)
 
 
-def _differences(loop: HeldLoop, family: Family) -> Array:
-    """(windows, kept): what each switching adds to the input, as a function of xi at the period's begin."""
-    n = len(loop.model.A)
-    before = np.eye(loop.kept)[n]
-    found = []
-    for window in family.windows:
-        value = np.zeros(loop.kept)
-        if window.back == 0:
-            value[:n] = loop.K
-        else:
-            value[n + window.back] = 1.0
-        found.append(value - before)
-        before = value
-    return np.array(found).reshape(len(family.windows), loop.kept)
-
-
-def _grid(loop: HeldLoop, window: Window, coordinates: Array, share: float) -> tuple[Array, Array, Array]:
+def _grid(loop: SwitchedLoop, window: Window, coordinates: Array, share: float) -> tuple[Array, Array, Array]:
     """Times from the window's begin to its end; at each the larger of the bounds of the cells beside it."""
     n = len(loop.model.A)
     if window.last_s - window.first_s <= 1e-12 * loop.network.period_s:
@@ -141,7 +131,7 @@ def _grid(loop: HeldLoop, window: Window, coordinates: Array, share: float) -> t
     return np.array(times), np.maximum(left, right), np.maximum(*own)
 
 
-def _bend(loop: HeldLoop, first_s: float, last_s: float) -> tuple[Array, float]:
+def _bend(loop: SwitchedLoop, first_s: float, last_s: float) -> tuple[Array, float]:
     """width^2/8 times the largest of F'' on a cell: of the state at the period's end (n,), of the output."""
     A, B1, C = loop.model.A, loop.model.B1, loop.model.C
     if abs(C @ B1) > 0.0:
@@ -163,7 +153,7 @@ def _bend(loop: HeldLoop, first_s: float, last_s: float) -> tuple[Array, float]:
     return width**2 / 8.0 * largest, width**2 / 8.0 * math.sqrt(energy)
 
 
-def _rate_bend(loop: HeldLoop, other: HeldLoop) -> tuple[Array, float]:
+def _rate_bend(loop: SwitchedLoop, other: SwitchedLoop) -> tuple[Array, float]:
     """(difference of the rates)^2/8 times the largest second derivative by the rate: state (n,), output.
 
     That of e^{-at} is t^2 e^{-at}, at most 4/(e a)^2, its integral 2/a^3; friction makes it only less.
@@ -190,8 +180,10 @@ def _energy(A: Array, B1: Array, row: Array, length_s: float) -> float:
     return max(float(B1 @ gramian @ B1), 0.0)
 
 
-def value_maps(loop: HeldLoop, family: Family, times_s: Array, gain: float) -> ValueMap:
+def value_maps(loop: SwitchedLoop, family: Family, times_s: Array, gain: float) -> ValueMap:
     """The value maps of the steps of ``family`` at ``times_s`` (N, windows), between the entries kept."""
+    if not isinstance(loop, HeldLoop):
+        return stacked(_chain_maps(loop, loop.variants(family.at(times_s[0].tolist())), gain))
     h = loop.network.period_s
     count = len(times_s)
     edges = np.hstack([np.zeros((count, 1)), times_s, np.full((count, 1), h)])
@@ -206,7 +198,7 @@ def value_maps(loop: HeldLoop, family: Family, times_s: Array, gain: float) -> V
     return ValueMap(total.Phi[:, :k, :k], total.W[:, :k, :k], total.Q[:, :k, :k], total.bounded)
 
 
-def embedded_flows(loop: HeldLoop, lengths_s: Array, gains: ArrayLike) -> ValueMap:
+def embedded_flows(loop: SwitchedLoop, lengths_s: Array, gains: ArrayLike) -> ValueMap:
     """The flows of x and w over ``lengths_s``, all else of xi standing still."""
     n = len(loop.model.A) + 1
     E, C = np.append(loop.model.B2, 0.0), np.append(loop.model.C, 0.0)
@@ -218,19 +210,29 @@ def embedded_flows(loop: HeldLoop, lengths_s: Array, gains: ArrayLike) -> ValueM
     return ValueMap(Phi, W, Q, own.bounded)
 
 
-def step_maps(loop: HeldLoop, steps: Sequence[PeriodStep], gains: ArrayLike) -> list[ValueMap]:
+def step_maps(loop: SwitchedLoop, steps: Sequence[PeriodStep], gains: ArrayLike) -> list[ValueMap]:
     """The value map of each of ``steps`` at each of ``gains``."""
-    h = loop.network.period_s
-    instants = [[0.0, *(switch.at_s for switch in step.switches), h] for step in steps]
-    lengths = [[max(0.0, b - a) for a, b in itertools.pairwise(times)] for times in instants]
-    unique = sorted({length for each in lengths for length in each})
+    return _chain_maps(loop, [loop.chain(step) for step in steps], gains)
+
+
+def _chain_maps(
+    loop: SwitchedLoop, chains: Sequence[Sequence[Operation]], gains: ArrayLike
+) -> list[ValueMap]:
+    unique = sorted({max(0.0, each.length_s) for chain in chains for each in chain if isinstance(each, Flow)})
     flow = embedded_flows(loop, np.array(unique), gains)
     k = loop.kept
     found = []
-    for step, own in zip(steps, lengths, strict=True):
-        total = flow[unique.index(own[0])].after_jump(loop.sampling)
-        for switch, length in zip(step.switches, own[1:], strict=True):
-            total = total.then_jump(loop.applying(switch.back)).then(flow[unique.index(length)])
+    for first, *rest in chains:
+        total: ValueMap | None = None
+        assert isinstance(first, Jump)
+        for operation in rest:
+            if isinstance(operation, Jump):
+                assert total is not None
+                total = total.then_jump(operation.J)
+                continue
+            own = flow[unique.index(max(0.0, operation.length_s))]
+            total = own.after_jump(first.J) if total is None else total.then(own)
+        assert total is not None
         parts = (total.Phi[..., :k, :k], total.W[..., :k, :k], total.Q[..., :k, :k])
         found.append(ValueMap(*parts, total.bounded))
     return found

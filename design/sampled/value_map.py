@@ -14,6 +14,7 @@ Redheffer's star product. (Basar and Bernhard, H-infinity Optimal Control, 1995,
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,7 @@ from scipy.linalg import expm
 from design.delay.delay_loop import Array
 from design.statespace import balancing_scales
 
+_PARTS = ("Phi", "W", "Q", "bounded")
 _TURN = 0.5
 """Norm of F, in balanced coordinates, times the length of the piece whose exponential is taken."""
 
@@ -102,6 +104,11 @@ def nothing(shape: tuple[int, ...], n: int) -> ValueMap:
     """No time at all, as often as ``shape`` says."""
     zero = np.zeros((*shape, n, n))
     return ValueMap(zero + np.eye(n), zero, zero, np.ones(shape, dtype=bool))
+
+
+def stacked(maps: Sequence[ValueMap]) -> ValueMap:
+    """All of them as one, along a first axis."""
+    return ValueMap(*(np.stack([getattr(each, part) for each in maps]) for part in _PARTS))
 
 
 def flows(F: Array, E: Array, C: Array, gains: ArrayLike, lengths_s: Array) -> ValueMap:

@@ -48,7 +48,7 @@ class HinfLoop:
     @property
     def size(self) -> int:
         """Of xi."""
-        return self._states + self.controller.order
+        return self.first_state + self.controller.order
 
     @property
     def kept(self) -> int:
@@ -56,7 +56,12 @@ class HinfLoop:
         return self.size
 
     @property
-    def _states(self) -> int:
+    def first_command(self) -> int:
+        """Where b_1 stands in xi."""
+        return _BUFFER
+
+    @property
+    def first_state(self) -> int:
         """Where x_c begins."""
         return _BUFFER + split(self.delay_s, self.controller.period_s)[0] + 1
 
@@ -69,7 +74,7 @@ class HinfLoop:
         return [Jump(self._sampled()), Flow(acts_s), Jump(acting), Flow(self.controller.period_s - acts_s)]
 
     def _sampled(self) -> Array:
-        J, c, at = np.eye(self.size), self.controller, self._states
+        J, c, at = np.eye(self.size), self.controller, self.first_state
         J[_BUFFER:] = 0.0
         J[_BUFFER, FILTERED], J[_BUFFER, at:] = -c.D, c.C
         for place in range(_BUFFER + 1, at):

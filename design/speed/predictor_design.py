@@ -8,7 +8,7 @@ least       the largest peak over its own floor, of the motor and of +-30 % of i
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -256,9 +256,7 @@ def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRo
         gain_inertia_more=gain(inertia=1.3),
         gain_current_loop_slower=gain(current=0.5),
         bandwidths=(_bandwidth(found, -0.1, 0.5), _bandwidth(found, 0.1, 2.0)),
-        gains_found=tuple(
-            own.gain(_with_losses(own, kalman, found.walks.quiet, lost)) for lost in range(1, losses_max + 1)
-        ),
+        gains_found=tuple(losses_gain(found, [lost]) for lost in range(1, losses_max + 1)),
         margins=own.margins(L),
         delay_margin_s=min(
             delay_margin_s(prediction, kalman.observer(walk))
@@ -280,14 +278,18 @@ def _bandwidth(found: PredictorDesign, step: float, end: float) -> float:
     return reached
 
 
-def _with_losses(loop: PredictorLoop, kalman: KalmanModel, walk: float, lost: int) -> list[Operation]:
-    """The chain in which each sample that comes is followed by so many that do not."""
-    P = kalman.corrected(kalman.stationary(walk))
+def losses_gain(made: PredictorDesign, losses: Sequence[int]) -> float:
+    """L2 gain where so many samples do not come before each that does, again and again, rad/s per N m.
+
+    The gains are those that the quiet filter settles to; inf: unstable.
+    """
+    kalman, walk = made.request.kalman, made.walks.quiet
+    loop, P = PredictorLoop(made.prediction), kalman.settled(walk)
     for _ in range(_SETTLED):
-        for _ in range(lost + 1):
-            P = kalman.predicted(P, walk)
-        L, P = of_state(kalman.gain(P)), kalman.corrected(P)
-    chain = loop.chain(L)
-    for _ in range(lost):
-        chain = [*chain, *loop.chain(None)]
-    return chain
+        chain: list[Operation] = []
+        for lost in losses:
+            for _ in range(lost + 1):
+                P = kalman.predicted(P, walk)
+            chain += [*loop.chain(None)] * lost + loop.chain(of_state(kalman.gain(P)))
+            P = kalman.corrected(P)
+    return loop.gain(chain)

@@ -8,7 +8,7 @@ from drivers.errors import BadInput
 from drivers.timebase import NS_PER_US
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import MadeFor, Rows
+from hil.configuration.speed_controller_file import LossCertificate, MadeFor, Rows
 from hil.control.hinf import HinfFeedback, HinfSettings
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
@@ -50,6 +50,7 @@ class HinfSection(Section):
     answer_us: float = Field(ge=0, le=1e6, description="from a reading to the speed's answer, us")
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    certificate: LossCertificate | None = None
     figures: HinfFigures | None = None
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ from pydantic import Field
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import MadeFor
+from hil.configuration.speed_controller_file import LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
 from hil.control.motion import MotionModel
 from hil.control.predictor import LoadCancelling, PredictorSettings
@@ -53,6 +53,7 @@ class PredictorController(Section):
     torque_gain: Gain = Field(default=0.0, description="torque per torque that is missing, N m/N m")
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
+    certificate: LossCertificate | None = None
     figures: PredictorFigures | None = None
 
     def build(self, setup: Setup) -> Controller:

@@ -41,6 +41,10 @@ class CurrentLoop(Section):
         slack = _ROUNDING * self.bandwidth_hz
         return self.bandwidth_min_hz - slack <= bandwidth_hz <= self.bandwidth_max_hz + slack
 
+    def is_that_of_the_design(self, bandwidth_hz: float) -> bool:
+        """Whether ``bandwidth_hz`` is what the design reckoned with."""
+        return abs(bandwidth_hz - self.bandwidth_hz) <= _ROUNDING * self.bandwidth_hz
+
 
 class MadeFor(Section):
     """``made_for``: for what the certificate holds."""
@@ -80,7 +84,25 @@ class SequenceProof(Section):
     gain_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
     decay_matrices: Annotated[tuple[Rows, ...], Field(strict=False)]
     """Of the quadratic function of each node at which a sample has just come
-    (``design/sampled/sequence_graph.py``), in the coordinates of ``design/sampled/held_loop.py``."""
+    (``design/sampled/sequence_graph.py``), in the coordinates of ``design/sampled/held_loop.py``; of a
+    predictor and of H-infinity in those of ``design/speed/loss_certificate.py``."""
+
+
+class LossCertificate(Section):
+    """``certificate`` of a controller with states of its own: what holds over every sequence of lost samples.
+
+    At the delay of ``made_for`` and no other, with its plant and the bandwidth of its current loop, and with
+    every command arriving.
+    """
+
+    losses_in_a_row_max: int = Field(ge=0)
+    solver: str
+    sequences: SequenceProof
+
+    @property
+    def gain(self) -> float:
+        """Certified from load torque to speed error, rad/s per N m."""
+        return self.sequences.gain_certified
 
 
 class Certificate(Section):

@@ -26,7 +26,7 @@ from hil.configuration.drive_current_loop import (
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.network_file import Network, commands_unknown, load_network
 from hil.configuration.predictor_section import PredictorController
-from hil.configuration.speed_controller_file import Certificate, DesignPlant, MadeFor
+from hil.configuration.speed_controller_file import Certificate, DesignPlant, LossCertificate, MadeFor
 from hil.execution.pid_current_loop import slow_loops
 from hil.loop.samples import CycleRecord, Sample
 from hil.rows.recording_plan import CertifiedPlan
@@ -310,7 +310,7 @@ def certified_plans(
 def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> CertifiedPlan:
     drive = config.drive[axis]
     controller = drive.controller
-    certificate = controller.certificate if isinstance(controller, StateFeedbackController) else None
+    certificate = _certificate(controller)
     limits, loop = allowed(wanted, config.loop.period), certified_loop(wanted)
     own = current_loop_of(config, axis, simulated=simulated)
     slew = drive.limits.torque_slew_max_nm_s
@@ -324,8 +324,9 @@ def _certified_plan(config: BenchConfig, axis: str, wanted: MadeFor, simulated: 
         torque_rms_nm_max=wanted.torque_rms_nm_max,
         age_us=limits.age_max / NS_PER_US,
         torque_step_max_nm=None if slew is None else slew * config.loop.period / NS_PER_S,
+        samples_alone=isinstance(certificate, LossCertificate),
         left=tuple(_left(config, axis, wanted, simulated)),
-        unknown=tuple(_unknown(wanted, certificate, own)),
+        unknown=tuple(_unknown(drive, wanted, certificate, own)),
     )
 
 
@@ -347,9 +348,26 @@ def _left(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> I
             yield f"faults.{kind}: the drive itself was struck"
 
 
-def _unknown(wanted: MadeFor, certificate: Certificate | None, own: KnownLoop | None) -> Iterator[str]:
+def _certificate(controller: object) -> Certificate | LossCertificate | None:
+    if isinstance(controller, StateFeedbackController | PredictorController | HinfSection):
+        return controller.certificate
+    return None
+
+
+def _unknown(
+    drive: DriveConfig,
+    wanted: MadeFor,
+    certificate: Certificate | LossCertificate | None,
+    own: KnownLoop | None,
+) -> Iterator[str]:
     """Premises of which nobody knows whether bench and drive keep them, in words."""
-    if certificate is not None and certificate.sequences is None:
+    if isinstance(certificate, LossCertificate):
+        made = certified_loop(wanted)
+        if made is not None and own is not None and not made.is_that_of_the_design(own.bandwidth_hz):
+            yield f"bandwidth: gain certified for a current loop of {made.bandwidth_hz:g} Hz alone"
+        if isinstance(drive.controller, HinfSection) and drive.compensator.kind != "arrival":
+            yield f"compensator: certified for arrival, the bench's is {drive.compensator.kind}"
+    elif certificate is not None and certificate.sequences is None:
         yield "sampling: certified for a constant delay alone"
     if own is None and certified_loop(wanted) is not None:
         yield "bandwidth: that of the drive's current loop is not known"

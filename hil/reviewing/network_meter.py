@@ -24,7 +24,7 @@ from hil.rows.side_rows import RunEvent
 from hil.verdict.summary import Summary
 
 _BARS = 100
-ACTING, _LOST, _NOT_IDENTIFIABLE = (
+ACTING, LOST, _NOT_IDENTIFIABLE = (
     COMMAND_FATES.index(fate) for fate in (CommandFate.ACTING, CommandFate.LOST, CommandFate.NOT_IDENTIFIABLE)
 )
 _RUN_MAX = 1000
@@ -75,8 +75,8 @@ class NetworkMeter:
             mine = rows[rows["axis"] == axis]
             _count_runs(self._runs, self._open, axis, mine["fate"] != FATE_SAMPLE)
             told = mine["command_fate"]
-            told = told[(told == ACTING) | (told == _LOST)]
-            _count_runs(self._command_runs, self._commands_open, axis, told == _LOST)
+            told = told[(told == ACTING) | (told == LOST)]
+            _count_runs(self._command_runs, self._commands_open, axis, told == LOST)
 
     def network(self) -> Network | None:
         """The network so far; None before the first reading."""
@@ -87,7 +87,7 @@ class NetworkMeter:
             return None
         stamped = bool((self._unstamped <= 0).all())
         action = delays_of(self._stamped if stamped else self._action)
-        acting, lost = (int(self._command_fates[place]) for place in (ACTING, _LOST))
+        acting, lost = (int(self._command_fates[place]) for place in (ACTING, LOST))
         count = {cause: int(self._fates[place]) for place, cause in enumerate(CAUSES, start=1)}
         total = int(self._fates.sum())
         return Network(

@@ -5,6 +5,7 @@ commands are read back at SYNCs says between which two of them a command began t
 with neither may be held against what is certified. In words each begins with its name and a colon.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,11 +13,13 @@ from numpy.typing import NDArray
 
 from drivers.cia402.profile import Status
 from drivers.timebase import NS_PER_US
-from hil.reviewing.network_meter import ACTING, NetworkMeter, action_delays_ns
+from hil.reviewing.network_meter import ACTING, LOST, NetworkMeter, action_delays_ns
 from hil.rows.recording_plan import AxisPlan, CertifiedPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 
 _ROUNDING = 1e-9
+_EXACT_US = 10.0
+"""By which a constant delay may be missed, either way: what two clocks that are matched leave open of it."""
 
 
 class PremisesMeter:
@@ -31,6 +34,9 @@ class PremisesMeter:
         self._command_nm = 0.0
         self.saturated = 0
         """Cycles of the stretches that are held against the certificate with a command at a limit."""
+        self._commands_lost = 0
+        self._shortest_us = math.inf
+        """From sample to actuator: the shortest was so long at most."""
         self.delay_least_us: float | None = None
         self.delay_most_us: float | None = None
         """From sample to actuator: the longest was at least, and at most, so long; None: not known."""
@@ -85,8 +91,20 @@ class PremisesMeter:
             yield f"losses: {self.losses} in a row, made for at most {losses}"
         if not (long or often) and age is not None and self._age_us > age:
             yield f"age: a sample that acts for {self._age_us:.1f} us, made for at most {age:g} us"
+        if certified.samples_alone:
+            yield from self._left_by_commands(delay)
         if self.saturated:
             yield f"saturation: {self.saturated} commands at a limit after a load step"
+
+    def _left_by_commands(self, delay_us: float | None) -> Iterator[str]:
+        """What a certificate for lost samples presumes of the commands."""
+        if self._commands_lost:
+            yield f"commands: {self._commands_lost} lost, certified where every one arrives"
+        if delay_us is not None and self._shortest_us < delay_us - _EXACT_US:
+            yield (
+                f"constant delay: {self._shortest_us:.1f} us from sample to actuator, certified for "
+                f"{delay_us:g} us alone"
+            )
 
     def unknown(self) -> Iterator[str]:
         """Premises of which the rows do not tell whether they were kept, in words."""
@@ -96,7 +114,10 @@ class PremisesMeter:
             return
         if most is None:
             yield "delay: from sample to actuator nothing was measured"
-        elif most > limit and not (self.delay_least_us or 0.0) > limit:
+        elif (
+            most > limit + (_EXACT_US if self._certified.samples_alone else 0.0)
+            and not (self.delay_least_us or 0.0) > limit
+        ):
             yield (
                 f"delay: {self.delay_least_us:.1f} to {most:.1f} us from sample to actuator, made for "
                 f'{limit:g} us (loop.command_readback = "event" tells it)'
@@ -105,6 +126,7 @@ class PremisesMeter:
     def _add_ages(self, rows: Rows) -> None:
         """A sample acts until the next one does: its own delay, a period, and one more for each loss."""
         period_ns = self._certified.period_us * NS_PER_US
+        self._commands_lost += int(np.count_nonzero(rows["command_fate"] == LOST))
         came = np.flatnonzero(rows["fate"] == FATE_SAMPLE)
         if not came.size:
             self._missing += rows.size
@@ -113,8 +135,9 @@ class PremisesMeter:
         missing[0] += self._missing
         self._missing = int(rows.size - 1 - came[-1])
         samples = rows[came]
-        least, _ = action_delays_ns(samples, period_ns)
+        least, most = action_delays_ns(samples, period_ns)
         if least.size:
+            self._shortest_us = min(self._shortest_us, float(most.min()) / NS_PER_US)
             acting = samples["command_fate"] == ACTING
             self._age_us = max(
                 self._age_us, float(((missing[acting] + 1) * period_ns + least).max()) / NS_PER_US

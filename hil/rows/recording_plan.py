@@ -37,6 +37,8 @@ class CertifiedPlan:
     """For which a sample acts, losses included, at most."""
     torque_step_max_nm: float | None = None
     """Limit of a command beside the one before it; None: there is none."""
+    samples_alone: bool = False
+    """Certified for lost samples, but neither for lost commands nor for a shorter delay."""
     left: tuple[str, ...] = ()
     """Premises that bench and drive do not keep, in words (:mod:`hil.reviewing.premises`)."""
     unknown: tuple[str, ...] = ()

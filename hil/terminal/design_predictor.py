@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import MISSING, BadInput
-from hil.terminal.output import print_figures, put, say_written
+from hil.terminal.output import on_terminal, print_figures, put, say_written
 
 if TYPE_CHECKING:
     from design.motor import PmsmParameters
@@ -24,6 +24,8 @@ _DEAD_TIME_US = 100.0
 _INNER_RATE_HZ = 16_000.0
 _NOISE_SHARE = 0.05
 """Of the rated torque."""
+_LOSSES, _LOSSES_MAX = 1, 5
+"""In a row, with ``--delay-ms``."""
 
 PeriodMsOption = Annotated[
     float | None,
@@ -71,6 +73,17 @@ TorqueNoiseOption = Annotated[
     ),
 ]
 
+LossesMaxOption = Annotated[
+    int | None,
+    typer.Option(
+        "--losses-max",
+        metavar="N",
+        min=0,
+        max=_LOSSES_MAX,
+        help="Predictor, hinf: samples lost in a row that are certified, with --delay-ms; 1 if absent.",
+    ),
+]
+
 
 @dataclass(frozen=True, slots=True)
 class PredictorOptions:
@@ -81,6 +94,7 @@ class PredictorOptions:
     speed_filter_hz: float | None
     dead_time_us: float | None
     torque_noise_nm: float | None
+    losses_max: int | None
 
     @property
     def given(self) -> dict[str, object]:
@@ -91,6 +105,7 @@ class PredictorOptions:
             "--speed-filter-hz": self.speed_filter_hz,
             "--drive-dead-time-us": self.dead_time_us,
             "--torque-noise-nm": self.torque_noise_nm,
+            "--losses-max": self.losses_max,
         }
 
 
@@ -114,10 +129,11 @@ def finish_predictor(
 ) -> None:
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
-    from hil.studies.speed.hinf import HinfResult, design_speed_hinf, write_hinf
+    from hil.studies.speed.hinf import HinfResult, certified_hinf, design_speed_hinf, write_hinf
     from hil.studies.speed.predictor import (
         PredictorDrive,
         PredictorResult,
+        certified_predictor,
         design_speed_predictor,
         write_predictor,
     )
@@ -130,14 +146,15 @@ def finish_predictor(
         1e-6 * (_DEAD_TIME_US if options.dead_time_us is None else options.dead_time_us),
     )
     noise_nm = options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm
-    over = _network(options.period_ms, delay_s, network)
+    over = _network(options, delay_s, network)
     load = load_nm or motor.rated_torque_nm
     found: HinfResult | PredictorResult
+    on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")
     try:
         if structure == "hinf":
-            found = design_speed_hinf(motor, drive, over, load, noise_nm)
+            found = certified_hinf(design_speed_hinf(motor, drive, over, load, noise_nm))
         else:
-            found = design_speed_predictor(motor, drive, over, load, noise_nm)
+            found = certified_predictor(design_speed_predictor(motor, drive, over, load, noise_nm))
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
     figures = {"current_bandwidth_from": inner.key, **found.figures}
@@ -151,18 +168,20 @@ def finish_predictor(
 
 
 def _network(
-    period_ms: float | None, delay_s: float | None, network: "SampledNetwork | None"
+    options: PredictorOptions, delay_s: float | None, network: "SampledNetwork | None"
 ) -> "PredictorNetwork":
     """``delay_s``: the age that a sample reaches, period included, as elsewhere in this command."""
     from hil.studies.speed.predictor import PredictorNetwork
 
     if network is not None:
-        for option, value in {"--delay-ms": delay_s, "--period-ms": period_ms}.items():
+        own = {"--period-ms": options.period_ms, "--losses-max": options.losses_max}
+        for option, value in {"--delay-ms": delay_s, **own}.items():
             if value is not None:
                 raise BadInput(option, "", value, f"either --network or {option}")
         return PredictorNetwork(network.period_s, network.delay_max_s, network.losses_max, measured=True)
-    period_s = 1e-3 * (period_ms or _PERIOD_MS)
+    period_s = 1e-3 * (options.period_ms or _PERIOD_MS)
+    losses = _LOSSES if options.losses_max is None else options.losses_max
     if delay_s is None or delay_s < period_s:
         least = f"at least a period of {1e3 * period_s:g} ms, or --network"
         raise BadInput("--delay-ms", "", MISSING if delay_s is None else 1e3 * delay_s, least)
-    return PredictorNetwork(period_s, delay_s - period_s, 0, measured=False)
+    return PredictorNetwork(period_s, delay_s - period_s, losses, measured=False)

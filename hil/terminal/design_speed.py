@@ -21,6 +21,7 @@ from hil.terminal.current_loop_options import (
 from hil.terminal.design_predictor import (
     DeadTimeOption,
     EncoderCountsOption,
+    LossesMaxOption,
     PeriodMsOption,
     PredictorOptions,
     SpeedFilterOption,
@@ -162,6 +163,7 @@ def speed(
     speed_filter_hz: SpeedFilterOption = None,
     drive_dead_time_us: DeadTimeOption = None,
     torque_noise_nm: TorqueNoiseOption = None,
+    losses_max: LossesMaxOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -174,7 +176,7 @@ def speed(
     """
     with reported_errors():
         asked = PredictorOptions(
-            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm
+            period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm, losses_max
         )
         predicts = structure is not SpeedStructure.STATIC
         if predicts:

@@ -1,6 +1,7 @@
 """Speed peaks after a load step over the floor that no controller beats, on whole runs of a simulated drive.
 
-    predictor, H-infinity, PID (hil design pid), static gain with integral (hil design speed --integral)
+    predictor, H-infinity, PI with a load-torque observer, PID (hil design pid), static gain with integral
+    (hil design speed --integral)
     h + tau = 2, 4, 20 ms at 1 kHz; a step of 30 % of the rated torque at 8 or 4 instants of a period
 
 Each figure is over its own floor: with its inertia, its losses, and tau up to the torque at the shaft (the
@@ -16,7 +17,7 @@ import numpy as np
 
 from drivers.errors import BenchError
 from hil.configuration.motor_file import LING2012, load_motor
-from tests.floor_runs import PERIOD_S, Case, hinf, measure, pid, predictor, static, table_of
+from tests.floor_runs import PERIOD_S, Case, hinf, measure, observing, pid, predictor, static, table_of
 from tests.random_motors import designed
 
 AZAIZ2007 = Path("examples/motors/azaiz2007.toml")
@@ -55,7 +56,12 @@ def main() -> None:
         told = found.robustness
         ways = {"predictor": table_of(found)}
         if not chosen.predictor_only:
-            ways |= {"hinf": hinf(case), "pid": pid(case), "static": static(case)}
+            ways |= {
+                "hinf": hinf(case),
+                "observer": observing(case),
+                "pid": pid(case),
+                "static": static(case),
+            }
         for name, controller in ways.items():
             try:
                 each = measure(case, controller, chosen.phases or phases)

@@ -1,13 +1,18 @@
 """``hil design speed --structure hinf``: the design, its figures, and the controller file."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from design.motor import PmsmParameters
+from design.sampled.analysis import SampledAnalysis
 from design.speed.hinf_design import LOST, HinfDesign, HinfRobustness, design_hinf, hinf_robustness
+from design.speed.loss_certificate import hinf_losses, with_losses
 from hil.configuration.hinf_section import HinfFigures, HinfSection
 from hil.studies.speed.analysis import finite
+from hil.studies.speed.losses import loss_certificate, loss_figures
 from hil.studies.speed.predictor import (
     PredictorDrive,
     PredictorNetwork,
@@ -28,6 +33,8 @@ class HinfResult:
     network: PredictorNetwork
     design: HinfDesign
     robustness: HinfRobustness
+    losses: Sequence[SampledAnalysis] = ()
+    """With ever fewer in a row, up to the most that are certified; empty: not looked at."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -57,7 +64,8 @@ class HinfResult:
             "certificate": {
                 "norm": "of the weighted problem, with the controller of full order",
                 "gamma": "exact, of the sampled loop with every sample",
-                "losses": "none: peaks by trial",
+                "losses": loss_figures(self.losses),
+                "peaks": "none: by trial",
             },
             "robustness": self._robustness(),
         }
@@ -93,6 +101,12 @@ def design_speed_hinf(
     return HinfResult(drive, network, design, hinf_robustness(design))
 
 
+def certified_hinf(result: HinfResult) -> HinfResult:
+    """The same with what is certified over lost samples. Raises NoSolution."""
+    losses = with_losses(partial(hinf_losses, result.design), result.network.losses_max)
+    return replace(result, losses=losses)
+
+
 def hinf_controller_of(result: HinfResult) -> HinfSection:
     """The table [controller] of a design. The matrices keep all their digits: they integrate exactly."""
     design, found, c = result.design, result.robustness, result.design.controller
@@ -109,7 +123,8 @@ def hinf_controller_of(result: HinfResult) -> HinfSection:
         inertia_kg_m2=motor.inertia_kg_m2,
         viscous_friction_nm_s=motor.viscous_friction_nm_s,
         answer_us=short((request.delay_s + lags_s) * _US_PER_S),
-        made_for=made_for_of(result.drive, result.network, motor, found.bandwidths),
+        made_for=made_for_of(result.drive, result.network, motor, found.bandwidths, result.losses),
+        certificate=loss_certificate(result.losses),
         figures=HinfFigures(
             load_nm=request.load_nm,
             peak_over_floor=short(found.peak_over_floor),

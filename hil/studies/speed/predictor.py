@@ -1,11 +1,17 @@
 """``hil design speed --structure predictor``: the design, its figures, and the controller file."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from design.motor import PmsmParameters
+from design.sampled.analysis import SampledAnalysis
+from design.speed.loss_certificate import predictor_losses, with_losses
 from design.speed.predictor_design import (
     LOST,
     PredictorDesign,
@@ -15,6 +21,7 @@ from design.speed.predictor_design import (
     predictor_robustness,
 )
 from design.speed.predictor_plant import encoder_noise_rad_s
+from design.speed.predictor_trial import Walks
 from drivers.errors import BadInput
 from hil.configuration.config_files import Section
 from hil.configuration.predictor_section import PredictorController, PredictorFigures
@@ -22,6 +29,7 @@ from hil.configuration.speed_controller_file import CurrentLoop, MadeFor
 from hil.configuration.toml_text import toml_text
 from hil.studies.speed.analysis import finite
 from hil.studies.speed.controller_text import plant_of, whole_us
+from hil.studies.speed.losses import certified_of, loss_certificate, loss_figures
 
 _DIGITS = 6
 _US_PER_S = 1e6
@@ -62,6 +70,8 @@ class PredictorResult:
     network: PredictorNetwork
     design: PredictorDesign
     robustness: PredictorRobustness
+    losses: Sequence[SampledAnalysis] = ()
+    """With ever fewer in a row, up to the most that are certified; empty: not looked at."""
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -84,7 +94,8 @@ class PredictorResult:
             "gamma": finite(found.gain),
             "certificate": {
                 "gamma": "exact, of the sampled loop with constant gains and every sample",
-                "losses": "none: gains found under regular losses, peaks by trial",
+                "losses": loss_figures(self.losses),
+                "peaks": "none: by trial",
             },
             "robustness": self._robustness(),
         }
@@ -116,8 +127,20 @@ def design_speed_predictor(
     command_noise_nm: float,
 ) -> PredictorResult:
     """The design. Raises InfeasibleDesign."""
-    found = design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm))
+    found = as_written(design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm)))
     return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
+
+
+def as_written(design: PredictorDesign) -> PredictorDesign:
+    """With the digits of its file: what is proved of a design is proved of the controller that runs."""
+    walks = Walks(short(design.walks.quiet), short(design.walks.bold))
+    return replace(design, F=np.array([short(gain) for gain in design.F]), walks=walks)
+
+
+def certified_predictor(result: PredictorResult) -> PredictorResult:
+    """The same with what is certified over lost samples. Raises NoSolution."""
+    losses = with_losses(partial(predictor_losses, result.design), result.network.losses_max)
+    return replace(result, losses=losses)
 
 
 def request_of(
@@ -132,10 +155,10 @@ def request_of(
         motor=motor,
         current_rate_rad_s=math.tau * drive.current_bandwidth_hz,
         speed_filter_hz=drive.speed_filter_hz,
-        speed_noise_rad_s=encoder_noise_rad_s(
-            drive.encoder_counts, drive.speed_filter_hz, drive.inner_rate_hz
+        speed_noise_rad_s=short(
+            encoder_noise_rad_s(drive.encoder_counts, drive.speed_filter_hz, drive.inner_rate_hz)
         ),
-        torque_noise_nm=_TORQUE_NOISE * motor.rated_torque_nm,
+        torque_noise_nm=short(_TORQUE_NOISE * motor.rated_torque_nm),
         period_s=network.period_s,
         delay_s=network.delay_max_s + drive.dead_time_s,
         load_nm=load_nm,
@@ -154,13 +177,16 @@ def controller_of(result: PredictorResult) -> PredictorController:
         current_bandwidth_hz=result.drive.current_bandwidth_hz,
         speed_filter_hz=result.drive.speed_filter_hz,
         dead_time_us=short(result.drive.dead_time_s * _US_PER_S),
-        speed_noise_rad_s=short(request.speed_noise_rad_s),
-        torque_noise_nm=short(request.torque_noise_nm),
-        load_noise_nm_sqrt_s=short(design.walks.quiet),
-        load_noise_max_nm_sqrt_s=short(design.walks.bold),
-        speed_gain_nm_s_rad=short(float(design.F[1])),
-        torque_gain=short(float(design.F[0])),
-        made_for=made_for_of(result.drive, result.network, motor, result.robustness.bandwidths),
+        speed_noise_rad_s=request.speed_noise_rad_s,
+        torque_noise_nm=request.torque_noise_nm,
+        load_noise_nm_sqrt_s=design.walks.quiet,
+        load_noise_max_nm_sqrt_s=design.walks.bold,
+        speed_gain_nm_s_rad=float(design.F[1]),
+        torque_gain=float(design.F[0]),
+        made_for=made_for_of(
+            result.drive, result.network, motor, result.robustness.bandwidths, result.losses
+        ),
+        certificate=loss_certificate(result.losses),
         figures=PredictorFigures(
             load_nm=request.load_nm,
             peak_over_floor=short(found.peak_over_floor),
@@ -178,8 +204,12 @@ def made_for_of(
     network: PredictorNetwork,
     motor: PmsmParameters,
     bandwidths: tuple[float, float],
+    losses: Sequence[SampledAnalysis],
 ) -> MadeFor:
-    """``bandwidths``: shares of the current loop's own, between which the loop is stable."""
+    """``bandwidths``: shares of the current loop's own, between which the loop is stable.
+
+    With a certificate it is made for as many losses in a row as that covers.
+    """
     (least, most), hz = bandwidths, drive.current_bandwidth_hz
     made = MadeFor(
         delay_us=whole_us(network.period_s + network.delay_max_s),
@@ -189,10 +219,11 @@ def made_for_of(
             bandwidth_hz=hz, bandwidth_min_hz=short(hz * least), bandwidth_max_hz=short(hz * most)
         ),
     )
-    if not network.measured:
+    certified = certified_of(losses)
+    if certified is None and not network.measured:
         return made
     held = {
-        "losses_in_a_row_max": network.losses_max,
+        "losses_in_a_row_max": network.losses_max if certified is None else certified.network.losses_max,
         "delay_max_us": math.floor(network.delay_max_s * _US_PER_S + 1e-6),
     }
     return made.model_copy(update=held)

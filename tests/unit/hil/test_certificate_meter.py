@@ -152,6 +152,21 @@ def test_losses_and_the_age_of_a_sample_are_premises() -> None:
     assert state_of(rows) == ("premise left", "losses: 3 in a row, made for at most 2")
 
 
+def test_a_certificate_for_lost_samples_presumes_a_constant_delay_and_every_command() -> None:
+    axis = replace(AXIS, certified=replace(CERTIFIED, samples_alone=True))
+    assert state_of(exact(loaded(18.0), 800), axis) == ("exceeded", "")
+    assert state_of(exact(loaded(17.0), 796, 8), axis) == ("kept", ""), "as near as clocks tell"
+    state, why = state_of(exact(loaded(17.0), 780), axis)
+    assert state == "premise left"
+    assert why == "constant delay: 780.0 us from sample to actuator, certified for 800 us alone"
+    assert state_of(exact(loaded(17.0), 780))[0] == "kept", "other certificates cover shorter delays"
+    rows = exact(loaded(17.0), 800)
+    rows["command_fate"][700:703] = COMMAND_FATES.index(CommandFate.LOST)
+    state, why = state_of(rows, axis)
+    assert state == "premise left"
+    assert "commands: 3 lost, certified where every one arrives" in why
+
+
 def test_a_command_at_a_limit_after_the_load_step_leaves_the_premises() -> None:
     slewed = replace(AXIS, certified=replace(CERTIFIED, torque_step_max_nm=1.0))
     for place, state in ((10, "exceeded"), (STEP_AT + 10, "premise left")):

@@ -1,0 +1,104 @@
+"""What is certified of a predictor, and of an H-infinity controller, over every sequence of lost samples.
+
+The samples are those that a drive sends; every command arrives, and acts the delay of the design after its
+sample was due. The plant is that of the design. Through a loss
+
+    H-infinity    the last sample is held, and its states go on as if it had come again
+    predictor     the model runs on alone, and the next sample counts for more: whatever gains the filter
+                  comes by, losses and steps that it sees included, lie in :class:`GainBoxes`
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from design.delay.delay_loop import Array
+from design.sampled.analysis import SampledAnalysis, analyse_loop
+from design.sampled.held_loop import Jump, Operation
+from design.sampled.loss_patterns import Pattern
+from design.sampled.lossy_loop import LossyLoop, LossyPeriods, Period, with_entry
+from design.speed.hinf_design import HinfDesign
+from design.speed.hinf_loop import HinfLoop
+from design.speed.predictor_design import PredictorDesign, losses_gain
+from design.speed.predictor_gains import GainBoxes
+from design.speed.predictor_loop import PredictorLoop
+from design.speed.predictor_plant import FILTERED, of_state
+
+Attempt = Callable[[int], SampledAnalysis]
+
+
+def with_losses(attempt: Attempt, losses_max: int) -> list[SampledAnalysis]:
+    """What comes of ``losses_max`` in a row and of ever fewer, until one is certified: that is the last."""
+    found: list[SampledAnalysis] = []
+    for losses in range(losses_max, -1, -1):
+        found.append(attempt(losses))
+        if found[-1].certified:
+            break
+    return found
+
+
+def hinf_losses(made: HinfDesign, losses_max: int) -> SampledAnalysis:
+    """Through at most so many losses in a row."""
+    return analyse_loop(lossy_hinf(made.loop(), losses_max))
+
+
+def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
+    """``loop`` with the error that is held as its last state, before the commands on their way."""
+    first, *rest = loop.chain()
+    assert isinstance(first, Jump)
+    size, commands = loop.size, slice(loop.first_command, loop.size)
+    held, read = np.eye(size + 1)[size], np.eye(size + 1)[FILTERED]
+    lost = with_entry(first.J, held)
+    lost[commands, size], lost[commands, FILTERED] = -lost[commands, FILTERED], 0.0
+    after = [Jump(with_entry(each.J, held)) if isinstance(each, Jump) else each for each in rest]
+    came: Period = (Jump(with_entry(first.J, -read)), *after)
+    count = losses_max + 1
+    order = [
+        *range(loop.first_command),
+        *range(loop.first_state, size + 1),
+        *range(loop.first_command, loop.first_state),
+    ]
+    periods = LossyPeriods((Jump(lost), *after), (came,) * count, ((came,),) * count).ordered(order)
+    # the oldest command is the one in force
+    return LossyLoop(loop.model, loop.controller.period_s, loop.delay_s, periods, size)
+
+
+def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
+    """Through at most so many losses in a row; what is found is found with the gains of the quiet filter."""
+    loop = lossy_predictor(made, losses_max)
+    found = analyse_loop(loop, (False,))
+    gains = [losses_gain(made, losses_of(pattern)) for pattern in (found.worst.pattern, *found.regular)]
+    return replace(found, worst=replace(found.worst, gain=max(gains)))
+
+
+def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:
+    """The loop with every gain that its filter may have."""
+    own, request = PredictorLoop(made.prediction), made.request
+    boxes = GainBoxes(request.kalman, made.walks, losses_max)
+    losses = range(losses_max + 1)
+
+    def period(L: Array | None) -> tuple[Operation, ...]:
+        return tuple(own.chain(L))
+
+    periods = LossyPeriods(
+        period(None),
+        tuple(period(_quiet_gain(made, lost)) for lost in losses),
+        tuple(tuple(map(period, boxes.corners(lost))) for lost in losses),
+    )
+    # the oldest command is the one in force
+    return LossyLoop(own.model, request.period_s, request.delay_s, periods, own.size - 1)
+
+
+def _quiet_gain(made: PredictorDesign, lost: int) -> Array:
+    """L of the first sample after so many losses, before which every one came."""
+    kalman, walk = made.request.kalman, made.walks.quiet
+    P = kalman.settled(walk)
+    for _ in range(lost + 1):
+        P = kalman.predicted(P, walk)
+    return of_state(kalman.gain(P))
+
+
+def losses_of(pattern: Pattern) -> list[int]:
+    """Before each sample of ``pattern`` that comes."""
+    return [step.source for step in pattern.steps if step.switches]

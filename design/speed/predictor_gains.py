@@ -1,0 +1,185 @@
+"""The gains that a predictor's filter may have, whatever is lost and whatever it takes for a load step.
+
+The covariance after a sample follows from what it was, from the losses before the sample, and from whether
+the bold one took its place. Every such map is monotone: what lies between two covariances before a history
+of samples lies between their outcomes behind it, and the longer it is, the nearer these are. So histories
+that cover every past, each begun between the least and the largest covariance there is, enclose every gain
+there is: in a box for each number of losses before the sample, along the axes in which it is thin.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.delay.delay_loop import Array
+from design.errors import NoSolution
+from design.speed.predictor_plant import READ, KalmanModel, of_state
+from design.speed.predictor_trial import Walks
+
+_HISTORIES_MAX = 6000
+_SAMPLES_MAX = 12
+_NARROW = 1e-2
+"""Half of what a history leaves open of a gain, relative: none is made longer than that needs."""
+_ROUNDS = 2000
+"""In which the largest covariance is looked for."""
+_ROUNDING, _SLACK = 1e-12, 1e-6
+"""Relative: what counts as nothing, and by how much more that covariance is taken."""
+_ROOM = 1e-3
+"""Of a gain: what the host's filter, in scalars and from six digits, may differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Between:
+    """Covariances (N, 3, 3) between two, each of the filter and of the bold one."""
+
+    low: Array
+    high: Array
+    bold_low: Array
+    bold_high: Array
+
+    def put(self, rows: NDArray[np.intp], other: "_Between") -> None:
+        """``other`` in place of ``rows``."""
+        for own, new in zip(self.parts, other.parts, strict=True):
+            own[rows] = new
+
+    def part(self, rows: NDArray[np.intp]) -> "_Between":
+        """Some of them."""
+        return _Between(*(own[rows] for own in self.parts))
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array]:
+        """All four."""
+        return self.low, self.high, self.bold_low, self.bold_high
+
+
+class GainBoxes:
+    """Of a filter through which at most ``losses_max`` samples in a row are lost."""
+
+    def __init__(self, kalman: KalmanModel, walks: Walks, losses_max: int) -> None:
+        self._kalman, self._walks, self._losses_max = kalman, walks, losses_max
+        self._largest = self._largest_covariance()
+        self._outcomes = self._histories()
+
+    def corners(self, lost: int) -> list[Array]:
+        """Those of the box of all gains, each L (4,), behind so many losses in a row."""
+        prior = self._prior(self._outcomes, lost)
+        low = np.concatenate([prior.low, prior.bold_low])
+        high = np.concatenate([prior.high, prior.bold_high])
+        middle, width = 0.5 * (low + high), high - low
+        noise = self._kalman.R
+        centres = middle @ READ / (middle @ READ @ READ + noise)[:, None]
+        size = np.abs(centres).max(axis=0)
+        axes = np.linalg.svd(centres / size - (centres / size).mean(axis=0))[2]
+        divisors = low @ READ @ READ + noise, high @ READ @ READ + noise
+        ends = []
+        for axis in axes:
+            u = axis / size
+            about = middle @ READ @ u
+            reach = _reach(width, u)
+            quotients = [(about + sign * reach) / each for sign in (-1.0, 1.0) for each in divisors]
+            ends.append((float(np.min(quotients)) - _ROOM, float(np.max(quotients)) + _ROOM))
+        return [of_state(size * (axes.T @ np.array(corner))) for corner in itertools.product(*ends)]
+
+    def _histories(self) -> _Between:
+        """What all pasts leave behind a sample."""
+        letters = np.arange(2 * (self._losses_max + 1))
+        settled: list[_Between] = []
+        count, open_ = 0, np.zeros((1, 0), dtype=int)
+        for _ in range(_SAMPLES_MAX):
+            outcomes = self._outcome(open_)
+            widths = self._widths(outcomes)
+            room = max(0, _HISTORIES_MAX - count - len(open_)) // len(letters)
+            split = np.argsort(-widths, kind="stable")[:room]
+            split = split[widths[split] > _NARROW]
+            kept = np.setdiff1d(np.arange(len(open_)), split)
+            settled.append(outcomes.part(kept))
+            count += len(kept)
+            older = np.repeat(letters, len(split))[:, None]
+            open_ = np.hstack([older, np.tile(open_[split], (len(letters), 1))])
+            if not len(open_):
+                break
+        settled.append(self._outcome(open_))
+        return _Between(
+            *(np.concatenate(parts) for parts in zip(*(each.parts for each in settled), strict=True))
+        )
+
+    def _outcome(self, histories: NDArray[np.int_]) -> _Between:
+        """(N, samples), the oldest first: twice the losses before a sample, and 1 if a step was seen."""
+        kalman, walks, count = self._kalman, self._walks, len(histories)
+        quiet, bold = kalman.settled(walks.quiet), kalman.settled(walks.bold)
+        starts = (quiet, self._largest, bold, self._largest)
+        found = _Between(*(np.repeat(start[None], count, axis=0) for start in starts))
+        for column in histories.T:
+            for letter in np.unique(column):
+                rows = np.flatnonzero(column == letter)
+                prior = self._prior(found.part(rows), int(letter) // 2)
+                found.put(rows, self._corrected(prior, bool(letter % 2)))
+        return found
+
+    def _widths(self, outcomes: _Between) -> Array:
+        """(N,): how much each leaves open of the next gain of the load, or of the speed, relative."""
+        prior = self._prior(outcomes, 0)
+        found = np.zeros(len(prior.low))
+        for low, high in ((prior.low, prior.high), (prior.bold_low, prior.bold_high)):
+            for u in np.eye(3):
+                found = np.maximum(found, _reach(high - low, u) / np.abs(low @ READ @ u))
+        return found
+
+    def _prior(self, given: _Between, lost: int) -> _Between:
+        """Before the sample that comes after so many losses."""
+        quiet, bold, periods = self._walks.quiet, self._walks.bold, lost + 1
+        low, high, bold_low, bold_high = given.parts
+        return _Between(
+            self._predicted(low, quiet, periods),
+            self._predicted(high, quiet, periods),
+            self._predicted(bold_low, bold, periods),
+            self._predicted(bold_high, bold, periods),
+        )
+
+    def _predicted(self, P: Array, walk: float, periods: int) -> Array:
+        """(..., 3, 3) some periods later."""
+        for _ in range(periods):
+            P = self._kalman.Phi @ P @ self._kalman.Phi.T + self._kalman.process(walk)
+        return P
+
+    def _corrected(self, prior: _Between, taken: bool) -> _Between:
+        """``taken``: a step was seen, and the bold covariance with it."""
+        low, high, *bold = map(self._after, prior.parts)
+        return _Between(*bold, *bold) if taken else _Between(low, high, *bold)
+
+    def _after(self, P: Array) -> Array:
+        read = P @ READ
+        return np.asarray(
+            P - read[:, :, None] * read[:, None, :] / (read @ READ + self._kalman.R)[:, None, None]
+        )
+
+    def _largest_covariance(self) -> Array:
+        """Behind a sample, of the bold filter: no losses lead beyond it. Raises NoSolution.
+
+        Made a little larger it remains one: no such map grows faster than its covariance does.
+        """
+        kalman, walk = self._kalman, self._walks.bold
+        P = kalman.settled(walk)
+        for _ in range(_ROUNDS):
+            beyond = [
+                kalman.corrected(self._predicted(P, walk, lost + 1)) - P
+                for lost in range(self._losses_max + 1)
+            ]
+            if all(np.linalg.eigvalsh(each)[-1] <= _ROUNDING * np.trace(P) for each in beyond):
+                return P * (1.0 + _SLACK)
+            P = P + sum(_positive(each) for each in beyond)
+        raise NoSolution("gains of the filter", "no covariance was found that losses do not lead beyond")
+
+
+def _reach(width: Array, u: Array) -> Array:
+    """(N,): by how much u' P r may depart from that of the middle of two covariances, ``width`` apart."""
+    along, across = np.einsum("i,nij,j->n", u, width, u), width @ READ @ READ
+    return np.asarray(0.5 * np.sqrt(np.maximum(along * across, 0.0)))
+
+
+def _positive(M: Array) -> Array:
+    """What of it is above 0."""
+    values, vectors = np.linalg.eigh(M)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -1,0 +1,106 @@
+"""Runs of predictor and H-infinity through lost readings, held against what their files certify."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from hil.cli import app
+from hil.configuration.motor_file import LING2012
+from hil.configuration.toml_text import toml_text
+from hil.execution.network_guard import certified_plans
+from hil.studies.speed.predictor import (
+    PredictorDrive,
+    PredictorNetwork,
+    controller_of,
+    design_speed_predictor,
+)
+from tests.floor_runs import Case
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+FILES = {name: EXAMPLES / "controllers" / f"ling2012-{name}.toml" for name in ("predictor", "hinf")}
+
+
+def bench(name: str, lost: int) -> dict[str, Any]:
+    """Of every ``lost`` + 1 readings one comes."""
+    return {
+        "bench": {"name": "lossy", "duration_s": 1.0, "seed": 1},
+        "loop": {"period_us": 1000, "actuation": "on_sync", "command_readback": "event"},
+        "drive": {
+            "axis1": {
+                "node": 1,
+                "motor": str(EXAMPLES / "motors" / "ling2012.toml"),
+                "simulation": {"encoder_counts_per_revolution": 65_536},
+                "limits": {"speed_max_rpm": 3000.0, "torque_max_nm": 4.0},
+                "controller": str(FILES[name]),
+            }
+        },
+        "reference": {"axis1": [{"at_s": 0.0, "kind": "ramp", "speed_rpm": 500.0, "over_s": 0.1}]},
+        "load": {"axis1": [{"at_s": 0.6, "torque_nm": 0.3}]},
+        "faults": {"periodic_loss": [{"direction": "drive_to_host", "frames": ["pdo"], "lost": lost}]},
+    }
+
+
+def certificate_of(folder: Path, tables: dict[str, Any], *more: str) -> tuple[int, dict[str, Any]]:
+    path = folder / "bench.toml"
+    path.write_text(toml_text(tables))
+    done = CliRunner().invoke(app, ["run", str(path), *more])
+    summary = json.loads(next(folder.glob("runs/*/summary.json")).read_text())
+    return done.exit_code, summary["certificates"]["axis1"]
+
+
+@pytest.mark.parametrize("name", ["predictor", "hinf"])
+def test_with_every_other_reading_lost_the_certified_gain_is_kept(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, held = certificate_of(tmp_path, bench(name, 1))
+    assert status == 0
+    assert held["state"] == "kept", held
+    assert held["losses_in_a_row"] == {"certified": 1, "seen": 1}
+    told = tomllib.loads(FILES[name].read_text())["controller"]["certificate"]["sequences"]
+    gain = held["gain_rad_s_nm"]
+    assert gain["certified"] == told["gain_certified"] > told["gain_found"] > gain["seen_at_least"] > 0.3
+
+
+def test_more_losses_than_are_certified_leave_the_premises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _, held = certificate_of(tmp_path, bench("predictor", 2), "--allow-uncertified")
+    assert held["state"] == "premise left"
+    assert held["premises_left"][0] == "losses: 2 in a row, made for at most 1"
+
+
+def test_the_gain_is_for_the_current_loop_of_the_design_alone() -> None:
+    case = Case("ling2012", LING2012.model_dump(mode="json"), 1e-3)
+    for bandwidth_hz, unknown in (
+        (800.0, ()),
+        (700.0, ("bandwidth: gain certified for a current loop of 800 Hz alone",)),
+    ):
+        for file in FILES.values():
+            config = case.config(tomllib.loads(file.read_text())["controller"])
+            drive = config.drive["axis1"]
+            simulation = drive.simulation.model_copy(update={"current_bandwidth_hz": bandwidth_hz})
+            axes = {"axis1": drive.model_copy(update={"simulation": simulation})}
+            plan = certified_plans(config.model_copy(update={"drive": axes}), (), simulated=True)["axis1"]
+            assert plan.samples_alone
+            assert plan.unknown == unknown
+
+
+def test_the_predictor_of_a_file_is_the_one_that_is_certified() -> None:
+    """To the last digit."""
+    drive = PredictorDrive(800.0, 65_536, 500.0, 20e3, 1e-4)
+    network = PredictorNetwork(1e-3, 1e-3, 1, measured=False)
+    result = design_speed_predictor(LING2012.parameters, drive, network, 0.6, 0.1)
+    design, written = result.design, controller_of(result)
+    assert (written.torque_gain, written.speed_gain_nm_s_rad) == tuple(design.F[:2])
+    assert (written.load_noise_nm_sqrt_s, written.load_noise_max_nm_sqrt_s) == (
+        design.walks.quiet,
+        design.walks.bold,
+    )
+    assert written.speed_noise_rad_s == design.request.speed_noise_rad_s
+    assert written.torque_noise_nm == design.request.torque_noise_nm
