@@ -1,8 +1,8 @@
 """Maps of a campaign, a panel for each controller: ``python docs/make_campaign_map.py CAMPAIGN PICTURE``.
 
 Largest peak error of the speed after the settling of the step, over delay and loss; framed: cells in which
-every run stayed within what the controller is certified for. The sweep has a controller axis with labels,
-then a delay and a loss: examples/campaigns/ling2012_controllers.toml.
+every run kept what its controller is certified for, all premises held. The sweep has a controller axis with
+labels, then a delay and a loss: examples/campaigns/ling2012_controllers.toml.
 """
 
 import sys
@@ -27,33 +27,32 @@ def main() -> None:
     replicates = done.table.num_rows // done.plan.points
     shape = (replicates, len(controllers.labels), len(delays.labels), len(losses.labels))
     largest = peak.reshape(shape).max(axis=0)
-    inside = (done.column("premises_left") == "").reshape(shape).all(axis=0)
+    kept = (done.column("certificate") == "kept").reshape(shape).all(axis=0)
     finite = largest[np.isfinite(largest)]
     norm = LogNorm(finite.min(), finite.max())
     picture = Figure(figsize=(13.0, 3.6), layout="constrained")
     panels = picture.subplots(1, shape[1], sharey=True)
     for place, axes in enumerate(np.atleast_1d(panels)):
-        has_premises = not inside[place].all()
-        _panel(axes, controllers.labels[place], largest[place], inside[place] & has_premises, norm)
-        axes.set_xticks(range(shape[3]), [f"{100 * float(label):g}" for label in losses.labels])
+        _panel(axes, controllers.labels[place], largest[place], kept[place], norm)
+        axes.set_xticks(range(shape[3]), losses.labels)
         axes.set_yticks(range(shape[2]), delays.labels)
-        axes.set_xlabel("readings lost, %")
+        axes.set_xlabel("readings lost in a row")
     np.atleast_1d(panels)[0].set_ylabel("delay of the readings, us")
     image = np.atleast_1d(panels)[-1].images[0]
     picture.colorbar(image, ax=list(np.atleast_1d(panels)), label="largest speed error, % of the reference")
     picture.savefig(Path(sys.argv[2]), dpi=100, metadata={"Software": None})
 
 
-def _panel(axes: Axes, title: str, largest: np.ndarray, inside: np.ndarray, norm: LogNorm) -> None:
+def _panel(axes: Axes, title: str, largest: np.ndarray, kept: np.ndarray, norm: LogNorm) -> None:
     shown = np.where(np.isfinite(largest), largest, np.nan)
     image = axes.imshow(shown, origin="lower", aspect="auto", norm=norm)
     axes.set_title(title)
     for (row, column), value in np.ndenumerate(largest):
         red, green, blue, _ = image.cmap(image.norm(value)) if np.isfinite(value) else (1.0, 1.0, 1.0, 1.0)
         ink = "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"
-        text = f"{value:.3g}" if np.isfinite(value) else "stopped"
+        text = f"{value:.2f}"[:4] if np.isfinite(value) else "stopped"
         axes.text(column, row, text, ha="center", va="center", color=ink)
-        if inside[row, column]:
+        if kept[row, column]:
             corner = (column - 0.46, row - 0.46)
             axes.add_patch(Rectangle(corner, 0.92, 0.92, fill=False, edgecolor="red", linewidth=2))
 
