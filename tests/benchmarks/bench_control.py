@@ -10,16 +10,20 @@ drive's dead time included; its speed filter and its current's rise count to the
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
+from design.errors import DesignError
 from drivers.errors import BenchError
 from hil.configuration.motor_file import LING2012, load_motor
 from tests.floor_runs import PERIOD_S, Case, hinf, measure, observing, pid, predictor, static, table_of
 from tests.random_motors import designed
 
+_OTHERS: Final = {"hinf": hinf, "observer": observing, "pid": pid, "static": static}
 AZAIZ2007 = Path("examples/motors/azaiz2007.toml")
 
 
@@ -54,18 +58,13 @@ def main() -> None:
             continue
         found = predictor(case)
         told = found.robustness
-        ways = {"predictor": table_of(found)}
+        ways: dict[str, Callable[[], dict[str, Any]]] = {"predictor": partial(table_of, found)}
         if not chosen.predictor_only:
-            ways |= {
-                "hinf": hinf(case),
-                "observer": observing(case),
-                "pid": pid(case),
-                "static": static(case),
-            }
-        for name, controller in ways.items():
+            ways |= {name: partial(way, case) for name, way in _OTHERS.items()}
+        for name, way in ways.items():
             try:
-                each = measure(case, controller, chosen.phases or phases)
-            except BenchError as error:  # a loop that is unstable ends its run
+                each = measure(case, way(), chosen.phases or phases)
+            except (BenchError, DesignError) as error:  # a loop that is unstable ends its run
                 print(f"{case.name:22} {1e3 * (PERIOD_S + case.delay_s):6.0f} {name:10} {error}", flush=True)
                 continue
             noise = 100.0 * each.noise_nm / float(case.motor["rating"]["torque_nm"])

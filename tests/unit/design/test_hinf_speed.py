@@ -1,12 +1,16 @@
 """H-infinity output feedback of the speed: norms by scalar functions, the loop by plain simulation."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
+from scipy.optimize import OptimizeResult
 
+from design.delay.delay_loop import Array
 from design.errors import InfeasibleDesign
 from design.papers.ling2012 import MOTOR
 from design.speed.conditioned import Conditioned, conditioned, truncated
@@ -179,3 +183,17 @@ def test_margins_are_where_the_loop_becomes_unstable(made: HinfDesign) -> None:
 def test_what_cannot_be_kept_is_refused() -> None:
     with pytest.raises(InfeasibleDesign, match="torque noise"):
         design_hinf(replace(REQUEST, command_noise_nm=1e-7))
+
+
+def test_a_search_that_ends_where_a_bound_is_broken_by_a_hair_keeps_the_best_that_breaks_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Along a bound the cost is least just beyond it."""
+
+    def minimize(cost: Callable[[Array], float], start: Array, **_: object) -> OptimizeResult:
+        beyond = start + np.array([2.0, -3.0, 0.0])
+        assert cost(beyond) > 10.0 * cost(start)
+        return OptimizeResult(x=beyond)
+
+    monkeypatch.setattr(scipy.optimize, "minimize", minimize)
+    assert design_hinf(replace(REQUEST, command_noise_nm=0.2)).breach == 0.0
