@@ -73,9 +73,9 @@ def serving(command: Sequence[str], ends_with: Sequence[int] = (0,)) -> Iterator
         assert process.returncode in ends_with, said
 
 
-def start_run(bench: Path, bus: str, folder: Path) -> subprocess.Popen[str]:
+def start_run(bench: Path, bus: str, folder: Path, *options: str) -> subprocess.Popen[str]:
     """``hil run --json`` in the background."""
-    command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json"]
+    command = [*HIL, "run", str(bench), "--bus", bus, "--record", str(folder), "--json", *options]
     return in_background(command)
 
 
