@@ -2,12 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from drivers.canopen.objects import RemoteObjects
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
 from drivers.vendors.families import motor_objects_for
 from drivers.vendors.motor_objects import QUANTITIES, MotorObject, MotorObjects, NotTold
+
+_PHRASES: Final = {
+    "phase": "of a phase",
+    "lines": "between lines",
+    "rms": "rms",
+    "peak": "peak",
+    "own": "in the drive's own ampere",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +37,8 @@ class ToldFigure:
 
     def __str__(self) -> str:
         """Whose word it is."""
-        return f"told by the drive: object {self.object}, {self.family}"
+        by = f" {_PHRASES[self.convention]}" if self.convention else ""
+        return f"told by the drive: object {self.object} = {self.raw}{by} ({self.family})"
 
 
 @dataclass(frozen=True, slots=True)

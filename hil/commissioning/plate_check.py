@@ -34,11 +34,18 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
         session.overridden(rated_torque_nm=rating.torque_nm)
         outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
     current_a, source = rated_current(session)
-    if rating.current_a and current_a and abs(current_a / rating.current_a - 1.0) > _RATING_TOLERANCE:
+    if rating.current_a and current_a and not _is_rated(session, current_a / rating.current_a):
         outcome.faults.append(
             f"current unit: {source} says {current_a:g} A, the nameplate {rating.current_a:g} A rms"
         )
         outcome.figures["current_fault"] = current_a / rating.current_a
+
+
+def _is_rated(session: Session, ratio: float) -> bool:
+    """Told over printed rms is one, or the peak's where nobody knows which ampere is the drive's."""
+    figure = session.found.motor.figures.get("rated_current_a")
+    alike = (1.0, math.sqrt(2.0)) if figure is not None and figure.convention == "own" else (1.0,)
+    return any(abs(ratio / each - 1.0) <= _RATING_TOLERANCE for each in alike)
 
 
 def rated_current(session: Session) -> tuple[float | None, str]:

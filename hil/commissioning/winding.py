@@ -18,19 +18,26 @@ _CONSTANT: Final = "torque_constant_nm_a"
 _CONSTANT_TOLERANCE: Final = 0.1
 """Between the torque constant that was told and the measured one: magnets differ by percents."""
 _SLIP_TOLERANCE: Final = 0.05
+_ALIKE: Final = 0.02
+"""Raw values are rounded."""
 
 
 def read_motor(session: Session, outcome: StepOutcome) -> None:
     """What the drive was told of its motor."""
     identity = session.found.identity
-    if identity is None:
-        return
+    assert identity is not None, "the step 'identity' comes first"
     told = read_told_motor(session.objects, identity.vendor, identity.product, identity.device_name)
     session.found.motor = told
     outcome.lines += told.not_told
     if told.figures:
         outcome.figures["told_by_drive"] = {
-            name: {"value": figure.value, "object": figure.object, "raw": figure.raw, "by": figure.family}
+            name: {
+                "value": figure.value,
+                "object": figure.object,
+                "raw": figure.raw,
+                "convention": figure.convention,
+                "by": figure.family,
+            }
             for name, figure in told.figures.items()
         }
 
@@ -38,6 +45,7 @@ def read_motor(session: Session, outcome: StepOutcome) -> None:
 def settle_winding(session: Session, outcome: StepOutcome) -> None:
     """Take the drive's word or the nameplate's for each quantity. Raises StepFailed if they contradict each
     other by far, and nobody says which is right."""
+    session.found.stated.clear()  # of an attempt that failed
     plate, told = session.request.nameplate, session.found.motor
     rating, winding = plate.rating, plate.motor
     constant = rating.torque_nm / rating.current_a if rating.torque_nm and rating.current_a else None
@@ -48,7 +56,10 @@ def settle_winding(session: Session, outcome: StepOutcome) -> None:
         (_CONSTANT, constant),
     ):
         _settle(session, outcome, name, printed)
-    poles = told.figures.get("pole_pairs")
+    current, poles = told.figures.get("rated_current_a"), told.figures.get("pole_pairs")
+    if current is not None:
+        title, unit = _named(current)
+        outcome.say(f"{title} {current.value:.4g} {unit}, {current}")
     if poles is None:
         confirm_pole_pairs(session, outcome)
     else:
@@ -68,7 +79,10 @@ def _settle(session: Session, outcome: StepOutcome, name: str, printed: float | 
         outcome.say(f"{line}, and by nobody else; not measured")
         return
     if not is_slip(figure.value, printed):
-        outcome.say(f"{line}; the nameplate's {printed:.4g} {unit} is taken")
+        alike = abs(figure.value / printed - 1.0) <= _ALIKE
+        outcome.say(
+            f"{line}, and {BY_NAMEPLATE}" if alike else f"{line}; the nameplate's {printed:.4g} is taken"
+        )
         return
     slip = likely_slip(figure.value / printed, WINDING_SLIPS, tolerance=_SLIP_TOLERANCE)
     drive = f"{figure.value:.4g} {unit} ({figure.object}{f'; {slip}' if slip else ''})"
