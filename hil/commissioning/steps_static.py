@@ -18,7 +18,7 @@ from hil.commissioning.plate_check import compare_ratings
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.winding import read_motor, settle_winding
+from hil.commissioning.winding import keeps_motor, read_motor, settle_winding
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
@@ -152,9 +152,11 @@ class UnitsTold(Step):
     needs = ("identity",)
     essential = True
 
-    def plan(self, _session: Session, /) -> str:
+    def plan(self, session: Session, /) -> str:
+        motor = ", the motor by its maker's objects" if keeps_motor(session) else ""
         return (
-            "read ratings, resolutions, gear, feed, unit words and polarity, and compare with the nameplate"
+            f"read ratings, resolutions, gear, feed, unit words and polarity{motor}, and compare with the "
+            "nameplate"
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:

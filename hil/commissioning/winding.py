@@ -8,6 +8,7 @@ from typing import Final
 
 from drivers.cia402.told_motor import ToldFigure, ToldMotor, read_told_motor
 from drivers.cia402.unit_factors import WINDING_SLIPS, likely_slip
+from drivers.vendors.families import motor_objects_for
 from drivers.vendors.motor_objects import QUANTITIES
 from hil.commissioning.findings import BY_NAMEPLATE, Stated
 from hil.commissioning.outcome import StepOutcome
@@ -20,6 +21,14 @@ _CONSTANT_TOLERANCE: Final = 0.1
 _SLIP_TOLERANCE: Final = 0.05
 _ALIKE: Final = 0.02
 """Raw values are rounded."""
+
+
+def keeps_motor(session: Session) -> bool:
+    """It is known where the drive's maker keeps the motor."""
+    identity = session.found.identity
+    return identity is not None and bool(
+        motor_objects_for(identity.vendor, identity.product, identity.device_name)
+    )
 
 
 def read_motor(session: Session, outcome: StepOutcome) -> None:

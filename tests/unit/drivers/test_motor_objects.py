@@ -1,6 +1,8 @@
 """Where makers keep what their drives were told of a motor: the files, the conventions, and reading them."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
@@ -130,6 +132,14 @@ def test_a_torque_constant_per_ampere_of_either_kind(ampere: str, raw: int) -> N
     assert constant.value(raw.to_bytes(2, "little"))[0] == pytest.approx(2.0, rel=1e-3)
     assert constant.raw(2.0) == raw
     assert constant.raw(1e9) == 0xFFFF
+
+
+def test_the_example_of_the_documentation_is_one() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "commissioning.md").read_text(encoding="utf-8")
+    (example,) = (block for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if "[motor]" in block)
+    motor = read_family(example, "example.toml").motor
+    assert motor is not None
+    assert [each.value(b"\x84\x03") for each in motor.objects] == [(pytest.approx(0.45), 900)]
 
 
 GOOD = "index = 0x2000\ntype = 'UNSIGNED16'\n"
