@@ -139,7 +139,8 @@ def test_the_example_of_the_documentation_is_one() -> None:
     (example,) = (block for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if "[motor]" in block)
     motor = read_family(example, "example.toml").motor
     assert motor is not None
-    assert [each.value(b"\x84\x03") for each in motor.objects] == [(pytest.approx(0.45), 900)]
+    (ohm,) = motor.objects
+    assert ohm.value(b"\x84\x03")[0] == pytest.approx(0.45), "900 mOhm between lines"
 
 
 GOOD = "index = 0x2000\ntype = 'UNSIGNED16'\n"
