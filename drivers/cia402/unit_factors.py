@@ -36,6 +36,11 @@ TORQUE_SLIPS: Final = (
     Slip(math.sqrt(1.5), "power-invariant and amplitude-invariant transforms mixed up"),
     Slip(2.0, "a factor of two"),
 )
+WINDING_SLIPS: Final = (
+    Slip(2.0, "between two lines taken for a phase, or poles for pole pairs, or the other way round"),
+    Slip(math.sqrt(2.0), "effective current taken for peak current, or the other way round"),
+    Slip(3.0, "a delta's phase taken for that of its star, or the other way round"),
+)
 
 
 def likely_slip(

@@ -14,8 +14,9 @@ from importlib.resources import files
 from typing import Any
 
 from drivers.errors import BadInput
+from drivers.vendors.motor_objects import MotorObjects, read_motor_objects
 
-_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry"}
+_KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +54,8 @@ class DriveFamily:
     numbers: Mapping[int, str] = field(default_factory=dict)
     """Bits 24 to 31 of an entry of 0x1003, for makers that tell the cause there."""
     quirks: tuple[Quirk, ...] = ()
+    motor: MotorObjects | None = None
+    """None: no source tells where its drives keep their motor."""
 
     def text(self, code: int) -> str | None:
         """The maker's text; None for a code that it does not tell of."""
@@ -99,6 +102,7 @@ def read_family(text: str, name: str) -> DriveFamily:
         texts={_codes(key, name): str(value) for key, value in tables.get("codes", {}).items()},
         numbers={int(key): str(value) for key, value in tables.get("numbers", {}).items()},
         quirks=tuple(_quirk(entry, name, number) for number, entry in enumerate(tables.get("entry", ()))),
+        motor=read_motor_objects(tables["motor"], name) if "motor" in tables else None,
     )
 
 
@@ -143,4 +147,13 @@ def quirks_for(
         for family in every
         if family.fits(vendor, product, device_name)
         for quirk in family.quirks
+    )
+
+
+def motor_objects_for(vendor: int, product: int, device_name: str) -> tuple[tuple[str, MotorObjects], ...]:
+    """File and objects of every family that a drive may be one of."""
+    return tuple(
+        (family.name, family.motor)
+        for family in known_families()
+        if family.motor is not None and family.fits(vendor, product, device_name)
     )

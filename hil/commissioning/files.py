@@ -7,6 +7,7 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
 from hil.commissioning.dcf import dcf_text
+from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import LOSSES_MAX
 from hil.commissioning.session import Session
 from hil.commissioning.steps_design import rounded, suggestion
@@ -134,21 +135,19 @@ def _motor_text(session: Session) -> str:
     found, plate = session.found, session.request.nameplate
     mechanics = session.mechanics
     rated_nm = session.drive.rated_torque_nm
-    winding, rating = plate.motor, plate.rating
+    rating = plate.rating
     guesses = []
-    pole_pairs = found.pole_pairs or 1
-    constant = found.torque_constant_nm_a
-    if constant is None and rating.torque_nm and rating.current_a:
-        constant = rating.torque_nm / rating.current_a
+    pole_pairs = int(found.value("pole_pairs") or 1)
+    constant = found.torque_constant_nm_a or found.value("torque_constant_nm_a")
     if constant is None:
         constant = 1.0
         guesses.append("the flux is that of 1 N m per A rms")
     lag_s = 1e-6 * (found.torque_lag_us or 500.0)
-    resistance = winding.resistance_ohm or 1.0
-    inductance = winding.inductance_q_h or resistance * lag_s
-    if winding.resistance_ohm is None or winding.inductance_q_h is None:
+    resistance = found.value("resistance_ohm") or 1.0
+    inductance = found.value("inductance_q_h") or resistance * lag_s
+    if not {"resistance_ohm", "inductance_q_h"} <= found.stated.keys():
         guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
-    if found.pole_pairs is None:
+    if "pole_pairs" not in found.stated:
         guesses.append("the number of pole pairs is not known")
     speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * RPM_PER_RAD_S
     current_a = rated_nm / constant
@@ -160,9 +159,9 @@ def _motor_text(session: Session) -> str:
         guesses.append("the DC bus voltage is twice what the rated speed needs")
     tables = {
         "motor": {
-            "name": winding.name,
+            "name": plate.motor.name,
             "resistance_ohm": resistance,
-            "inductance_d_h": winding.inductance_d_h or inductance,
+            "inductance_d_h": found.value("inductance_d_h") or inductance,
             "inductance_q_h": inductance,
             "flux_linkage_wb": flux,
             "pole_pairs": pole_pairs,
@@ -180,22 +179,25 @@ def _motor_text(session: Session) -> str:
             "dc_bus_voltage_v": voltage,
         },
     }
-    notes = ["Inertia, friction and torque constant are measured; they include the load on the shaft."]
-    notes += _by_word(session)
+    measured = (
+        "Inertia, friction and torque constant" if found.torque_constant_nm_a else "Inertia and friction"
+    )
+    notes = [f"{measured} are measured; they include the load on the shaft."]
+    notes += _by_word(found)
     notes += [f"Not known: {guess}." for guess in guesses]
     return _headed(" ".join(notes), tables)
 
 
-def _by_word(session: Session) -> list[str]:
-    """What stands there by the nameplate alone."""
-    winding = session.request.nameplate.motor
-    words = {
-        "resistance": winding.resistance_ohm,
-        "inductance": winding.inductance_q_h,
-        "pole pairs": session.found.pole_pairs,
-    }
-    named = [name for name, value in words.items() if value is not None]
-    return [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
+def _by_word(found: Findings) -> list[str]:
+    """What stands there by somebody's word alone."""
+    words = {"resistance": "resistance_ohm", "inductance": "inductance_q_h", "pole pairs": "pole_pairs"}
+    if found.torque_constant_nm_a is None:
+        words["torque constant"] = "torque_constant_nm_a"
+    stated = {name: found.stated[key] for name, key in words.items() if key in found.stated}
+    told = {name: each.by for name, each in stated.items() if each.told}
+    named = [name for name in stated if name not in told]
+    notes = [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
+    return notes + [f"Not measured: {name}, {by}." for name, by in told.items()]
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:

@@ -1,12 +1,13 @@
 """What the steps of a commissioning learn about a drive."""
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.profile import Mode, QuickStopOption
 from drivers.cia402.scaling import ScaleOverride, Scaling
+from drivers.cia402.told_motor import ToldMotor
 from drivers.timebase import NS_PER_MS, Duration
 from hil.commissioning.identify import Mechanics, SpeedRatio
 from hil.commissioning.request import MotionLimits
@@ -14,6 +15,19 @@ from hil.configuration.network_file import Network
 from hil.restoring.journal import ObjectKey
 
 MILLISECOND: Final = Duration(NS_PER_MS)
+
+
+BY_NAMEPLATE: Final = "by the nameplate"
+
+
+class Stated(NamedTuple):
+    """A figure that somebody's word stands for."""
+
+    value: float
+    by: str
+    """Whose: by the nameplate, as said at the motor, or which object told it."""
+    told: bool = False
+    """By the drive."""
 
 
 @dataclass(slots=True)
@@ -34,8 +48,10 @@ class Findings:
     mechanics: Mechanics | None = None
     rough: Mechanics | None = None
     """From the pulses: enough to guide an exercise."""
-    pole_pairs: int | None = None
-    """By the nameplate, or as somebody said at the motor: nothing measures it."""
+    motor: ToldMotor = field(default_factory=ToldMotor)
+    """By objects of the drive's maker."""
+    stated: dict[str, Stated] = field(default_factory=dict)
+    """What is taken for pole pairs, winding and torque constant, by quantity: nothing here is measured."""
     speed_noise_rad_s: float = 0.0
     """Rms of the velocity 606Ch about the derivative of the position."""
     torque_constant_nm_a: float | None = None
@@ -60,3 +76,8 @@ class Findings:
     """What every object held before it was changed; known at the end."""
     versions: dict[str, str] = field(default_factory=dict)
     """1009h and 100Ah, as far as the drive tells them."""
+
+    def value(self, quantity: str) -> float | None:
+        """Of what is stated; None if nobody did."""
+        stated = self.stated.get(quantity)
+        return None if stated is None else stated.value

@@ -4,6 +4,7 @@ import math
 from typing import Final
 
 from drivers.cia402.objects402 import Object
+from hil.commissioning.findings import BY_NAMEPLATE, Stated
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.request import POLE_PAIRS_MAX
 from hil.commissioning.session import Session, nameplate_wins
@@ -19,7 +20,7 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
     rating = session.request.nameplate.rating
     if rating.torque_nm is None:
         outcome.say("no nameplate: the rated torque 6076h cannot be checked, and every torque rests on it")
-    elif _slip(torque_nm, rating.torque_nm) and not nameplate_wins(
+    elif is_slip(torque_nm, rating.torque_nm) and not nameplate_wins(
         session, "rated torque", f"{rating.torque_nm:g} N m", f"{torque_nm:g} N m (6076h)"
     ):
         outcome.faults.append(
@@ -32,15 +33,32 @@ def compare_ratings(session: Session, outcome: StepOutcome, torque_nm: float) ->
         )
         session.overridden(rated_torque_nm=rating.torque_nm)
         outcome.figures["torque_fault"] = torque_nm / rating.torque_nm
-    current_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
-    if rating.current_a and current_ma and abs(current_ma / 1e3 / rating.current_a - 1.0) > _RATING_TOLERANCE:
+    current_a, source = rated_current(session)
+    if rating.current_a and current_a and not _is_rated(session, current_a / rating.current_a):
         outcome.faults.append(
-            f"current unit: 6075h says {current_ma / 1e3:g} A, the nameplate {rating.current_a:g} A rms"
+            f"current unit: {source} says {current_a:g} A, the nameplate {rating.current_a:g} A rms"
         )
-        outcome.figures["current_fault"] = current_ma / 1e3 / rating.current_a
+        outcome.figures["current_fault"] = current_a / rating.current_a
 
 
-def _slip(told: float, printed: float) -> bool:
+def _is_rated(session: Session, ratio: float) -> bool:
+    """Told over printed rms is one, or the peak's where nobody knows which ampere is the drive's."""
+    figure = session.found.motor.figures.get("rated_current_a")
+    alike = (1.0, math.sqrt(2.0)) if figure is not None and figure.convention == "own" else (1.0,)
+    return any(abs(ratio / each - 1.0) <= _RATING_TOLERANCE for each in alike)
+
+
+def rated_current(session: Session) -> tuple[float | None, str]:
+    """A rms, and the object that tells it: the maker's own, whose convention is known, before 6075h."""
+    figure = session.found.motor.figures.get("rated_current_a")
+    if figure is not None:
+        return figure.value, figure.object
+    told_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
+    return (told_ma / 1e3 if told_ma else None), "6075h"
+
+
+def is_slip(told: float, printed: float) -> bool:
+    """One of the two must be misread, or set wrongly."""
     return abs(math.log(told / printed)) > math.log(_RATING_SLIP)
 
 
@@ -51,7 +69,7 @@ def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
     printed = session.request.nameplate.motor.pole_pairs
     if printed is None:
         return
-    session.found.pole_pairs = printed
+    session.found.stated["pole_pairs"] = Stated(printed, BY_NAMEPLATE)
     outcome.figures["pole_pairs_confirmed"] = session.dialog.attended
     if not session.dialog.attended:
         outcome.say(f"pole pairs: not measurable over CiA 402; {printed}, by the nameplate file alone")
@@ -66,7 +84,7 @@ def confirm_pole_pairs(session: Session, outcome: StepOutcome) -> None:
             "not measurable over CiA 402",
             "look at the motor's plate, and repeat; or take motor.pole_pairs out of the nameplate file",
         )
-    session.found.pole_pairs = int(answer)
+    session.found.stated["pole_pairs"] = Stated(int(answer), "as said at the motor")
     outcome.say(f"pole pairs: not measurable over CiA 402; {answer}, as it was said at the motor")
     if int(answer) != printed:
         outcome.faults.append(

@@ -51,7 +51,7 @@ def rehearsed_drive(
         return servo, truth.nameplate
     motor = LING2012.parameters
     files = DeviceFiles(eds=wish.eds)
-    vendor, drive = files.vendor(announce, [node], bitrate_bit_s), files.drive(DriveParameters())
+    vendor, drive = files.vendor(announce, [node], bitrate_bit_s, motor), files.drive(DriveParameters())
     return SimulatedServo(node, motor, drive, vendor=vendor), nameplate_of(motor)
 
 

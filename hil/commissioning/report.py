@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 from drivers.errors import BenchError
+from drivers.vendors.motor_objects import QUANTITIES
 from hil.commissioning.findings import Findings
 from hil.commissioning.outcome import StepRecord, StepVerdict
 from hil.commissioning.report_html import html_report
@@ -88,10 +89,19 @@ def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any
         "drive": drive,
         "nameplate": request.nameplate.model_dump(exclude_none=True, exclude={"limits"}),
         "limits": request.nameplate.limits.model_dump(exclude_none=True),
-        "not measurable over CiA 402": (
-            "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
-        ),
+        "not measurable over CiA 402": _stated(result.findings),
         "uncertainties": "expanded, k = 2; figures in N m are in proportion to the rated torque 6076h",
+    }
+
+
+def _stated(found: Findings) -> str | dict[str, str]:
+    """Whose word stands for what nothing measures."""
+    if not any(each.told for each in found.stated.values()):
+        return "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
+    return {
+        QUANTITIES[name].title: f"{each.value:.4g} {QUANTITIES[name].unit}, {each.by}".replace(" ,", ",")
+        for name, each in found.stated.items()
+        if name != "torque_constant_nm_a" or found.torque_constant_nm_a is None
     }
 
 

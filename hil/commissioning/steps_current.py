@@ -19,10 +19,12 @@ from hil.commissioning.identify import (
     slope_error,
 )
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
+from hil.commissioning.plate_check import rated_current
 from hil.commissioning.plots import draw_current
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
+from hil.commissioning.winding import compare_constant
 
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""
@@ -80,9 +82,8 @@ class TorqueConstant(Step):
         self, session: Session, torque: np.typing.NDArray[np.float64],
         permille: np.typing.NDArray[np.float64], outcome: StepOutcome,
     ) -> None:  # fmt: skip
-        rated_ma = session.objects.read_if_there(Object.MOTOR_RATED_CURRENT)
         rating = session.request.nameplate.rating
-        rated_a = rated_ma / 1e3 if rated_ma else rating.current_a
+        rated_a = rated_current(session)[0] or rating.current_a
         if not rated_a:
             raise StepFailed(
                 "no rated current", "6075h is missing or 0", "give rating.current_a in the nameplate"
@@ -123,6 +124,7 @@ class TorqueConstant(Step):
                     f"torque and current contradict the nameplate by {by:.4g}: "
                     f"6075h, 6076h or the nameplate is wrong{f' ({slip})' if slip else ''}"
                 )
+        compare_constant(session.found.motor, abs(slope), outcome)
         session.picture(outcome, "torque_constant", draw_current, current, torque, slope, offset)
 
 

@@ -14,10 +14,11 @@ from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.plate_check import compare_ratings, confirm_pole_pairs
+from hil.commissioning.plate_check import compare_ratings
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
+from hil.commissioning.winding import keeps_motor, read_motor, settle_winding
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
@@ -151,9 +152,11 @@ class UnitsTold(Step):
     needs = ("identity",)
     essential = True
 
-    def plan(self, _session: Session, /) -> str:
+    def plan(self, session: Session, /) -> str:
+        motor = ", the motor by its maker's objects" if keeps_motor(session) else ""
         return (
-            "read ratings, resolutions, gear, feed, unit words and polarity, and compare with the nameplate"
+            f"read ratings, resolutions, gear, feed, unit words and polarity{motor}, and compare with the "
+            "nameplate"
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
@@ -174,8 +177,9 @@ class UnitsTold(Step):
             override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
             told = read_scaling(objects, override)
         found.told, found.override = told, override
+        read_motor(session, outcome)
         compare_ratings(session, outcome, told.rated_torque_nm)
-        confirm_pole_pairs(session, outcome)
+        settle_winding(session, outcome)
         for name, value, unit in (
             ("position", told.position_rad, "rad"),
             ("velocity", told.velocity_rad_s, "rad/s"),

@@ -88,7 +88,7 @@ class VoltageConstant(Step):
         speed = _ending_rad_s(recording, _LOOK_S if up.stalled else _END_S)
         outcome.figures = {"dc_link_v": dc_v, "speed_rad_s": speed, "limited": up.stalled}
         outcome.say(f"6079h tells {dc_v:.4g} V: at most {voltage_v:.4g} V a phase, peak")
-        by_torque = session.found.torque_constant_nm_a
+        by_torque = session.found.torque_constant_nm_a or session.found.motor.value("torque_constant_nm_a")
         expected = None if by_torque is None else by_torque / TORQUE_PER_VOLTAGE
         if up.stalled:
             constant = _constant(session, voltage_v, speed, outcome)
@@ -206,7 +206,7 @@ def _ending_rad_s(recording: Recording, window_s: float) -> float:
 def _constant(session: Session, voltage_v: float, speed: float, outcome: StepOutcome) -> float:
     """V s/rad from the speed at which the voltage gives out."""
     torque_nm = session.mechanics.friction_nm(speed)  # at a speed that stays
-    resistance, per_a = session.request.nameplate.motor.resistance_ohm, session.found.torque_constant_nm_a
+    resistance, per_a = session.found.value("resistance_ohm"), session.found.torque_constant_nm_a
     drop_v, unsure_v = 0.0, _DROP * voltage_v * torque_nm / session.rated_torque_nm
     if resistance is not None and per_a is not None:
         drop_v = resistance * math.sqrt(2.0) * torque_nm / per_a

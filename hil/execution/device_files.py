@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from canopen import ObjectDictionary as VendorDictionary
 
+from design.motor import PmsmParameters
 from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride
@@ -22,6 +23,7 @@ from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.device.parameter_storage import FileStore
 from virtual_bus.device.vendor_dictionary import BASE_NODE_ID
 from virtual_bus.drive.data_sheet import ENCODER_COUNTS_MIN, lay_over
+from virtual_bus.drive.motor_data import tell_motor
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 REPAIRS_SHOWN = 5
@@ -66,10 +68,15 @@ class DeviceFiles(NamedTuple):
         return replace(parameters, encoder_counts_per_revolution=counts)
 
     def vendor(
-        self, announce: Callable[[str], None], nodes: Sequence[int] = (), bitrate_bit_s: int | None = None
+        self,
+        announce: Callable[[str], None],
+        nodes: Sequence[int] = (),
+        bitrate_bit_s: int | None = None,
+        motor: PmsmParameters | None = None,
     ) -> Callable[[ObjectDictionary], None] | None:
         """What lays the data sheet over a device's dictionary; ``announce`` hears what had to be mended, and
-        where a DCF was made for others than ``nodes`` and ``bitrate_bit_s``.
+        where a DCF was made for others than ``nodes`` and ``bitrate_bit_s``. ``motor``: the one that objects
+        of the sheet's maker tell of.
 
         Raises BadInput if the file cannot be read.
         """
@@ -83,7 +90,8 @@ class DeviceFiles(NamedTuple):
             announce(f"{self.eds}: {repair}")
         if len(loaded.repairs) > REPAIRS_SHOWN:
             announce(f"{self.eds}: and {len(loaded.repairs) - REPAIRS_SHOWN} more repairs of that kind")
-        return partial(_lay_over, vendor=loaded.dictionary, serial_number=commissioning.serial_number)
+        number = commissioning.serial_number
+        return partial(_lay_over, vendor=loaded.dictionary, serial_number=number, motor=motor)
 
     @staticmethod
     def makers(
@@ -126,9 +134,16 @@ class DeviceFiles(NamedTuple):
         return store
 
 
-def _lay_over(dictionary: ObjectDictionary, vendor: VendorDictionary, serial_number: int | None) -> None:
-    """The data sheet, and LSS_SerialNumber of a DCF as 1018h:4 (CiA 306-1, DeviceComissioning)."""
+def _lay_over(
+    dictionary: ObjectDictionary,
+    vendor: VendorDictionary,
+    serial_number: int | None,
+    motor: PmsmParameters | None,
+) -> None:
+    """The data sheet, the motor, and LSS_SerialNumber of a DCF as 1018h:4 (CiA 306-1, DeviceComissioning)."""
     lay_over(dictionary, vendor)
+    if motor is not None:
+        tell_motor(dictionary, motor)
     variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
     if serial_number is not None and variable is not None:
         variable.default = variable.value = serial_number

@@ -130,7 +130,7 @@ def simulate(
             "use hub:NAME, or run the bench itself with --bus simulated",
         )
     store = files.memory(nodes)
-    makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s), serial_of_each(nodes, serials))
+    makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
     drive = files.drive(drive_parameters(current_control))
     devices = [
         SimulatedServo(node, motor, replace(drive, load=loads.get(node)), seed, store=store, vendor=vendor)

@@ -240,8 +240,8 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
     process, devices, plan = None, list[SimulatedServo](), None
     if spec.simulated:
         files = DeviceFiles(_path(wish.eds), _path(wish.store))
-        vendor, memory = files.vendor(lambda _repair: None), files.memory([wish.node])
-        motor = wish.motor_file.parameters
+        motor, memory = wish.motor_file.parameters, files.memory([wish.node])
+        vendor = files.vendor(lambda _repair: None, motor=motor)
         devices = [
             SimulatedServo(wish.node, motor, files.drive(DriveParameters()), wish.seed, memory, vendor)
         ]

@@ -2,8 +2,9 @@
 
 import configparser
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
+from drivers.canopen.data_types import DataType
 from tests.motors import LING
 from virtual_bus.device.eds_export import export_eds
 from virtual_bus.drive.servo import SimulatedServo
@@ -45,6 +46,29 @@ class MadeSheet:
             section["DefaultValue"] = str(default)
         for name, value in options.items():
             section[name] = str(value)
+
+    def add(self, index: int, types: Mapping[int, DataType]) -> None:
+        """An object of the maker's, by sub-index: a record, or a variable if it has but sub-index 0."""
+        section = f"{index:04X}"
+        every = dict(types)
+        if set(types) != {0}:
+            self._sections[section] = {"ParameterName": "made", "ObjectType": "0x9"}
+            every[0] = DataType.UNSIGNED8
+        for sub, kind in every.items():
+            self._sections[section if every.keys() == {0} else f"{section}sub{sub:X}"] = {
+                "ParameterName": f"made {sub}",
+                "ObjectType": "0x7",
+                "DataType": f"0x{kind:04X}",
+                "AccessType": "rw",
+                "PDOMapping": "0",
+                "DefaultValue": str(0 if sub else max(types)),
+            }
+
+    def by(self, vendor: int) -> None:
+        """Make it another maker's."""
+        self.inform("VendorNumber", f"0x{vendor:X}")
+        if "1018sub1" in self._sections:
+            self.set(0x1018, 1, default=f"0x{vendor:X}")
 
     def inform(self, name: str, value: object) -> None:
         """Change an option of [DeviceInfo]."""

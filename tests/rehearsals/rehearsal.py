@@ -63,14 +63,20 @@ def made_sheet(names: Iterable[str], folder: Path) -> Path:
 
 
 def rehearsed(
-    sheet: Path, folder: Path, options: Sequence[str] = (), last_step: str | None = None
+    sheet: Path,
+    folder: Path,
+    options: Sequence[str] = (),
+    last_step: str | None = None,
+    change: Callable[[SimulatedServo], None] = lambda _servo: None,
 ) -> Rehearsal:
-    """``hil commission --bus simulated --rehearse-eds SHEET``; ``last_step``: no step behind that one."""
+    """``hil commission --bus simulated --rehearse-eds SHEET``; ``last_step``: no step behind that one.
+    ``change``: what is set in the drive before it is on the bus."""
     made: list[SimulatedServo] = []
     began: list[float] = []
 
     def kept(*given: Any) -> Any:
         servo, plate = rehearsed_drive(*given)
+        change(servo)
         made.append(servo)
         began.append(float(servo.drive.firmware.state[S_COUNT]))
         return servo, plate

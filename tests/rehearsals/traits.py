@@ -7,6 +7,7 @@ commissioned, if with steps left out or failed in ``without``.
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
+from drivers.canopen.data_types import DataType
 from drivers.cia402.profile import Mode, supported_mode_bit
 from tests.rehearsals.made_sheet import MadeSheet
 
@@ -41,6 +42,15 @@ def _lacks(*indices: int) -> Callable[[MadeSheet], None]:
 
 def _modes(*modes: Mode) -> Callable[[MadeSheet], None]:
     return lambda sheet: sheet.set(0x6502, default=sum(supported_mode_bit(mode) for mode in modes))
+
+
+def _keeps_motor(vendor: int, objects: Mapping[int, Mapping[int, DataType]]) -> Callable[[MadeSheet], None]:
+    def change(sheet: MadeSheet) -> None:
+        sheet.by(vendor)
+        for index, types in objects.items():
+            sheet.add(index, types)
+
+    return change
 
 
 def _fixed(mappings: Mapping[int, tuple[int, ...]]) -> Callable[[MadeSheet], None]:
@@ -143,5 +153,11 @@ TRAITS: Final[dict[str, Trait]] = {
     "no 6072h, 6073h, 6080h": Trait(_lacks(0x6072, 0x6073, 0x6080)),
     "no 606Ch": Trait(_lacks(0x606C), "606Ch"),
     "no homing": Trait(_lacks(0x6098, 0x6099, 0x609A), without=frozenset({"turn"})),
+    "motor by its maker's objects": Trait(
+        _keeps_motor(
+            0x29C, {0x2301: {0: DataType.UNSIGNED8}, 0x2701: dict.fromkeys(range(1, 7), DataType.UNSIGNED16)}
+        )
+    ),
+    "motor by some of its maker's": Trait(_keeps_motor(0x22D2, {0x2003: {1: DataType.UNSIGNED8}})),
     "no 607Eh, 6065h, 607Dh": Trait(_lacks(0x607E, 0x6065, 0x607D)),
 }

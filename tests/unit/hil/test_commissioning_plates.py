@@ -66,7 +66,7 @@ def test_pole_pairs_are_said_at_the_motor(answer: str, found: int) -> None:
     """The file says 5; a slip of the file shows only if somebody looks."""
     session, outcome = asking(answer), StepOutcome()
     confirm_pole_pairs(session, outcome)
-    assert session.found.pole_pairs == found
+    assert session.found.value("pole_pairs") == found
     assert "not measurable over CiA 402" in outcome.lines[0]
     assert [("5 is not believed" in fault) for fault in outcome.faults] == ([True] if found != 5 else [])
 
@@ -80,6 +80,6 @@ def test_pole_pairs_are_a_number_or_the_step_fails(answer: str) -> None:
 def test_with_nobody_there_pole_pairs_are_said_to_be_unmeasured() -> None:
     session, outcome = asking(None), StepOutcome()
     confirm_pole_pairs(session, outcome)
-    assert session.found.pole_pairs == 5
+    assert session.found.value("pole_pairs") == 5
     assert outcome.lines == ["pole pairs: not measurable over CiA 402; 5, by the nameplate file alone"]
     assert outcome.figures == {"pole_pairs_confirmed": False}

@@ -1,13 +1,17 @@
 """Data sheet and memory of a simulated device, as the command line names them."""
 
+import math
 from pathlib import Path
 
 import pytest
 
+from design.motor import PmsmParameters
+from drivers.canopen.data_types import DataType
 from drivers.errors import BadInput
 from drivers.timebase import Instant
 from hil.execution.device_files import DeviceFiles
-from tests.motors import LING
+from tests.motors import AZAIZ, LING
+from tests.rehearsals.made_sheet import MadeSheet
 from tests.unit.drivers.eds_maker import U8, U32, four_pdos, sheet_text, sub
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
@@ -129,3 +133,22 @@ def test_an_encoder_in_a_makers_object_is_the_simulated_ones(
     path.write_text(made.replace("VendorNumber=0x123", f"VendorNumber={vendor}\nProductName=EPOS4"))
     drive = DeviceFiles(eds=path).drive(DriveParameters())
     assert drive.encoder_counts_per_revolution == counts
+
+
+@pytest.mark.parametrize("motor", [LING, AZAIZ], ids=["power-invariant", "amplitude-invariant"])
+def test_a_makers_motor_objects_tell_of_the_simulated_motor(tmp_path: Path, motor: PmsmParameters) -> None:
+    """An EPOS4's sheet: its own motor has 12 pole pairs."""
+    made = MadeSheet()
+    made.by(0xFB)
+    made.set(0x1008, default="EPOS4")
+    made.add(0x3001, {1: DataType.UNSIGNED32, 3: DataType.UNSIGNED8, 5: DataType.UNSIGNED32})
+    made.set(0x3001, 3, default=12)
+    path = tmp_path / "drive.eds"
+    path.write_text(made.text())
+    servo = SimulatedServo(9, motor, vendor=DeviceFiles(eds=path).vendor(print, motor=motor))
+    current, pairs, constant = (servo.dictionary.variable(0x3001, number).value for number in (1, 3, 5))
+    assert pairs == motor.pole_pairs
+    # the power that makes the rated torque at a speed: three phases, each with its back-EMF's rms
+    emf_rms = motor.pole_pairs * motor.flux_linkage_wb / math.sqrt(2.0 if motor is AZAIZ else 3.0)
+    assert 3.0 * emf_rms * current / 1000 == pytest.approx(motor.rated_torque_nm, rel=1e-3)
+    assert current * constant * 1e-9 == pytest.approx(motor.rated_torque_nm, rel=1e-3)

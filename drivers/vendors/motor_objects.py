@@ -1,0 +1,167 @@
+"""Where a maker's drives keep what somebody told them of their motor, and by which convention.
+
+    [motor]
+    source = "..."                      where all of it stands
+    whole = true                        optional: taken only where the drive has every object of the table
+    [motor.resistance_ohm]
+    index = 0x2701
+    sub = 1                             0 if absent
+    type = "UNSIGNED16"
+    unit = 1e-3                         ohm of one raw unit; 1 if absent
+    between = "lines"                   or "phase", of the star that stands for the winding
+    unset = [800]                       raw values that nobody has set, beside 0
+
+The quantities and the words of their conventions are :data:`QUANTITIES`. They are what the drive was told:
+nothing here is measured.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+from drivers.errors import BadInput
+
+
+class MotorQuantity(NamedTuple):
+    """One of what a drive may be told of its motor."""
+
+    title: str
+    unit: str
+    """SI; per phase of the star, current rms."""
+    key: str
+    """Of the convention; empty: there is but one."""
+    words: Mapping[str, float]
+    """What the convention may be, and the factor from a value by it to one in ``unit``."""
+
+
+_ONE: Final[Mapping[str, float]] = MappingProxyType({"": 1.0})
+_BETWEEN: Final[Mapping[str, float]] = MappingProxyType({"phase": 1.0, "lines": 0.5})
+"""Between two lines of a star lie two phases; a delta is as its star."""
+QUANTITIES: Final[Mapping[str, MotorQuantity]] = MappingProxyType({
+    "pole_pairs": MotorQuantity("pole pairs", "", "", _ONE),
+    "resistance_ohm": MotorQuantity("resistance", "ohm", "between", _BETWEEN),
+    "inductance_d_h": MotorQuantity("inductance d", "H", "between", _BETWEEN),
+    "inductance_q_h": MotorQuantity("inductance q", "H", "between", _BETWEEN),
+    "rated_current_a": MotorQuantity(
+        "rated current", "A rms", "ampere", {"rms": 1.0, "peak": 1.0 / math.sqrt(2.0), "own": 1.0}
+    ),
+    "torque_constant_nm_a": MotorQuantity(
+        "torque constant", "N m/A rms", "ampere", {"rms": 1.0, "peak": math.sqrt(2.0), "own": 1.0}
+    ),
+})  # fmt: skip
+"""``own``: no source says whether the drive's ampere is rms or peak; its currents all are in the same."""
+TYPES: Final[Mapping[str, tuple[int, bool]]] = MappingProxyType({
+    "INTEGER8": (1, True), "UNSIGNED8": (1, False), "INTEGER16": (2, True),
+    "UNSIGNED16": (2, False), "INTEGER32": (4, True), "UNSIGNED32": (4, False),
+})  # fmt: skip
+"""Data types by their names in CiA 301: octets, and whether signed."""
+_POLE_PAIRS_MAX: Final = 200
+
+
+class NotTold(ValueError):
+    """A raw value that tells nothing of a motor; its text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotorObject:
+    """An object with one quantity."""
+
+    quantity: str
+    """Key of :data:`QUANTITIES`."""
+    index: int
+    sub: int = 0
+    type: str
+    """Key of :data:`TYPES`."""
+    unit: float = 1.0
+    convention: str = ""
+    unset: tuple[int, ...] = ()
+
+    @property
+    def factor(self) -> float:
+        """SI units, by the convention of :class:`MotorQuantity`, of one raw unit."""
+        return self.unit * QUANTITIES[self.quantity].words[self.convention]
+
+    def value(self, data: bytes) -> tuple[float, int]:
+        """What the octets of an upload tell, in SI units, and raw.
+
+        Drives that send more octets than the type has are borne with, if the value is one of the type.
+        Raises NotTold for what is no value of the type, was never set, or cannot be.
+        """
+        octets, signed = TYPES[self.type]
+        raw = int.from_bytes(data, "little", signed=signed)
+        if len(data) < octets or not -self._most - 1 <= raw <= self._most:
+            raise NotTold(f"{data.hex(' ') or 'no octet'} is no {self.type}")
+        if raw == 0 or raw in self.unset:
+            raise NotTold(f"{raw}, as nobody has set it")
+        value = raw * self.factor
+        if value < 0.0 or (self.quantity == "pole_pairs" and not _is_count(value)):
+            raise NotTold(f"{raw}, which cannot be")
+        return value, raw
+
+    def raw(self, value: float) -> int:
+        """The raw value nearest to one in SI units; the greatest that the type has, if it is beyond that."""
+        return min(max(1, round(value / self.factor)), self._most)
+
+    @property
+    def _most(self) -> int:
+        octets, signed = TYPES[self.type]
+        return int((1 << (8 * octets - signed)) - 1)
+
+
+def _is_count(value: float) -> bool:
+    return value == int(value) <= _POLE_PAIRS_MAX
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotorObjects:
+    """The objects of one family of drives."""
+
+    source: str
+    whole: bool = False
+    """Only a drive that has all of them keeps these quantities there: others of the maker's have something
+    else at the same indices."""
+    objects: tuple[MotorObject, ...]
+
+
+def read_motor_objects(table: Mapping[str, Any], name: str) -> MotorObjects:
+    """The ``[motor]`` of the file ``name``. Raises BadInput."""
+    source = " ".join(str(table.get("source", "")).split())
+    if not source:
+        raise BadInput(name, "motor.source", table.get("source"), "where the objects stand")
+    known = {"source", "whole", *QUANTITIES}
+    for key in table:
+        if key not in known:
+            raise BadInput(name, f"motor.{key}", table[key], f"one of {', '.join(sorted(known))}")
+    return MotorObjects(
+        source=source,
+        whole=bool(table.get("whole", False)),
+        objects=tuple(_object(key, table[key], name) for key in QUANTITIES if key in table),
+    )
+
+
+def _object(quantity: str, table: Mapping[str, Any], name: str) -> MotorObject:
+    convention, words = QUANTITIES[quantity].key, QUANTITIES[quantity].words
+    known = {"index", "sub", "type", "unit", "unset"} | ({convention} if convention else set())
+    place = f"motor.{quantity}"
+    for key in table:
+        if key not in known:
+            raise BadInput(name, f"{place}.{key}", table[key], f"one of {', '.join(sorted(known))}")
+    if not isinstance(table.get("index"), int):
+        raise BadInput(name, f"{place}.index", table.get("index"), "the index of an object")
+    if table.get("type") not in TYPES:
+        raise BadInput(name, f"{place}.type", table.get("type"), f"one of {', '.join(TYPES)}")
+    if convention and table.get(convention) not in words:
+        raise BadInput(name, f"{place}.{convention}", table.get(convention), f"one of {', '.join(words)}")
+    if not table.get("unit", 1.0) > 0.0:
+        raise BadInput(name, f"{place}.unit", table["unit"], "a value > 0")
+    return MotorObject(
+        quantity=quantity,
+        index=table["index"],
+        sub=table.get("sub", 0),
+        type=table["type"],
+        unit=float(table.get("unit", 1.0)),
+        convention=table[convention] if convention else "",
+        unset=tuple(table.get("unset", ())),
+    )
