@@ -4,7 +4,7 @@ CiA 301 7.5.2.35 to 7.5.2.38: communication parameters 0x1400 and 0x1800, mappin
 may change only while the PDO does not exist (bit 31 of its COB-ID), with sub 0 of the mapping at 0 meanwhile.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -158,17 +158,21 @@ class PdoPlan:
 
     tpdos: tuple[PdoMap, ...]
     rpdos: tuple[PdoMap, ...]
+    observed: tuple[PdoMap, ...] = ()
+    """TPDOs for the recording alone: nobody listens to them."""
 
     def __post_init__(self) -> None:
-        used = [pdo.cob_id for pdo in (*self.tpdos, *self.rpdos)]
+        used = [pdo.cob_id for pdo in self]
         if len(set(used)) != len(used):
             raise ValueError("two PDOs of the plan share an identifier")
 
+    def __iter__(self) -> Iterator[PdoMap]:
+        """All that the drive sends, then all that it receives."""
+        return iter((*self.tpdos, *self.observed, *self.rpdos))
+
     def frames_a_cycle(self, period_ns: Duration) -> tuple[tuple[int, float], ...]:
         """Of each PDO its data bytes, and how often it travels in a cycle of one SYNC and one command."""
-        return tuple(
-            ((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in (*self.tpdos, *self.rpdos)
-        )
+        return tuple(((pdo.bits + 7) // 8, pdo.times_a_cycle(period_ns)) for pdo in self)
 
     def tpdo_with(self, index: int, sub: int = 0) -> PdoMap | None:
         """The first TPDO that carries an object."""
@@ -204,7 +208,8 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
     Raises SettingRefused naming every difference that stays, or TransferAborted.
     """
     notes: list[str] = []
-    for direction, wanted in ((PdoDirection.TRANSMIT, plan.tpdos), (PdoDirection.RECEIVE, plan.rpdos)):
+    for direction in PdoDirection:
+        wanted = [pdo for pdo in plan if pdo.direction is direction]
         used = {pdo.number for pdo in wanted}
         for number in range(1, _PDOS_LOOKED_AT + 1):
             if number not in used:
@@ -225,7 +230,7 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
 
 def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
     """Raises SettingRefused, naming every difference, unless the drive holds the plan."""
-    found = [text for pdo in (*plan.tpdos, *plan.rpdos) for text in differences(objects, pdo)]
+    found = [text for pdo in plan for text in differences(objects, pdo)]
     if found:
         raise SettingRefused(
             f"node {objects.node_id} does not hold the PDO plan",

@@ -65,7 +65,7 @@ def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int)
     """The frames of a cycle: SYNC, every TPDO, and every RPDO once; a statusword told on change seldom."""
     lines = [_line("SYNC", SYNC_ID, 0, bitrate_bit_s, 1.0, "")]
     for plan in plans:
-        for pdo in (*plan.tpdos, *plan.rpdos):
+        for pdo in plan:
             share, length = pdo.times_a_cycle(period_ns), (pdo.bits + 7) // 8
             lines.append(_line(pdo.name, pdo.cob_id, length, bitrate_bit_s, share, content_of(pdo)))
     return Budget(tuple(lines), period_ns, bitrate_bit_s)

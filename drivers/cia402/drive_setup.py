@@ -13,6 +13,7 @@ from drivers.canopen.pdo import PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
 from drivers.cia402.objects402 import Object
+from drivers.cia402.observed import NOTHING, Observed
 from drivers.cia402.pdo_planner import PlanImpossible, PlanWish, features_of, plan_pdos
 from drivers.cia402.pdo_plans import (
     DEMAND,
@@ -88,6 +89,8 @@ class DriveSettings:
     ``supervise_commands`` on."""
     demand_changes: bool = False
     """Have the torque demand told at every change, with the drive's stamp: when a command begins to act."""
+    observed: Observed = NOTHING
+    """What the drive tells for the recording alone."""
     drive_heartbeat_ms: int = 50
     drive_heartbeat_timeout_ms: int = 150
     """A drive that is silent for longer counts as lost."""
@@ -338,8 +341,7 @@ def _map_as_held(
 ) -> tuple[PdoPlan, list[str]]:
     """The mappings that the drive holds, used as they are; raises ``refusal`` if they do not serve."""
     standard = _standard_plan(objects, settings, Features())
-    pdos = (*standard.tpdos, *standard.rpdos)
-    wanted = {(entry.index, entry.sub): entry.code for pdo in pdos for entry in pdo.entries}
+    wanted = {(entry.index, entry.sub): entry.code for pdo in standard for entry in pdo.entries}
     try:
         result = plan_pdos(capability_of_drive(objects, wanted), objects.node_id, _wish(settings))
     except PlanImpossible as error:

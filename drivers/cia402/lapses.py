@@ -20,7 +20,7 @@ def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:
         if state is not NmtState.OPERATIONAL:
             found.append(f"its NMT state is {'not told' if state is None else state.name}")
     found += drive.error_control.lapses()
-    for pdo in (*drive.plan.tpdos, *drive.plan.rpdos):
+    for pdo in drive.plan:
         found += differences(drive.objects, pdo)
     return found
 

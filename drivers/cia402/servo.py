@@ -21,6 +21,7 @@ from drivers.cia402.drive_watch import DriveWatch
 from drivers.cia402.mode_control import MODE_BITS, ModeControl
 from drivers.cia402.motion import KEEP_HOMING, KEEP_PROFILE, HomingSetup, Motion, MoveProfile
 from drivers.cia402.objects402 import Object
+from drivers.cia402.observed import map_observed
 from drivers.cia402.profile import DriveCommand, Mode, State, state_of
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.rest import resting_since, slow
@@ -114,6 +115,7 @@ class ServoDrive(Drive):
         notes = [*watched, *scaling.notes, *write_reactions(self.objects, settings.quick_stop_option)]
         notes += write_limits(self.objects, settings, scaling)
         plan, pdo_notes = map_pdos(self.objects, settings)
+        plan, observed_notes = map_observed(self.objects, plan, settings.observed)
         self._assembler = ReadingAssembler(network, plan, scaling, settings.sync_period_ns, self._told)
         position = self.objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         self._assembler.anchor_position(position, network.clock.now())
@@ -128,7 +130,7 @@ class ServoDrive(Drive):
         network.refuse_two(self.node_id)
         self._change_nmt(NmtCommand.START, NmtState.OPERATIONAL, settings)
         self.modes.change(settings.mode, network.deadline_after(CHANGE_LIMIT))
-        self.notes = notes + pdo_notes
+        self.notes = [*notes, *pdo_notes, *observed_notes]
         return self.notes
 
     # ---- state ----------------------------------------------------------------------------------------

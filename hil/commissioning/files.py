@@ -80,7 +80,7 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
     originals = journal.contents.originals()
     last = {change.object: change.new for change in journal.contents.changes}
     plan = session.found.plan
-    planned = set() if plan is None else {pdo.communication_index for pdo in (*plan.tpdos, *plan.rpdos)}
+    planned = set() if plan is None else {pdo.communication_index for pdo in plan}
     return {
         key: value
         for key, value in last.items()

@@ -49,7 +49,7 @@ class SetUp(Step):
             outcome.say(note)
         plan = session.drive.plan
         assert plan is not None
-        for pdo in (*plan.tpdos, *plan.rpdos):
+        for pdo in plan:
             mapped = " ".join(f"{entry.index:04X}h/{entry.bits}" for entry in pdo.entries)
             outcome.say(f"{pdo.name} {pdo.cob_id:03X}h type {pdo.transmission_type}: {mapped}")
         load = bus_load_percent_max([plan], session.found.period, session.request.bitrate_bit_s)

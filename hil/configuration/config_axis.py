@@ -5,12 +5,15 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from drivers.canopen.pdo import SYNCHRONOUS_MAX
+from drivers.cia402.observed import Observed
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import ArrivalCompensator, CompensatorSection, ControllerSection
 from hil.configuration.current_controller_file import CurrentControl
 from hil.configuration.drive_file import DriveFile
 from hil.configuration.motor_file import MotorFile
+from hil.configuration.observed_objects import Observe
 from hil.configuration.quantities import (
     DropoutsInARow,
     HeartbeatTimeout,
@@ -123,8 +126,17 @@ class DriveConfig(Section):
     """Period of the drive's own heartbeat (0x1017)."""
     heartbeat_timeout_ms: HeartbeatTimeout = 150
     """A drive that is silent for so long counts as lost."""
+    observe: Observe = ()
+    """Objects that the drive tells by PDO for the recording alone; see docs/recording.md."""
+    observe_every_cycles: int = Field(default=1, ge=1, le=SYNCHRONOUS_MAX)
+    """They come with every so many SYNCs."""
     simulation: Simulation = Simulation()
     current_control: CurrentControl = CurrentControl()
     limits: Limits = Field(description="a table with speed_max_rpm and torque_max_nm")
     compensator: CompensatorSection = ArrivalCompensator(kind="arrival")
     controller: ControllerSection = Field(description="a table with its kind, e.g. 'pid', or a path")
+
+    @property
+    def observed(self) -> Observed:
+        """``observe``, as the drive is asked for it."""
+        return Observed(tuple(each.entry for each in self.observe if each.code), self.observe_every_cycles)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from drivers.canopen.frame_pump import SYNC
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.bench_modes import BENCH_MODES
+from drivers.cia402.observed import NUMBERS, with_observed
 from drivers.cia402.pdo_plans import mode_plan
 from drivers.errors import MISSING, BadInput
 from drivers.key_advice import nearest
@@ -16,6 +17,7 @@ from hil.configuration.config_axis import DriveConfig
 from hil.configuration.controller_kinds import StampCompensator
 from hil.configuration.mode_checks import Fault, mode_faults, reference_faults
 from hil.configuration.motor_file import speed_max_rpm
+from hil.configuration.observed_objects import observed_faults
 from hil.configuration.references import Load, LoadStep, SignalFile, SineReference
 from hil.loop.scenario import Quantity
 
@@ -131,27 +133,51 @@ def _bus(config: BenchConfig) -> Iterator[Fault]:
 
 
 def _cycle_fits(config: BenchConfig, axes: Sequence[str], key: str, bitrate_bit_s: int) -> Iterator[Fault]:
-    every, by_event = config.loop.position_every_cycles, config.loop.command_readback == "event"
-    plans = [
-        mode_plan(
-            config.drive[axis].node,
-            BENCH_MODES[config.drive[axis].mode],
-            device_stamp=True,
-            position_every_cycles=every,
-            coherent=config.coherent(axis),
-            demand_changes=by_event,
-        )
-        for axis in axes
-    ]
+    plans = [standard_plan(config, axis) for axis in axes]
     least_us = config.loop.period_us
     while (needed_us := _time_of_frames_us(plans, least_us, bitrate_bit_s)) > least_us:
         least_us = needed_us  # in which a statusword may be told once more
     if config.loop.period_us < least_us:
         expected = f"at least {least_us}, which {len(plans)} drive(s) may take at {bitrate_bit_s} bit/s"
         remedy = f"raise loop.period_us or {key}"
-        if every == 1:
+        if config.loop.position_every_cycles == 1:
             remedy += ", or set loop.position_every_cycles = 10"
         yield "loop.period_us", config.loop.period_us, expected, remedy
+
+
+def standard_plan(config: BenchConfig, axis: str) -> PdoPlan:
+    """The PDOs of a drive without a data sheet, with what is observed if that fits."""
+    drive = config.drive[axis]
+    plan = mode_plan(
+        drive.node,
+        BENCH_MODES[drive.mode],
+        device_stamp=True,
+        position_every_cycles=config.loop.position_every_cycles,
+        coherent=config.coherent(axis),
+        demand_changes=config.loop.command_readback == "event",
+    )
+    return with_observed(plan, drive.node, drive.observed) or plan
+
+
+def _observed(config: BenchConfig) -> Iterator[Fault]:
+    for axis in config.axes:
+        drive, key = config.drive[axis], f"drive.{axis}.observe"
+        faults = list(observed_faults(key, drive.observe))
+        yield from faults
+        if not drive.observe or faults:
+            continue
+        if not config.recording.frames:
+            expected = "true: what a drive tells beside the loop is read from its frames"
+            yield "recording.frames", False, expected, f"or leave {key} out"
+        plan = standard_plan(config, axis)
+        if drive.eds is None and not plan.observed:
+            left = len(NUMBERS) - len(plan.tpdos)
+            bits = sum(entry.bits for entry in drive.observed.entries)
+            expected = (
+                f"what the TPDOs that the loop leaves can carry, {left} of {len(NUMBERS)}, 8 bytes each"
+            )
+            remedy = 'loop.command_readback = "sync" leaves one more' if not left else ""
+            yield key, f"{len(drive.observe)} objects of {bits // 8} bytes", expected, remedy
 
 
 def _time_of_frames_us(plans: Sequence[PdoPlan], period_us: int, bitrate_bit_s: int) -> int:
@@ -305,6 +331,7 @@ _CHECKS = (
     _times,
     _postponed,
     _bus,
+    _observed,
     _background,
     _limits,
     _profiles,

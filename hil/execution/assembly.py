@@ -28,7 +28,15 @@ from hil.loop.samples import CycleRecord
 from hil.loop.scenario import Quantity, ReferenceProfile
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
-from hil.rows.recording_plan import AxisPlan, CertifiedPlan, PlannedSetPoint, RecordingPlan, ReviewPlan
+from hil.rows.recording_plan import (
+    AxisPlan,
+    CertifiedPlan,
+    ObservedDrive,
+    ObservedSignal,
+    PlannedSetPoint,
+    RecordingPlan,
+    ReviewPlan,
+)
 from hil.verdict.verdict import VerdictLimits
 from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_bits
 from virtual_bus.faults.fault_log import FaultLog
@@ -264,8 +272,26 @@ def recording_plan(
         period_us=config.loop.period_us,
         view=view,
         set_points=_set_points(config),
+        observed=observed_drives(config),
         notes=recording_notes(config, bus),
     )
+
+
+def observed_drives(config: BenchConfig) -> dict[str, ObservedDrive]:
+    """What drives tell for the recording alone."""
+    segments = [None, *(segment.name for segment in config.bus.segment)]
+    return {
+        axis: ObservedDrive(
+            drive.node,
+            segments.index(drive.segment),
+            tuple(
+                ObservedSignal(each.key, each.entry.code, each.title, each.told_unit, each.factor)
+                for each in drive.observe
+            ),
+        )
+        for axis, drive in sorted(config.drive.items())
+        if drive.observe
+    }
 
 
 def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:

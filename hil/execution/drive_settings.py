@@ -37,6 +37,7 @@ def drive_settings(
         synchronous_command=timing.actuation is Actuation.ON_SYNC,
         position_every_cycles=config.loop.position_every_cycles,
         demand_changes=config.loop.command_readback == "event",
+        observed=wanted.observed,
         command_timeout_ms=_command_timeout_ms(limits.dropouts_consecutive_max, host, timing),
         drive_heartbeat_ms=wanted.heartbeat_ms,
         drive_heartbeat_timeout_ms=wanted.heartbeat_timeout_ms,

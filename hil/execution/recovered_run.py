@@ -63,6 +63,7 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         wall_offset=_stamp_offset(folder / RECORDS_FILE),
         period_us=config.loop.period_us,
         started_at=_started_at(folder / RECORDS_FILE),
+        observed=assembly.observed_drives(config),
         notes=assembly.recording_notes(config, config.bus.spec),
     )
     planned = planned_cycles(duration_s(config.bench.duration_s), config.loop.period)

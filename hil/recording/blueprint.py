@@ -21,6 +21,8 @@ VERDICT, HISTOGRAM, EVENTS = "/verdict", "/delay_histogram", "/events"
 SUMMARY = "/summary"
 """The object of summary.json, as text; in no view."""
 OVERVIEW_PAGE, TIMING_PAGE, CONTROLLER_PAGE, ZOOM_PAGE = "Overview", "Timing", "Controller", "Zoom"
+OBSERVED_PAGE: Final = "Observed"
+"""What the drives tell for the recording alone."""
 SPEED_PAGE = "Speed"
 """Of axes whose reference is one of the position, which is seen first."""
 LIVE_WINDOW_S: Final = 20.0
@@ -96,6 +98,8 @@ class Pages:
         telling = [name for name in self._axes if name in self._plan.channels]
         if telling:
             yield self._of_each(CONTROLLER_PAGE, [self._controller(name) for name in telling])
+        if self._plan.observed:
+            yield self._of_each(OBSERVED_PAGE, [self._observed(name) for name in self._plan.observed])
         if self._whole is not None:
             zooms = [self._axis_page(name, name, linked=True) for name in self._axes]
             yield self._of_each(ZOOM_PAGE, zooms)
@@ -181,10 +185,15 @@ class Pages:
         )
 
     def _controller(self, name: str) -> rrb.Vertical:
-        plots = [
-            self._view(f"/{name}", [f"{self._root(False)}/{name}/controller/{channel}"], channel, False)
-            for channel in self._plan.channels[name]
-        ]
+        return self._own(name, [(f"controller/{each}", each) for each in self._plan.channels[name]])
+
+    def _observed(self, name: str) -> rrb.Vertical:
+        return self._own(name, [(each.path, each.title) for each in self._plan.observed[name].signals])
+
+    def _own(self, name: str, series: Sequence[tuple[str, str]]) -> rrb.Vertical:
+        """A plot for each series, by path and title."""
+        root = f"{self._root(False)}/{name}"
+        plots = [self._view(f"/{name}", [f"{root}/{path}"], title, False) for path, title in series]
         return rrb.Vertical(*plots, name=name)
 
     def _plot(

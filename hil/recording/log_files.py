@@ -266,8 +266,9 @@ class RerunKeeper:
         self._review = review
         self._show_at_end = folder / RERUN_FILE if plan.view and not plan.real_time else None
 
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         self._telemetry.take_events(events)
+        self._telemetry.take_frames(frames)
         if self._blocks.add(rows):
             self._send_block()
 
@@ -298,8 +299,9 @@ class LiveKeeper:
         self._review = review
         start_viewer("--connect", sink.uri)
 
-    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:  # noqa: ARG002
+    def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         self._telemetry.take_events(events)
+        self._telemetry.take_frames(frames)
         self._telemetry.take_rows(rows)
 
     def flush(self) -> None:

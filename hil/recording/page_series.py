@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import rerun as rr
 
-from hil.rows.recording_plan import AxisPlan
+from hil.rows.recording_plan import AxisPlan, RecordingPlan
 
 Color = tuple[int, int, int]
 GREY, BLUE, RED, ORANGE = (165, 165, 165), (84, 176, 255), (255, 74, 96), (255, 168, 60)
@@ -98,12 +98,13 @@ LIMIT_SERIES: Final = (
 )
 
 
-def channel_series(names: tuple[str, ...]) -> tuple[Series, ...]:
-    """Of what a controller tells."""
+def own_series(plan: RecordingPlan, axis: str) -> tuple[Series, ...]:
+    """Of what the controller of an axis tells, and of what is observed of its drive."""
+    names = [(f"controller/{name}", name) for name in plan.channels.get(axis, ())]
+    drive = plan.observed.get(axis)
+    names += [(signal.path, signal.name) for signal in (drive.signals if drive else ())]
     colors = CHANNEL_COLORS
-    return tuple(
-        Series(f"controller/{name}", name, colors[place % len(colors)]) for place, name in enumerate(names)
-    )
+    return tuple(Series(path, name, colors[place % len(colors)]) for place, (path, name) in enumerate(names))
 
 
 def torque_scale(axis: AxisPlan) -> tuple[float, str]:

@@ -15,6 +15,7 @@ from drivers.printable import printable
 from drivers.timebase import Instant
 from hil.recording.telemetry import RERUN_FILE, Telemetry
 from hil.reviewing.review import Review
+from hil.reviewing.trace.run_trace import RecordedBus
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records import ROW
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
@@ -40,18 +41,21 @@ def write_rerun_anew(plan: RecordingPlan, summary: Summary, review: Review) -> N
         raise OSError(f"less than {needed >> 20} MB are free")
     part = folder / f"{RERUN_FILE}.part"
     try:
-        _write(folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, review)
+        _write(plan, folder, Telemetry(plan, uuid4().hex, rr.FileSink(part)), summary, review)
         part.replace(folder / RERUN_FILE)
     except OSError:
         part.unlink(missing_ok=True)
         raise
 
 
-def _write(folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
+def _write(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Summary, review: Review) -> None:
     """As a logger sends it: what was before the first cycle, the cycles, what came after."""
     telemetry.metadata = read_metadata(folder / RECORDS_FILE)
     told = [*_told(folder / EVENTS_FILE, _event), *_told(folder / LOAD_FILE, _load)]
     telemetry.take_events([event for event in told if event.at <= 0])
+    if plan.observed and plan.frames:
+        for frames in RecordedBus(folder).arrays(plan.segments):
+            telemetry.take_frames(frames)
     for rows in read_records(folder / RECORDS_FILE):
         telemetry.take_rows(rows)
     telemetry.take_events([event for event in told if event.at > 0])

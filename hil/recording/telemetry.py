@@ -25,6 +25,7 @@ from hil.recording.lanes import (
     track_path,
     verdict_lane,
 )
+from hil.recording.observed_frames import ObservedFrames
 from hil.recording.page_series import (
     CORAL,
     LIMIT_SERIES,
@@ -36,7 +37,7 @@ from hil.recording.page_series import (
     YELLOW,
     Marks,
     Series,
-    channel_series,
+    own_series,
     torque_scale,
 )
 from hil.recording.row_series import first_offset_ns, lines_of, marks_of
@@ -109,6 +110,7 @@ class Telemetry:
         self._tracks: set[str] = set()
         self._styled: set[str] = set()
         self._envelopes: dict[str, Envelope] = {}
+        self._observed = ObservedFrames(plan.observed)
         self._rows = 0
         self._marks = dict.fromkeys(self._axes, 0)
         self._show_verdict(None)
@@ -135,6 +137,16 @@ class Telemetry:
             mine = rows if len(self._axes) == 1 else rows[rows["axis"] == number]
             if mine.size:
                 self._show_axis(number, name, mine)
+
+        self._show_observed()
+
+    def take_frames(self, frames: NDArray[np.void]) -> None:
+        """What was observed is in them: (n,) of FRAME_DTYPE. It is shown with the next rows."""
+        self._observed.take(frames)
+
+    def _show_observed(self) -> None:
+        for path, times, values in self._observed.drain():
+            self._plot(path, times, values)
 
     def show_histograms(self, delays: Sequence[TimeHistogram]) -> None:
         """The delays so far, by axis; the last bar holds all that lies beyond it."""
@@ -182,6 +194,7 @@ class Telemetry:
         """Envelopes, limits, verdict and final layout; ends the stream. Error: OSError as of ``flush``."""
         if self._origin is None:
             self._start_at(self._held[0].at if self._held else 0)
+        self._show_observed()
         self.show_histograms(review.delays)
         whole = None
         if self._last_at >= self._first_at:
@@ -332,8 +345,8 @@ class Telemetry:
         """By the part below the axis."""
         parts = path.removeprefix(OVERVIEW).removeprefix(LIMITS).split("/")
         below = "/".join(parts[2:])
-        channels = channel_series(self._plan.channels.get(parts[1], ()))
-        known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *channels)
+        own = own_series(self._plan, parts[1])
+        known: tuple[Series | Marks, ...] = (*SERIES, *MARKS, *LIMIT_SERIES, *own)
         return next(each for each in known if each.path == below).styled()
 
     def _show_changes(self, track: str, changes: Sequence[LabelChange]) -> None:

@@ -81,6 +81,39 @@ class ReviewPlan:
     """Of the loop; for the errors of drives that are given positions."""
 
 
+class ObservedSignal(NamedTuple):
+    """An object that a drive tells for the recording alone."""
+
+    object: tuple[int, int]
+    """Index and sub-index."""
+    code: str
+    """``struct`` character."""
+    name: str
+    unit: str
+    factor: float
+    """By which its number is multiplied."""
+
+    @property
+    def path(self) -> str:
+        """Of its series, below the axis."""
+        index, sub = self.object
+        return f"observed/{index:04X}h_{sub}"
+
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+class ObservedDrive(NamedTuple):
+    """Who tells them."""
+
+    node: int
+    segment: int
+    """Its number; 0: the first one."""
+    signals: tuple[ObservedSignal, ...]
+
+
 class PlannedSetPoint(NamedTuple):
     """A reference or a load that an axis is to be asked for."""
 
@@ -127,6 +160,8 @@ class RecordingPlan:
     """Of the loop, for network.toml; 0: none is written."""
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By axis, the names of what its controller tells of its own."""
+    observed: Mapping[str, ObservedDrive] = field(default_factory=dict)
+    """By axis; of those that observe nothing there is none."""
     sources: str = "{}"
     """Which code of the user's own ran, by axis and key: object and digest of its file, JSON."""
     notes: Mapping[str, str] = field(default_factory=dict)

@@ -96,7 +96,7 @@ def _plan(planned: Planned) -> dict[str, Any]:
         "mode": planned.mode,
         "possible": True,
         "notes": list(planned.result.notes),
-        "pdos": [_mapped(pdo) for pdo in (*plan.tpdos, *plan.rpdos)],
+        "pdos": [_mapped(pdo) for pdo in plan],
         "budget": _budget(planned.budget),
     }
 

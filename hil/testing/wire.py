@@ -12,14 +12,16 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
-from drivers.canopen.pdo import PdoPlan
+from drivers.canopen.pdo import PdoDirection, PdoPlan
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.objects402 import Object
+from drivers.cia402.observed import with_observed
 from drivers.cia402.pdo_planner import PlanWish, plan_pdos
-from drivers.cia402.pdo_plans import mode_plan
 from drivers.sheets.capability import capability_of
+from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.configuration.config import BenchConfig
+from hil.configuration.config_checks import standard_plan
 from hil.execution.drive_settings import data_sheets
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RECORDS_FILE, read_metadata
@@ -204,8 +206,9 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
         Intended(f"{0x580 + node:03X}#{'.' * 16}", False),
         Intended(f"{0x700 + node:03X}#..", False),
     ]
-    for pdos, sent in ((plan.rpdos, True), (plan.tpdos, False)):
-        rules += [Intended(f"{pdo.cob_id:03X}#{'.' * (pdo.bits // 4)}", sent) for pdo in pdos]
+    for pdo in plan:
+        sent = pdo.direction is PdoDirection.RECEIVE
+        rules.append(Intended(f"{pdo.cob_id:03X}#{'.' * (pdo.bits // 4)}", sent))
     return rules
 
 
@@ -250,22 +253,20 @@ def _controlword_in(frame: SeenFrame, node: int, codecs: dict[int, tuple[Struct,
 
 def pdo_plans(config: BenchConfig) -> dict[str, PdoPlan]:
     """The PDO plan of each axis: by its data sheet if it has one, else the standard one."""
-    sheets, every = data_sheets(config), config.loop.position_every_cycles
-    on_sync = config.loop.actuation == "on_sync"
-    by_event = config.loop.command_readback == "event"
-    plans = {}
-    for name, drive in config.drive.items():
-        mode, coherent = BENCH_MODES[drive.mode], config.coherent(name)
-        if name in sheets:
-            wish = PlanWish(mode, on_sync, every, coherent=coherent)
-            plans[name] = plan_pdos(capability_of(sheets[name]), drive.node, wish).plan
-        else:
-            plans[name] = mode_plan(
-                drive.node,
-                mode,
-                device_stamp=True,
-                position_every_cycles=every,
-                coherent=coherent,
-                demand_changes=by_event,
-            )
-    return plans
+    sheets = data_sheets(config)
+    return {
+        axis: _plan_by_sheet(config, axis, sheets[axis]) if axis in sheets else standard_plan(config, axis)
+        for axis in config.drive
+    }
+
+
+def _plan_by_sheet(config: BenchConfig, axis: str, sheet: LoadedDictionary) -> PdoPlan:
+    drive, loop = config.drive[axis], config.loop
+    wish = PlanWish(
+        BENCH_MODES[drive.mode],
+        loop.actuation == "on_sync",
+        loop.position_every_cycles,
+        coherent=config.coherent(axis),
+    )
+    plan = plan_pdos(capability_of(sheet), drive.node, wish).plan
+    return with_observed(plan, drive.node, drive.observed) or plan

@@ -2,6 +2,7 @@
 are seldom asked for, which are computed when they are.
 """
 
+from collections.abc import Callable
 from typing import Final, cast
 
 from drivers.cia402.profile import Status
@@ -12,10 +13,14 @@ from virtual_bus.drive.motor_kernel import (
     D_LOAD,
     S_CONTROL,
     S_COUNT,
+    S_D_MEASURED,
     S_LIMITED,
+    S_NEXT_D,
+    S_NEXT_Q,
     S_Q_MEASURED,
     S_SPEED_DEMAND,
     S_SPEED_MEASURED,
+    S_TORQUE_DEMAND,
     S_TORQUE_MEASURED,
 )
 from virtual_bus.drive.servo_objects import ServoObjects
@@ -91,6 +96,13 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
     objects.position_internal.provider = lambda: wrapped(int(state[S_COUNT] - units.origin))
     objects.torque_demand.provider = lambda: clipped(firmware.torque_demand_nm / axis.torque_unit_nm, 16)
     objects.current.provider = lambda: clipped(state[S_Q_MEASURED] / objects.current_unit_a, 16)
+    for variable, place in ((objects.current_d, S_D_MEASURED), (objects.current_q, S_Q_MEASURED)):
+        variable.provider = _part(state, place, objects.current_unit_a)
+    for variable, place in ((objects.voltage_d, S_NEXT_D), (objects.voltage_q, S_NEXT_Q)):
+        variable.provider = _part(state, place, objects.voltage_unit_v)
+    objects.current_q_demand.provider = lambda: clipped(
+        state[S_TORQUE_DEMAND] / firmware.motor.torque_constant_nm_a / objects.current_unit_a, 16
+    )
     objects.load_torque.provider = objects.load_actual.provider = lambda: round(
         float(demand[D_LOAD]) / LOAD_NM
     )
@@ -104,6 +116,10 @@ def provide_slow_values(axis: SimulatedAxis) -> None:
         state[S_SPEED_DEMAND] * units.velocity_per_rad_s if state[S_CONTROL] == CONTROL_SPEED else 0.0, 32
     )
     motion.following_error.provider = lambda: clipped(axis.following_error, 32)
+
+
+def _part(state: "memoryview[float]", place: int, unit: float) -> Callable[[], int]:
+    return lambda: clipped(state[place] / unit, 16)
 
 
 def clipped(value: float, bits: int) -> int:

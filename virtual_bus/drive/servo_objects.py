@@ -35,6 +35,8 @@ PERMANENT_MAGNET_SINUSOIDAL = 10
 """Motor type 6402h: sinusoidal, PM, brushless."""
 LOAD_MACHINE = 0x2100
 """Manufacturer-specific: the load machine on the simulated shaft."""
+ROTOR_FRAME = 0x2101
+"""Manufacturer-specific: what the current loops see and do."""
 PER_THOUSAND_MAX = 0xFFFF
 
 
@@ -68,6 +70,7 @@ class ServoObjects:
         self._add_values()
         self._add_limits(motor, drive)
         self._add_motor(motor)
+        self._add_rotor_frame()
         self._add_load_machine(drive)
 
     def option(self, index: Object) -> int:
@@ -83,6 +86,11 @@ class ServoObjects:
     def current_unit_a(self) -> float:
         """A thousandth of 6075h, as amplitude in the motor's transform."""
         return float(self.rated_current.value / self._rated_current_ma) * self._current_unit_a
+
+    @property
+    def voltage_unit_v(self) -> float:
+        """A thousandth of 6079h."""
+        return float(self.dc_link.value) * 1e-6
 
     def _add(self, index: Object, data_type: DataType, access: Access, **options: Any) -> Variable:
         return add_profile_object(self._dictionary, index, data_type, access, **options)
@@ -136,7 +144,16 @@ class ServoObjects:
         self.rated_torque = self._add(
             Object.MOTOR_RATED_TORQUE, U32, RO, default=rated_mnm, low=1, mappable=False
         )
-        self._add(Object.DC_LINK_CIRCUIT_VOLTAGE, U32, RO, default=bus_mv)
+        self.dc_link = self._add(Object.DC_LINK_CIRCUIT_VOLTAGE, U32, RO, default=bus_mv)
+
+    def _add_rotor_frame(self) -> None:
+        """Currents in thousandths of 6075h, as 6078h, and voltages in thousandths of 6079h."""
+        record = self._dictionary.add_record(ROTOR_FRAME, "Currents and voltages in the rotor's frame")
+        self.current_d = record.add(1, "d current actual value", I16, RO, mappable=True)
+        self.current_q = record.add(2, "q current actual value", I16, RO, mappable=True)
+        self.current_q_demand = record.add(3, "q current demand", I16, RO, mappable=True)
+        self.voltage_d = record.add(4, "d voltage", I16, RO, mappable=True)
+        self.voltage_q = record.add(5, "q voltage", I16, RO, mappable=True)
 
     def _add_load_machine(self, drive: DriveParameters) -> None:
         load = self._dictionary.add_record(LOAD_MACHINE, "Load machine")

@@ -1,12 +1,16 @@
 """The bus of a recording: its frames with who sent them, and what its bench file says of the drives."""
 
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.cia402.scaling import ScaleOverride
 from drivers.errors import BadInput, BenchError
+from drivers.timebase import Instant
 from hil.configuration.bench_file import load_bench
 from hil.reviewing.trace.bus_log import BusLog
 from hil.reviewing.trace.known_nodes import KnownNodes, NodeKey, SheetFile
@@ -14,11 +18,12 @@ from hil.reviewing.trace.log_frame import LogFrame
 from hil.rows.record_columns import refuse_later_format
 from hil.rows.records_file import RECORDS_FILE, read_metadata
 from hil.rows.run_files import BENCH_FILE, DIRECTIONS_FILE, FRAMES_FILE
+from hil.rows.side_rows import FRAME_DTYPE, frame_row
 
 _EPOCH: Final = "first_cycle_epoch_ns"
 _DIRECTION_BYTES: Final = 2
 _CHUNK: Final = 1 << 16
-"""Lines whose directions are held at once."""
+"""Lines of which are held at once what is asked for."""
 
 
 class RecordedBus:
@@ -56,6 +61,24 @@ class RecordedBus:
                         break
                 place = (frame.number - first) * _DIRECTION_BYTES
                 yield frame._replace(sent=letters[place : place + 1].decode("latin-1"))
+
+    def arrays(self, segments: Sequence[str]) -> Iterator[NDArray[np.void]]:
+        """The frames in blocks of FRAME_DTYPE, (n,); ``segments``: names of the further ones, by number."""
+        numbers = {name: number for number, name in enumerate(segments, start=1)}
+        zero_ns = self.zero_ns or 0
+        frames = iter(self.log)
+        while block := list(islice(frames, _CHUNK)):
+            rows = [
+                frame_row(
+                    Instant(frame.at_ns - zero_ns),
+                    frame.can_id,
+                    numbers.get(frame.channel, 0) << 1,
+                    frame.data,
+                )
+                for frame in block
+                if frame.at_ns is not None and not frame.error and len(frame.data) <= 8
+            ]
+            yield np.frombuffer(b"".join(rows), FRAME_DTYPE)
 
     def known(self, sheets: list[SheetFile]) -> KnownNodes:
         """``sheets``, those of the bench, and the factors of its commissioned drives.
