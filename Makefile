@@ -14,6 +14,8 @@
 #                    have oddly, alone and in pairs, for at most SECONDS
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
 #                    most SECONDS drawn ones anywhere; the tests must see them
+#   make pictures    draw every page of runs of every kind, for at most SECONDS, into build/pictures, and look in
+#                    the pixels for what has to be there
 #   make exits       end and hold up each process of a run in each of its phases, for at most SECONDS
 #   make bench       print the benchmarks' figures
 #   make compile     compile what has changed of the hot modules; test and bench do it by themselves
@@ -37,7 +39,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mutate exits bench docs lock clean
+.PHONY: help setup compile pure wheel demo check format test unit test-dask test-vcan truth swarm rehearsals mutate pictures exits bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -127,6 +129,9 @@ rehearsals: $(TOOLS) compile
 # Interpreted, in a copy of its own: the checkout and its compiled modules are left alone.
 mutate: $(TOOLS)
 	@$(BIN)/python -m tests.code_mutants --seconds $(SECONDS)
+
+pictures: $(TOOLS) compile
+	@$(BIN)/python -m tests.pictures --seconds $(SECONDS)
 
 exits: $(TOOLS) compile
 	@$(BIN)/python -m tests.exits --seconds $(SECONDS)

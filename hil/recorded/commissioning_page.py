@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from drivers.timebase import NS_PER_S
 from hil.configuration.drive_file import load_drive_file
 from hil.recording.lanes import lane_colors
 from hil.recording.page_series import BLUE, GREEN, GREY, TIMELINE, Color
+from hil.recording.plot_scale import COLUMN_PX, about, lanes_px, plot_heights
 from hil.recording.rerun_page import framed, stream_into
 from hil.recording.telemetry import RERUN_FILE
 from hil.reviewing.envelope import Envelope
@@ -65,6 +67,8 @@ _SIGNALS: Final = {
     Object.TARGET_TORQUE: _Signal("torque", "set-point 6071h", GREY, 1.0),
     Object.TORQUE_ACTUAL_VALUE: _Signal("torque", "actual 6077h", GREEN, 1.0),
 }
+_RESULT_COLUMNS: Final = 52
+"""A cell shows one line alone: so much a table at the right of a screen of 1920 shows beside the titles."""
 _PLOTS: Final = {"speed": "Speed [r/min]", "position": "Position [turns]", "torque": "Torque [N m]"}
 
 
@@ -155,6 +159,12 @@ class _Bus:
                 self.signals[index] = envelope = Envelope()
                 envelope.add(np.array(times, np.int64), np.array(values))
 
+    def ends(self, plot: str) -> Iterator[float]:
+        """Least and largest value of each signal in a plot."""
+        for index, envelope in self.signals.items():
+            if _SIGNALS[index].plot == plot:
+                yield from envelope.ends() or ()
+
     def _take(
         self, entry: TraceEntry, stamp_ns: int, held: Mapping[Object, tuple[list[int], list[float]]]
     ) -> None:
@@ -215,7 +225,8 @@ def _send_lane(
 
 def _send_texts(stream: rr.RecordingStream, told: list[tuple[int, str, str]]) -> None:
     if told:
-        rows = rr.TextLog.columns(text=[text for _, _, text in told], level=[level for _, level, _ in told])
+        texts = [f"{at / NS_PER_S:.3f} s  {text}" for at, _, text in told]
+        rows = rr.TextLog.columns(text=texts, level=[level for _, level, _ in told])
         stream.send_columns(_EVENTS, _times([at for at, _, _ in told]), rows)
 
 
@@ -237,37 +248,48 @@ def _markdown(folder: Path, figures: Mapping[str, Any]) -> str:
         parts.append("It did not come to its end: nothing but frames and events is there.")
     if figures.get("error"):
         parts.append(f"**{figures['error']}**")
-    rows = [f"| {each['title']} | {each['verdict']} | {_result(each)} |" for each in figures["steps"]]
+    rows = [
+        f"| {each['title']} | {each['verdict']} | {line} |" if place == 0 else f"| | | {line} |"
+        for each in figures["steps"]
+        for place, line in enumerate(_result(each))
+    ]
     parts.append("\n".join(["| step | | |", "|:--|:--|:--|", *rows]))
     return "\n\n".join(parts) + "\n"
 
 
-def _result(step: Mapping[str, Any]) -> str:
-    told = [f"**{fault}**" for fault in step["faults"]]
+def _result(step: Mapping[str, Any]) -> list[str]:
+    """In lines, as a cell shows one alone."""
+    told = []
     for each in step["quantities"]:
         half = f" +- {each['uncertainty']:.2g}" if each["uncertainty"] is not None else ""
         told.append(f"{each['name']} {each['value']:.5g}{half} {each['unit']}".strip())
-    if not told:
+    faults = [f"**{line}**" for fault in step["faults"] for line in _cells(fault)]
+    if not told and not faults:
         told = [step["reason"] or step["headline"] or ""]
-    return "; ".join(told).replace("|", "/").replace("\n", " ")
+    return [*faults, *_cells("; ".join(told))] or [""]
+
+
+def _cells(text: str) -> list[str]:
+    return wrap(text.replace("|", "/"), _RESULT_COLUMNS)
 
 
 def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
     boundary = rrb.TimeRangeBoundary
     window = rrb.TimeRange(boundary.absolute(seconds=-0.02 * end_s), boundary.absolute(seconds=1.02 * end_s))
     axis = rrb.TimeAxis(link="Independent", view_range=window)
-    there = {_SIGNALS[index].plot for index in bus.signals}
+    there = [plot for plot in _PLOTS if any(_SIGNALS[index].plot == plot for index in bus.signals)]
+    ranges = {plot: about(bus.ends(plot)) for plot in there}
     plots = [
         rrb.TimeSeriesView(
             origin="/",
             contents=[f"+ /{plot}/**"],
-            name=title,
+            name=_PLOTS[plot],
             axis_x=axis,
+            axis_y=None if ranges[plot] is None else rrb.ScalarAxis(range=ranges[plot]),
             plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
             time_ranges=rrb.VisibleTimeRange(TIMELINE, start=boundary.infinite(), end=boundary.infinite()),
         )
-        for plot, title in _PLOTS.items()
-        if plot in there
+        for plot in there
     ]
     lanes = rrb.StateTimelineView(
         origin="/", contents=[f"+ {_STEP}", f"+ {_DRIVE}"], name="Steps and states", time_view=axis
@@ -280,6 +302,8 @@ def _layout(bus: _Bus, end_s: float) -> rrb.Blueprint:
         rrb.TextLogView(origin=_EVENTS, name="Events", columns=columns),
         row_shares=[6.5, 3.5],
     )
-    shares = [1.0, *(2.0 for _ in plots)]
-    content = rrb.Vertical(lanes, *plots, row_shares=shares)
+    states_px = lanes_px(2)
+    spare = [1.0 / len(plots)] * len(plots) if plots else []
+    heights = plot_heights([ranges[plot] for plot in there], COLUMN_PX - states_px, spare)
+    content = rrb.Vertical(lanes, *plots, row_shares=[states_px, *heights])
     return framed(rrb.Horizontal(content, right, column_shares=[6.5, 3.5]))

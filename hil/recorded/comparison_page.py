@@ -1,26 +1,28 @@
 """Runs beside each other and over each other, as one Rerun recording of envelopes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_S
 from hil.recorded.comparison import Against
-from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE
+from hil.recording.page_series import AXIS_COLORS, GREY, TIMELINE, torque_scale
+from hil.recording.plot_scale import COLUMN_PX, Range, about, around_zero, plot_heights
 from hil.recording.rerun_page import framed, stream_into
-from hil.reviewing.envelope import Envelope
+from hil.reviewing.envelope import Points
 
-_PLOTS: Final = (
-    ("speed/measured", "Speed [r/min]"),
-    ("error/error", "Speed error [r/min]"),
-    ("torque/measured", "Torque [N m]"),
-    ("delay/delay", "Delay [us]"),
-)
+_PLOTS: Final = {
+    "speed/measured": "Speed [r/min]",
+    "error/error": "Speed error [r/min]",
+    "torque/measured": "Torque",
+    "delay/delay": "Delay [us]",
+}
 _APPLICATION: Final = "servobench comparison"
 
 
@@ -31,9 +33,9 @@ def write_comparison(found: Sequence[Against], markdown: str, path: Path) -> Non
         with stream_into(path, _APPLICATION) as stream:
             for place, (name, each) in enumerate(zip(names, found, strict=True)):
                 color = AXIS_COLORS[place % len(AXIS_COLORS)]
-                for path_of_signal, envelope in each.signals.signals.items():
-                    beside = path_of_signal.endswith(("/reference", "/load"))
-                    _send(stream, f"/{name}/{path_of_signal}", envelope, name, GREY if beside else color)
+                for axis, signal, (times, values) in _signals(found, each):
+                    shade = GREY if signal.endswith(("/reference", "/load")) else color
+                    _send(stream, f"/{name}/{axis}/{signal}", times, values, name, shade)
             text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
             stream.log("/differences", text, static=True)
             stream.send_blueprint(_layout(found, names))
@@ -41,12 +43,33 @@ def write_comparison(found: Sequence[Against], markdown: str, path: Path) -> Non
         raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
 
 
+def _signals(found: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:
+    """Axis, series and points of one of the runs, in the units of the plots."""
+    for path, envelope in each.signals.signals.items():
+        axis, _, signal = path.partition("/")
+        times, values = envelope.points()
+        if times.size:
+            yield (
+                axis,
+                signal,
+                (times, values * (_torque(found, axis)[0] if signal.startswith("torque/") else 1.0)),
+            )
+
+
+def _torque(found: Sequence[Against], axis: str) -> tuple[float, str]:
+    """Scale and unit of all runs, by the first that has the axis."""
+    plans = (plan for each in found for plan in each.run.review.axes if plan.name == axis)
+    return torque_scale(next(plans))
+
+
 def _send(
-    stream: rr.RecordingStream, path: str, envelope: Envelope, name: str, color: tuple[int, int, int]
+    stream: rr.RecordingStream,
+    path: str,
+    times: NDArray[np.int64],
+    values: NDArray[np.float64],
+    name: str,
+    color: tuple[int, int, int],
 ) -> None:
-    times, values = envelope.points()
-    if not times.size:
-        return
     style = rr.SeriesLines(names=name, colors=color, widths=1.2, aggregation_policy="MinMax")
     stream.log(path, style, static=True)
     column = rr.TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))
@@ -56,11 +79,12 @@ def _send(
 def _layout(found: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
     axes = list(dict.fromkeys(axis for each in found for axis in each.run.axes))
     end_s = max((_end_s(each) for each in found), default=1.0)
-    error_rpm = {axis: _error_rpm(found, axis) for axis in axes}
-    overlaid = [_column(names, axis, f"{axis}: overlaid", end_s, error_rpm[axis]) for axis in axes]
+    ranges = {axis: _ranges(found, axis) for axis in axes}
+    units = {axis: _torque(found, axis)[1] for axis in axes}
+    overlaid = [_column(names, axis, f"{axis}: overlaid", end_s, ranges[axis], units[axis]) for axis in axes]
     beside = [
         rrb.Horizontal(
-            *(_column([name], axis, name, end_s, error_rpm[axis]) for name in names),
+            *(_column([name], axis, name, end_s, ranges[axis], units[axis]) for name in names),
             name=f"{axis}: side by side",
         )
         for axis in axes
@@ -69,17 +93,31 @@ def _layout(found: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
     return framed(rrb.Horizontal(rrb.Tabs(*overlaid, *beside), text, column_shares=[7, 3]))
 
 
-def _error_rpm(found: Sequence[Against], axis: str) -> float:
-    """How far the errors that count reach, of all runs."""
+def _ranges(found: Sequence[Against], axis: str) -> list[Range | None]:
+    """Of the plots, the same for all runs; of the error by what counts: a step does not flatten it."""
+    values: dict[str, list[float]] = {}
+    for each in found:
+        for name, signal, (_, drawn) in _signals(found, each):
+            if name == axis:
+                values.setdefault(signal, []).extend((float(drawn.min()), float(drawn.max())))
     reach = max((each.signals.counted_error_rpm.get(axis, 0.0) for each in found), default=0.0)
     limits = [limit for each in found if (limit := each.signals.error_limits_rpm.get(axis)) is not None]
-    return max(1.5 * reach, *limits, 1e-9)
+    error = around_zero(max(reach, *limits, 1e-9))
+    return [error if path == "error/error" else about(values.get(path, ())) for path in _PLOTS]
 
 
-def _column(names: Sequence[str], axis: str, title: str, end_s: float, error_rpm: float) -> rrb.Vertical:
-    """``error_rpm``: how far the error is seen, so that a step does not flatten it."""
+def _column(
+    names: Sequence[str],
+    axis: str,
+    title: str,
+    end_s: float,
+    ranges: Sequence[Range | None],
+    torque_unit: str,
+) -> rrb.Vertical:
+    """One plot below the other."""
     views = []
-    for path, words in _PLOTS:
+    for (path, words), low_high in zip(_PLOTS.items(), ranges, strict=True):
+        told = f"{words} [{torque_unit}]" if path == "torque/measured" else words
         paths = [f"/{name}/{axis}/{path}" for name in names]
         if path == "speed/measured":
             paths.append(f"/{names[0]}/{axis}/speed/reference")
@@ -91,16 +129,16 @@ def _column(names: Sequence[str], axis: str, title: str, end_s: float, error_rpm
             rrb.TimeSeriesView(
                 origin="/",
                 contents=[f"+ {each}" for each in paths],
-                name=words if len(names) > 1 else f"{title} · {words}",
+                name=told if len(names) > 1 else f"{title} · {told}",
                 axis_x=rrb.TimeAxis(link="Independent", view_range=window),
-                axis_y=rrb.ScalarAxis(range=(-error_rpm, error_rpm)) if path == "error/error" else None,
+                axis_y=None if low_high is None else rrb.ScalarAxis(range=low_high),
                 plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=len(names) > 1),
                 time_ranges=rrb.VisibleTimeRange(
                     TIMELINE, start=boundary.infinite(), end=boundary.infinite()
                 ),
             )
         )
-    return rrb.Vertical(*views, row_shares=[2.0, 1.3, 1.5, 1.2], name=title)
+    return rrb.Vertical(*views, row_shares=plot_heights(ranges, COLUMN_PX, (0.4, 0.2, 0.2, 0.2)), name=title)
 
 
 def _end_s(each: Against) -> float:

@@ -55,9 +55,7 @@ class HeadlessViewer:
             self._wait(_POLL_NS)
         if not self._client.get_state().recordings:
             raise BadInput("RUN", "", str(recording), "a recording that the viewer can read")
-        for view in self._client.get_state().views:
-            for report in view.reports:
-                raise PeerFault(f"the view {view.name!r} reports: {report.summary}", report.details or "")
+        self._check_views()
         self._shown_at = self._clock.now()
 
     def pages(self) -> list[str]:
@@ -97,7 +95,7 @@ class HeadlessViewer:
         self._client.set_time(TIMELINE, duration=self._end_s() if at_s is None else at_s, play_state="paused")
 
     def picture(self) -> bytes:
-        """The whole window as PNG, when it does not change any more."""
+        """The whole window as PNG, when it does not change any more. Raises PeerFault if a view complains."""
         self._wait(max(0, self._shown_at + _GREETING_NS - self._clock.now()))
         last = b""
         for _ in range(_SETTLE_TRIES):
@@ -106,7 +104,13 @@ class HeadlessViewer:
             if found == last:
                 break
             last = found
+        self._check_views()
         return last
+
+    def _check_views(self) -> None:
+        for view in self._client.get_state().views:
+            for report in view.reports:
+                raise PeerFault(f"the view {view.name!r} reports: {report.summary}", report.details or "")
 
     def _end_s(self) -> float:
         return max(self._ends(), default=0) / NS_PER_S

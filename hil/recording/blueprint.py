@@ -5,7 +5,6 @@ for each view (an axis that is linked opens on the viewer's own window of 60 s);
 of them first, then one of each; the timing; what controllers tell; and the same plots with linked axes.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -14,6 +13,7 @@ import rerun.blueprint as rrb
 
 from hil.recording.lanes import STATE_ROOT
 from hil.recording.page_series import AXIS_COLORS, LIMITS, OVERVIEW, SERIES, TIMELINE, torque_scale
+from hil.recording.plot_scale import COLUMN_PX, Range, lanes_px, plot_heights
 from hil.recording.rerun_page import framed
 from hil.rows.recording_plan import RecordingPlan
 
@@ -29,22 +29,8 @@ LIVE_WINDOW_S: Final = 20.0
 """What is seen of a run that goes on: a step and what follows, and single cycles still."""
 MARKS_MAX: Final = 30
 """More dropouts would bury the line; their lane shows all of them."""
-
-# Of a window of 1920 x 1080, in its pixels, as the viewer draws them
-_COLUMN_PX: Final = 980
-"""Height of the column of lanes and plots."""
-_STATES_PX, _LANE_PX, _STATES_PX_MAX = 72, 40, 490
-"""Title and axis of the lanes, each lane, and what lanes may take at most."""
-_PLOT_PX: Final = 58
-"""Title and time axis of a plot."""
-_TICK_PX: Final = 26
-"""The viewer writes no labels closer than this; a plot without any but 0 begins at another x."""
-_TICKS_MAX: Final = 8.0
-"""More would take the room of the other plots."""
 GUTTER: Final = 31 / 988
 """Of the width of a plot, for the labels at its left, which the lanes do not have."""
-
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,14 +146,13 @@ class Pages:
             name="States",
             time_view=self._time_axis(linked, GUTTER),
         )
-        states_px = min(_STATES_PX + _LANE_PX * max(len(lanes), 3), _STATES_PX_MAX)
-        needed = [
-            _PLOT_PX + _TICK_PX * _ticks(self._widest(plot, axes))
-            for plot in ("speed", "error", "torque", "delay")
-        ]
-        spare = max(0.0, _COLUMN_PX - states_px - sum(needed))
+        live = 2 + 2 * len(self._axes)  # phase and host, each drive and its link
+        states_px = lanes_px(live if self._whole is None else max(len(lanes), 3))
+        position = len(axes) == 1 and axes[0] in self._positions
+        first = ("position", "position_error") if position else ("speed", "error")
+        ranges = [self._widest(plot, axes) for plot in (*first, "torque", "delay")]
         # the speed is what is looked at first
-        heights = [each + spare * part for each, part in zip(needed, (0.7, 0.1, 0.1, 0.1), strict=True)]
+        heights = plot_heights(ranges, COLUMN_PX - states_px, (0.7, 0.1, 0.1, 0.1))
         return rrb.Vertical(states, *plots, row_shares=[states_px, *heights], name=title)
 
     def _widest(self, plot: str, axes: Sequence[str]) -> Range | None:
@@ -271,7 +256,10 @@ class Pages:
         histograms = [
             rrb.BarChartView(
                 origin=f"{HISTOGRAM}/{name}",
-                name=f"{name}: readings over delay [us]" + self._deadline_remark(name),
+                # of several axes these are tabs, which have room for less
+                name=f"{name}: readings over delay [us]" + self._deadline_remark(name)
+                if len(self._axes) == 1
+                else f"{name} delays [us]",
                 plot_legend=rrb.PlotLegend(visible=False),
             )
             for name in self._axes
@@ -290,12 +278,3 @@ class Pages:
 def layout(plan: RecordingPlan, whole: Whole | None = None) -> rrb.Blueprint:
     """The layout while the run goes on, or of the whole of it."""
     return Pages(plan, whole).blueprint()
-
-
-def _ticks(low_high: Range | None) -> float:
-    """How many steps of the power of ten that its largest value has a range is high."""
-    if low_high is None:
-        return 2.0
-    largest = max(map(abs, low_high))
-    ticks = (low_high[1] - low_high[0]) / 10.0 ** math.floor(math.log10(largest))
-    return min(ticks, _TICKS_MAX)

@@ -10,8 +10,11 @@ import numpy as np
 from drivers.cia402.profile import State
 from drivers.rotation import RPM_PER_RAD_S
 from hil.reviewing.envelope import CodeLane
+from hil.reviewing.position_error import PositionErrorMeter
+from hil.reviewing.review import Review
 from hil.reviewing.speed_error import SpeedErrorMeter
 from hil.rows.injected_faults import INJECTED_TRACK, QUIET
+from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import CAUSES
 from hil.rows.row_states import (
     HOST_IN_TIME,
@@ -21,18 +24,27 @@ from hil.rows.row_states import (
     LINK_OK,
     LabelChange,
 )
-from hil.verdict.verdict import VerdictLimits
+from hil.verdict.verdict import VerdictKind, VerdictLimits
 
 STATE_ROOT: Final = "/state"
-_VERDICT, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(1, 9)
+_VERDICT, _ERROR, _DRIVE, _PHASE, _LINK, _DROPOUTS, _HOST, _INJECTED, _OTHER = range(9)
 """The order of the lanes: Rerun lays them out by their paths."""
+VERDICT_TRACK: Final = "verdict"
+"""Of the whole run; that of an axis tells of its speed error alone."""
 SETTLING, KEPT, BEYOND, NOT_JUDGED = "Settling", "Kept", "BEYOND", "Not judged"
 _WINDOWS_MAX: Final = 100
 """Of more settling windows nothing is seen: the viewer writes the number of states into the lane."""
+FEW_SHARE: Final = 0.1
+"""Of the cycles of a stretch: less of them that dropped out make no dropout of it all. A stretch of an hour
+has 8 s, in which one of a hundred cycles would paint the lane from end to end."""
 _WIDTH_LEAST: Final = 400
 """A fault is drawn at least such a part of the run wide, to be seen."""
 
 _DARK, _DIM, _GREEN, _RED, _AMBER = 0x1B1E23FF, 0x3F4650FF, 0x1E6B35FF, 0xB3202AFF, 0xA67C1BFF
+_VERDICT_COLORS: Final = {
+    kind.value.capitalize(): _RED if kind.exit_status else _GREEN if kind is VerdictKind.PASSED else _DIM
+    for kind in VerdictKind
+}
 _DRIVE_COLORS: Final = {
     State.NOT_READY: 0x50555CFF,
     State.SWITCH_ON_DISABLED: 0x50555CFF,
@@ -53,13 +65,17 @@ _PHASE_COLORS: Final = {
     "Stopped": _DIM,
 }
 """Phases that a run goes through; any other gets a colour of the viewer's choice."""
-_CAUSE_COLORS: Final = dict(
-    zip(
-        (cause.value.capitalize() for cause in CAUSES),
-        (_RED, 0xC2571AFF, 0x8A6D1FFF, 0x7A3FA0FF),
-        strict=True,
-    )
-)
+_CAUSES: Final = [cause.value.capitalize() for cause in CAUSES]
+_CAUSE_COLORS: Final = {
+    **dict(zip(_CAUSES, (_RED, 0xC2571AFF, 0x8A6D1FFF, 0x7A3FA0FF), strict=True)),
+    **dict(
+        zip(
+            (f"{cause}, few" for cause in _CAUSES),
+            (0x551C22FF, 0x5A3320FF, 0x46391DFF, 0x402855FF),
+            strict=True,
+        )
+    ),
+}
 
 
 def track_path(track: str, axes: Sequence[str]) -> str:
@@ -68,13 +84,13 @@ def track_path(track: str, axes: Sequence[str]) -> str:
 
 
 def _place(track: str, axes: Sequence[str]) -> int:
-    kinds = {"verdict": _VERDICT, "drive": _DRIVE, "link": _LINK, "dropouts": _DROPOUTS}
+    kinds = {"error": _ERROR, "drive": _DRIVE, "link": _LINK, "dropouts": _DROPOUTS}
     axis, _, kind = track.rpartition(" ")
     if axis in axes and kind in kinds:
         return kinds[kind]
     if track.startswith(INJECTED_TRACK):
         return _INJECTED
-    return {"phase": _PHASE, "host": _HOST}.get(track, _OTHER)
+    return {VERDICT_TRACK: _VERDICT, "phase": _PHASE, "host": _HOST}.get(track, _OTHER)
 
 
 def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
@@ -83,7 +99,8 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
     if place == _INJECTED:
         return {QUIET: _DARK, "Injected": _AMBER}
     return {
-        _VERDICT: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GREEN, BEYOND: _RED},
+        _VERDICT: {QUIET: _DARK, **_VERDICT_COLORS},
+        _ERROR: {QUIET: _DARK, SETTLING: _DIM, NOT_JUDGED: _DIM, KEPT: _GREEN, BEYOND: _RED},
         _DRIVE: {
             **{state.value.capitalize(): color for state, color in _DRIVE_COLORS.items()},
             "Unknown": _DARK,
@@ -95,9 +112,10 @@ def lane_colors(track: str, axes: Sequence[str]) -> Mapping[str, int]:
     }.get(place, {})
 
 
-def cause_label(code: int) -> str:
-    """``code``: the fate of a row."""
-    return CAUSES[code - 1].value.capitalize() if code else QUIET
+def dropout_lane(fates: CodeLane) -> list[LabelChange]:
+    """``fates``: of all rows of an axis."""
+    labels = (QUIET, *_CAUSES, *(f"{cause}, few" for cause in _CAUSES))
+    return [LabelChange(at, labels[code]) for at, code in fates.changes(len(_CAUSES), FEW_SHARE)]
 
 
 class FaultWindows:
@@ -147,16 +165,21 @@ def error_limit_rpm(meter: SpeedErrorMeter, limits: VerdictLimits) -> float | No
     return None if percent is None else percent / 100.0 * meter.reference_peak * RPM_PER_RAD_S
 
 
-def verdict_lane(meter: SpeedErrorMeter, limit_rpm: float | None, begin: int, end: int) -> list[LabelChange]:
-    """From when on the speed error of an axis was kept, beyond its limit, or not counted.
+def error_lane(review: Review, plan: ReviewPlan, number: int, begin: int, end: int) -> list[LabelChange]:
+    """From when on the error of speed or position of an axis was kept, beyond its limit, or not counted.
 
-    ``begin``, ``end``: its first and its last cycle.
+    ``begin``, ``end``: the first and the last cycle.
     """
-    judged = [(begin, NOT_JUDGED if limit_rpm is None else KEPT)]
-    if limit_rpm is not None:
+    meter: SpeedErrorMeter | PositionErrorMeter = review.errors[number]
+    most_rpm = error_limit_rpm(review.errors[number], plan.limits)
+    limit = None if most_rpm is None else most_rpm / RPM_PER_RAD_S
+    if plan.axes[number].quantity == "position":
+        meter, limit = review.positions[number], plan.limits.position_error_peak_rad_max
+    judged = [(begin, NOT_JUDGED if limit is None else KEPT)]
+    if limit is not None:
         times, error = meter.counted.points()
         lane = CodeLane()
-        lane.add(times, (error * RPM_PER_RAD_S > limit_rpm).astype(np.int64))
+        lane.add(times, (error > limit).astype(np.int64))
         judged += [(at, BEYOND if code else KEPT) for at, code in lane.changes()]
     starts = [at for at, _ in judged]
     marks = [(at, label) for at, label in judged if not any(a <= at < b for a, b in meter.settling)]

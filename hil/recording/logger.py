@@ -77,6 +77,8 @@ class Logger:
         self._zero = RunZero(plan.started_at)
         self._set_points = SetPointTeller(plan.set_points)
         self._injected = InjectedFaults()
+        self._until = plan.started_at
+        """What happened up to here is known, on the bench's clock."""
         self._fault_entries: FaultEntries | None = None
         self._fault_blocks: RingReader | None = None
         if faults is not None:
@@ -114,6 +116,8 @@ class Logger:
         rows, frames, events = self._rows.look(), self._frames.drain(), events_of(self._events.drain())
         self._zero.look(events)
         self._review.add(rows)
+        instants = [event.at for event in events] + rows["due_at"][-1:].tolist()
+        self._until = max([self._until, *instants])
         told = [*events, *self._told_by(rows, at_end), *self._review.take_events()]
         events = sorted(told, key=lambda event: event.at)
         for keeper in list(self._keepers):
@@ -129,6 +133,7 @@ class Logger:
         told: list[RunEvent] = [*self._set_points.take(rows, self._zero.at)]
         if self._fault_entries is not None:
             told += self._injected.take(self._fault_entries.take(self._zero, at_end), self._zero.at)
+            told += self._injected.ended(self._until)
         if at_end:
             told += self._injected.finish()
         return told

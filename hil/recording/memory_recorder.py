@@ -111,6 +111,7 @@ class MemoryRecorder:
         injected = InjectedFaults()
         entries = FaultEntries(self._blocks, self._plan.started_at).take(self._zero, at_end=True)
         yield from injected.take(entries, self._zero.at)
+        yield from injected.ended(max([event.at for event in self.events], default=self._zero.at))
         yield from injected.finish()
 
     def _review_filled(self) -> None:

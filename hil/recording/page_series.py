@@ -92,6 +92,8 @@ LIMIT_SERIES: Final = (
     Series("speed/least", "limit of the drive", CORAL),
     Series("error/most", "limit", CORAL),
     Series("error/least", "limit", CORAL),
+    Series("position_error/most", "limit", CORAL),
+    Series("position_error/least", "limit", CORAL),
     Series("torque/most", "limit of the command", CORAL),
     Series("torque/least", "limit of the command", CORAL),
     Series("delay/deadline", "deadline", CORAL),

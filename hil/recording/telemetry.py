@@ -18,12 +18,12 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Instant
 from hil.loop.samples import CommandFate
 from hil.recording.blueprint import EVENTS, HISTOGRAM, MARKS_MAX, SUMMARY, VERDICT, Whole, layout
 from hil.recording.lanes import (
+    VERDICT_TRACK,
     FaultWindows,
-    cause_label,
-    error_limit_rpm,
+    dropout_lane,
+    error_lane,
     lane_colors,
     track_path,
-    verdict_lane,
 )
 from hil.recording.observed_frames import ObservedFrames
 from hil.recording.page_series import (
@@ -59,10 +59,11 @@ _LOST = COMMAND_FATES.index(CommandFate.LOST)
 _BARS_MAX = 44
 _LATEST = 2**62
 _FLUSH_MAX_S = 10.0
-_EVENT_COLUMNS = 56
+_EVENT_COLUMNS = 64
 """A longer text goes on in the next line: so much a list at the right of a screen of 1920 shows."""
-_BEFORE_MAX = 0.1
-"""Of the run: more of what was before the first cycle is not shown on opening."""
+_BEFORE_MAX, _AFTER_MAX = 0.1, 0.5
+"""Of the cycles: more of what was before the first one, and after the last one while a drive coasts, is not
+shown on opening."""
 _APPLICATION = "servobench"
 RERUN_FILE = "run.rrd"
 _PROPERTIES = "run"
@@ -200,7 +201,7 @@ class Telemetry:
         if self._last_at >= self._first_at:
             self._show_event(_end_event(Instant(self._last_at), summary))
             enveloped = self._show_envelopes()
-            self._show_end_lanes(review)
+            self._show_end_lanes(summary, review)
             figures = WholeFigures(self._plan, self._envelopes, review, self._marks)
             self._show_limits(figures)
             whole = self._whole(figures, enveloped)
@@ -212,7 +213,9 @@ class Telemetry:
     def _whole(self, figures: WholeFigures, enveloped: bool) -> Whole:
         assert self._origin is not None
         begin, end = self._first_at - self._origin, self._last_at - self._origin
-        begin = max(begin, -int(_BEFORE_MAX * end)) if end > 0 else begin
+        if (lasted := self._last_cycle - self._origin) > 0:
+            begin = max(begin, -int(_BEFORE_MAX * lasted))
+            end = min(end, lasted + int(_AFTER_MAX * lasted))
         margin = (end - begin) // 50
         return Whole(
             begin_s=(begin - margin) / NS_PER_S,
@@ -238,18 +241,18 @@ class Telemetry:
             self._send(OVERVIEW + path, *envelope.points())
         return True
 
-    def _show_end_lanes(self, review: Review) -> None:
-        """What is known at the end only: dropouts by cause, what was judged, and when faults were at work."""
+    def _show_end_lanes(self, summary: Summary, review: Review) -> None:
+        """What is known at the end only: verdict, dropouts by cause, what was judged, and injected faults."""
         first = self._origin or 0
+        outcome = LabelChange(first, summary.verdict.outcome.value)
+        self._show_changes(VERDICT_TRACK, [outcome, LabelChange(max(self._last_cycle, first), QUIET)])
         for number, name in enumerate(self._axes):
-            causes = self._dropouts[number].changes()
-            if any(code for _, code in causes):
-                changes = [LabelChange(at, cause_label(code)) for at, code in causes]
-                self._show_changes(f"{name} dropouts", [*changes, LabelChange(self._last_cycle, QUIET)])
+            causes = dropout_lane(self._dropouts[number])
+            if any(cause.label != QUIET for cause in causes):
+                self._show_changes(f"{name} dropouts", [*causes, LabelChange(self._last_cycle, QUIET)])
             if causes:
-                meter = review.errors[number]
-                limit = error_limit_rpm(meter, self._plan.review.limits)
-                self._show_changes(f"{name} verdict", verdict_lane(meter, limit, first, self._last_cycle))
+                judged = error_lane(review, self._plan.review, number, first, self._last_cycle)
+                self._show_changes(f"{name} error", judged)
         for track, changes in self._faults.lanes(self._first_at, self._last_at).items():
             self._show_changes(track, changes)
 
@@ -276,8 +279,10 @@ class Telemetry:
 
     def _show_event(self, event: RunEvent) -> None:
         if isinstance(event, TextEvent):
-            # an entry shows one line alone
-            lines = wrap(event.text, _EVENT_COLUMNS, subsequent_indent="    ") or [""]
+            assert self._origin is not None
+            # an entry shows one line alone, and the column of its time is too narrow for all of its digits
+            text = f"{(event.at - self._origin) / NS_PER_S:.3f} s  {event.text}"
+            lines = wrap(text, _EVENT_COLUMNS, subsequent_indent="    ")
             self._stream.send_columns(
                 EVENTS,
                 self._times(np.full(len(lines), event.at)),

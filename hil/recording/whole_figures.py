@@ -1,7 +1,6 @@
 """By what the pages of a run that has ended are scaled, and what its signals are held against."""
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,6 +9,7 @@ from drivers.rotation import RPM_PER_RAD_S
 from drivers.timebase import NS_PER_US
 from hil.recording.lanes import error_limit_rpm
 from hil.recording.page_series import torque_scale
+from hil.recording.plot_scale import about, around_zero
 from hil.reviewing.envelope import Envelope, Points
 from hil.reviewing.review import Review
 from hil.rows.recording_plan import AxisPlan, RecordingPlan
@@ -24,7 +24,6 @@ _DRAWN: Final = {
     "speed": ("speed/measured", "speed/reference"),
     "torque": ("torque/measured", "torque/command", "torque/load", "torque/brake"),
 }
-_MANTISSA_MAX: Final = 5.0
 _MARGIN: Final = 1.15
 
 
@@ -52,17 +51,24 @@ class WholeFigures:
             axis.name: error_limit_rpm(meter, plan.review.limits)
             for axis, meter in zip(plan.review.axes, review.errors, strict=True)
         }
-        self._meters = dict(zip((axis.name for axis in plan.review.axes), review.errors, strict=True))
+        self._speeds = dict(zip((axis.name for axis in self._axes), review.errors, strict=True))
+        self._positions = dict(zip((axis.name for axis in self._axes), review.positions, strict=True))
 
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Of the values, by axis and plot; what is not here is as wide as its data."""
         found = {}
+        position_limit = self._plan.review.limits.position_error_peak_rad_max
         for axis in self._axes:
             for plot, low_high in (
                 ("speed", self._data_range(axis.name, *_DRAWN["speed"])),
-                ("error", self._error_range(axis.name)),
+                (
+                    "error",
+                    self._error_range(self._speed_error_reach(axis.name), self._error_limits[axis.name]),
+                ),
                 ("torque", self._data_range(axis.name, *_DRAWN["torque"])),
                 ("delay", self._delay_range(axis.name)),
+                ("position", self._data_range(axis.name, "position/measured", "position/reference")),
+                ("position_error", self._error_range(self._position_error_reach(axis.name), position_limit)),
             ):
                 if low_high is not None and low_high[0] < low_high[1]:
                     found[f"{axis.name}/{plot}"] = low_high
@@ -72,9 +78,12 @@ class WholeFigures:
         """What the titles of plots say of limits that are not in the picture, by axis and plot."""
         found = {}
         for axis in self._axes:
-            limit = self._error_limits[axis.name]
-            if limit is not None:
-                found[f"{axis.name}/error"] = f" · limit ±{limit:.3g}"
+            for plot, limit in (
+                ("error", self._error_limits[axis.name]),
+                ("position_error", self._plan.review.limits.position_error_peak_rad_max),
+            ):
+                if limit is not None:
+                    found[f"{axis.name}/{plot}"] = f" · limit ±{limit:.3g}"
             deadline_us = self._plan.deadline / NS_PER_US
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None:
@@ -87,28 +96,34 @@ class WholeFigures:
         """By the path of the line, instants and values; those that are in the picture."""
         found: dict[str, Points] = {}
         ends = np.array([begin, end])
+        position_limit = self._plan.review.limits.position_error_peak_rad_max
         for axis in self._axes:
             name = axis.name
             if in_view(self._plan.deadline / NS_PER_US, self._reach(name, "delay/delay")):
                 found[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
-            limit = self._error_limits[name]
-            if limit is not None and in_view(limit, self._error_reach(name)):
-                times, scale = self._outside_settling(name, begin, end)
-                found[f"/{name}/error/most"] = times, limit * scale
-                found[f"/{name}/error/least"] = times, -limit * scale
+            for plot, limit, reach, windows in (
+                (
+                    "error",
+                    self._error_limits[name],
+                    self._speed_error_reach(name),
+                    self._speeds[name].settling,
+                ),
+                (
+                    "position_error",
+                    position_limit,
+                    self._position_error_reach(name),
+                    self._positions[name].settling,
+                ),
+            ):
+                if limit is not None and in_view(limit, reach):
+                    times, scale = _outside(windows, begin, end)
+                    found[f"/{name}/{plot}/most"] = times, limit * scale
+                    found[f"/{name}/{plot}/least"] = times, -limit * scale
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None and most <= _NEARLY_REACHED * self._reach(name, *_DRAWN[plot]):
                     found[f"/{name}/{plot}/most"] = ends, np.full(2, most)
                     found[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
         return found
-
-    def _outside_settling(self, name: str, begin: int, end: int) -> Points:
-        """Ends of the stretches in which the error counts, and 1 there; no number in between."""
-        times, scale = [begin], [1.0]
-        for start, stop in self._meters[name].settling:
-            times += [start, start + 1, min(stop, end)]
-            scale += [1.0, np.nan, 1.0]
-        return np.array([*times, end]), np.array([*scale, 1.0])
 
     def _reach(self, name: str, *paths: str) -> float:
         """The largest by size."""
@@ -121,32 +136,20 @@ class WholeFigures:
                 yield from ends
 
     def _data_range(self, name: str, *paths: str) -> tuple[float, float] | None:
-        values = list(self._ends(name, *paths))
-        if not values:
-            return None
-        low, high = min(values), max(values)
-        return low - (_MARGIN - 1) * (high - low), high + (_MARGIN - 1) * (high - low)
+        return about(self._ends(name, *paths))
 
-    def _error_reach(self, name: str) -> float:
-        """The peak of the error that counts, but no more than some times what nearly all of it keeps."""
-        counted = self._meters[name].counted
-        peak, most = counted.largest(), counted.largest(_COUNTED_SHARE)
-        if peak is None or most is None:
-            return 0.0
-        return min(peak, _WORTH_SHOWING * most or peak) * RPM_PER_RAD_S
+    def _speed_error_reach(self, name: str) -> float:
+        return _counted_reach(self._speeds[name].counted) * RPM_PER_RAD_S
 
-    def _error_range(self, name: str) -> tuple[float, float] | None:
+    def _position_error_reach(self, name: str) -> float:
+        return _counted_reach(self._positions[name].counted)
+
+    @staticmethod
+    def _error_range(reach: float, limit: float | None) -> tuple[float, float] | None:
         """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
-        reach, limit = self._error_reach(name), self._error_limits[name]
         if limit is not None and in_view(limit, reach):
             reach = max(reach, limit)
-        if not reach:
-            return None
-        most = 1.3 * reach
-        decade = 10.0 ** math.floor(math.log10(most))
-        if most > _MANTISSA_MAX * decade:  # more ticks of the smaller power of ten find no room
-            most = 1.05 * 10.0 * decade
-        return -most, most
+        return around_zero(reach) if reach else None
 
     def _torque_limit(self, axis: AxisPlan) -> float | None:
         return None if axis.torque_max_nm is None else axis.torque_max_nm * torque_scale(axis)[0]
@@ -164,3 +167,18 @@ class WholeFigures:
             top = max(top, deadline_us)
         least = min(values)
         return min(-0.08 * top, _MARGIN * least), _MARGIN * top
+
+
+def _counted_reach(counted: Envelope) -> float:
+    """The peak of an error that counts, but no more than some times what nearly all of it keeps."""
+    peak, most = counted.largest(), counted.largest(_COUNTED_SHARE)
+    return 0.0 if peak is None or most is None else min(peak, _WORTH_SHOWING * most or peak)
+
+
+def _outside(settling: Sequence[tuple[int, int]], begin: int, end: int) -> Points:
+    """Ends of the stretches in which an error counts, and 1 there; no number in between."""
+    times, scale = [begin], [1.0]
+    for start, stop in settling:
+        times += [start, start + 1, min(stop, end)]
+        scale += [1.0, np.nan, 1.0]
+    return np.array([*times, end]), np.array([*scale, 1.0])

@@ -85,11 +85,13 @@ class Envelope:
 
 
 class CodeLane:
-    """The gravest code in each bucket of a lane; 0: nothing to tell."""
+    """The gravest code in each bucket of a lane, and how many rows have one; 0: nothing to tell."""
 
     def __init__(self) -> None:
         self._times: list[NDArray[np.int64]] = []
         self._codes: list[NDArray[np.int64]] = []
+        self._telling: list[NDArray[np.int64]] = []
+        self._rows: list[NDArray[np.int64]] = []
         self._held = 0
 
     def add(self, times: NDArray[np.int64], codes: NDArray[np.int64]) -> None:
@@ -98,16 +100,21 @@ class CodeLane:
             return
         self._times.append(np.array(times, np.int64))
         self._codes.append(np.array(codes, np.int64))
+        self._telling.append((self._codes[-1] != 0).astype(np.int64))
+        self._rows.append(np.ones(times.size, np.int64))
         self._held += times.size
         if self._held > LANE_BUCKETS * _SLACK:
             self._reduce()
 
-    def changes(self) -> list[tuple[int, int]]:
-        """From which instant on, ns, which code holds."""
+    def changes(self, few: int = 0, share: float = 0.0) -> list[tuple[int, int]]:
+        """From which instant on, ns, which code holds; ``few`` more where less than a ``share`` of the rows
+        there have one.
+        """
         self._reduce()
         if not self._times:
             return []
-        times, codes = self._times[0], self._codes[0]
+        times, codes, telling = self._times[0], self._codes[0], self._telling[0]
+        codes = codes + few * ((telling > 0) & (telling < share * self._rows[0]))
         return [(int(times[at]), int(codes[at])) for at in np.flatnonzero(np.diff(codes, prepend=-1))]
 
     def _reduce(self) -> None:
@@ -117,4 +124,7 @@ class CodeLane:
         bucket = times // bucket_width_ns(int(times[0]), int(times[-1]), LANE_BUCKETS)
         starts = np.flatnonzero(np.diff(bucket, prepend=bucket[0] - 1))
         self._times, self._codes = [times[starts]], [np.maximum.reduceat(codes, starts)]
+        self._telling, self._rows = (
+            [np.add.reduceat(np.concatenate(counts), starts)] for counts in (self._telling, self._rows)
+        )
         self._held = starts.size

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.timebase import Duration
+from hil.reviewing.envelope import Envelope
+from hil.reviewing.speed_error import note_settling
 from hil.rows.recording_plan import AxisPlan
 from hil.rows.records import FATE_SAMPLE, NOTHING, Rows
 from hil.verdict.summary import PositionError
@@ -42,6 +44,10 @@ class PositionErrorMeter:
         self._reached_at = np.empty(0, np.int64)
         self._set_points = np.empty(0)
         self._following_peak: float | None = None
+        self.counted = Envelope()
+        """The errors that count, rad, by their cycles."""
+        self.settling: list[tuple[int, int]] = []
+        """From when to when none counts, ns."""
 
     def add(self, rows: Rows) -> None:
         """Take in rows of this axis: (n,) of ROW_DTYPE, in order of sequence."""
@@ -68,6 +74,7 @@ class PositionErrorMeter:
         if not error.size:
             return
         self._counted += error.size
+        self.counted.add(read["due_at"], error)
         self._peak = max(self._peak, float(error.max()))
         # from left to right, as in hil.reviewing.speed_error
         self._square_sum = float(np.cumsum(np.concatenate(([self._square_sum], error * error)))[-1])
@@ -83,6 +90,7 @@ class PositionErrorMeter:
         jump = np.abs(np.diff(reference, prepend=self._last[0]) - before * elapsed_s)
         bound = self._acceleration_max * elapsed_s * _ROUNDING
         beyond = (jump > bound * elapsed_s + _RESOLUTION_RAD) | (np.abs(rate - before) > bound)
+        note_settling(self.settling, due_at[beyond], self._settling_ns)
         stepped = np.maximum.accumulate(np.where(beyond, due_at, self._step_at))
         self._last = (float(reference[-1]), float(rate[-1]), int(due_at[-1]))
         self._step_at = int(stepped[-1])

@@ -60,7 +60,7 @@ class Review:
         self._steps = [StepMeter(axis, plan.band_percent) for axis in plan.axes]
         self._runs = [LossRun() for _ in plan.axes]
         self._swings = [TorqueSwingMeter(axis, plan.settling) for axis in plan.axes]
-        self._positions = [PositionErrorMeter(axis, plan.settling, plan.period) for axis in plan.axes]
+        self.positions = [PositionErrorMeter(axis, plan.settling, plan.period) for axis in plan.axes]
         self._certificates = {
             number: CertificateMeter(axis, plan.settling)
             for number, axis in enumerate(plan.axes)
@@ -98,7 +98,7 @@ class Review:
             self._runs[axis].add(mine)
             if self._axes[axis].mode == "cst":
                 self._swings[axis].add(mine)
-            self._positions[axis].add(mine)
+            self.positions[axis].add(mine)
             if axis in self._certificates:
                 self._certificates[axis].add(mine)
 
@@ -144,7 +144,7 @@ class Review:
             lateness_us=_percentiles_us(self._lateness),
             compute_us=_percentiles_us(self._compute),
             digest=self._digest.hexdigest(),
-            position_error=worst_position([meter.figures() for meter in self._positions]),
+            position_error=worst_position([meter.figures() for meter in self.positions]),
             torque_rms_nm=largest(meter.rms_nm for meter in self._swings),
             step_response=worst_steps(self._steps),
             losses_in_a_row=max((run.most for run in self._runs), default=0),

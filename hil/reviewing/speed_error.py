@@ -104,7 +104,7 @@ class SpeedErrorMeter:
         reference_change = np.diff(reference, prepend=self._last_reference)
         elapsed_s = np.diff(due_at, prepend=self._last_due_at) / NS_PER_S
         stepped = np.abs(reference_change) > self._acceleration_max * elapsed_s * _ROUNDING
-        self._note_settling(due_at[stepped])
+        note_settling(self.settling, due_at[stepped], self._settling_ns)
         step_at = np.maximum.accumulate(np.where(stepped, due_at, self._step_at))
         numbers = np.arange(self._rows, self._rows + rows.size)
         reference_row = _last_marked(reference_change != 0.0, numbers, self._reference_changed_row)
@@ -118,12 +118,14 @@ class SpeedErrorMeter:
         counts = (rows["fate"] == FATE_SAMPLE) & (due_at - step_at >= self._settling_ns)
         return counts, load_row > reference_row
 
-    def _note_settling(self, stepped_at: NDArray[np.int64]) -> None:
-        for at in stepped_at.tolist():
-            if self.settling and at <= self.settling[-1][1]:
-                self.settling[-1] = self.settling[-1][0], at + self._settling_ns
-            else:
-                self.settling.append((at, at + self._settling_ns))
+
+def note_settling(windows: list[tuple[int, int]], stepped_at: NDArray[np.int64], settling_ns: int) -> None:
+    """Add to ``windows`` those that steps open, ns; one that is open yet goes on."""
+    for at in stepped_at.tolist():
+        if windows and at <= windows[-1][1]:
+            windows[-1] = windows[-1][0], at + settling_ns
+        else:
+            windows.append((at, at + settling_ns))
 
 
 def _last_marked(marks: NDArray[np.bool_], numbers: NDArray[np.int64], before: int) -> NDArray[np.int64]:

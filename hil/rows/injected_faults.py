@@ -7,6 +7,7 @@ from typing import Final
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.rows.side_rows import StateEvent, TextEvent
 from virtual_bus.faults.fault_log import EXTENDED_FLAG, HOST_KINDS, FaultEntry
+from virtual_bus.faults.log_kind import NONE
 from virtual_bus.faults.node_fault import NodeEvent
 from virtual_bus.faults.node_faults import node_kind
 from virtual_bus.faults.register import LOG_KINDS
@@ -37,6 +38,10 @@ class InjectedFaults:
     def __init__(self) -> None:
         self._windows: dict[tuple[int, int], _Window] = {}
         """Those that are open, by kind and link."""
+        self._lasting: list[tuple[Instant, str]] = []
+        """Faults of nodes that end by themselves: when, and their tracks."""
+        self._until_taken_back: dict[str, int] = {}
+        """Those that do not, by track: the number that an opposite one takes back."""
 
     def take(self, entries: Sequence[FaultEntry], zero: Instant) -> list[TextEvent | StateEvent]:
         """``entries``: in run time. The events are on the bench clock, in order of time."""
@@ -46,8 +51,7 @@ class InjectedFaults:
             at, code = Instant(zero + entry[0]), entry[6]
             if code not in _IN_WINDOWS:
                 told.append(TextEvent(at, "WARN", f"injected: {_in_words(entry)}"))
-                track = _track(entry.kind, f"node {entry.link}")
-                told += [StateEvent(at, track, ACTIVE), StateEvent(at, track, QUIET)]
+                told.append(self._node_state(entry, at))
                 continue
             # Where every frame is delayed, all but the first come here.
             window = windows.get((code, entry[7]))
@@ -62,6 +66,24 @@ class InjectedFaults:
             told.append(TextEvent(at, "WARN", f"injected from here: {struck}{_first(entry)}"))
             told.append(StateEvent(at, _track(entry.kind, struck), ACTIVE))
         return sorted(told, key=lambda event: event.at)
+
+    def _node_state(self, entry: FaultEntry, at: Instant) -> StateEvent:
+        track = _track(entry.kind, f"node {entry.link}")
+        lasts_ns = node_kind(entry.kind).lasts_ns(_node_event(entry))
+        if lasts_ns != NONE:
+            self._lasting.append((Instant(at + lasts_ns), track))
+        elif self._until_taken_back.get(track) == -entry.a:
+            del self._until_taken_back[track]
+            return StateEvent(at, track, QUIET)
+        else:
+            self._until_taken_back[track] = entry.a
+        return StateEvent(at, track, ACTIVE)
+
+    def ended(self, until: Instant) -> list[StateEvent]:
+        """The ends of faults of nodes, but those after ``until``, and those told already."""
+        over = [(at, track) for at, track in self._lasting if at <= until]
+        self._lasting = [(at, track) for at, track in self._lasting if at > until]
+        return [StateEvent(at, track, QUIET) for at, track in sorted(over)]
 
     def finish(self) -> list[TextEvent | StateEvent]:
         """The windows that are still open."""
@@ -102,5 +124,8 @@ def _first(entry: FaultEntry) -> str:
 
 def _in_words(entry: FaultEntry) -> str:
     """What befell a node."""
-    event = NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)
-    return node_kind(entry.kind).in_words(entry.kind, f"node {entry.link}", event)
+    return node_kind(entry.kind).in_words(entry.kind, f"node {entry.link}", _node_event(entry))
+
+
+def _node_event(entry: FaultEntry) -> NodeEvent:
+    return NodeEvent(entry.at_ns, entry.kind, entry.a, entry.b, entry.c)

@@ -91,6 +91,11 @@ def test_its_page_has_the_steps_the_states_and_the_shaft(commissioned: Path) -> 
     assert ["Quick stop active"] in states, "the proof of the watch"
     _, texts = columns(page, "/events", "TextLog:text")
     assert any("8130h" in str(text) for text in texts)
+    _, ((figures,),) = columns(page, "/figures", "TextDocument:text")
+    results = [
+        row.split("|")[3].strip().strip("*") for row in str(figures).splitlines() if row.startswith("| ")
+    ]
+    assert max(map(len, results)) <= 52, "a cell shows one line, and cuts off what is longer"
 
 
 def test_its_positions_are_those_of_the_frames(tmp_path: Path) -> None:

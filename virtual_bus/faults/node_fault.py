@@ -98,6 +98,11 @@ class NodeFault(FaultTable):
         raise NotImplementedError
 
     @staticmethod
+    def lasts_ns(event: NodeEvent) -> int:
+        """How long it goes on, ns; NONE: until an event of its kind with the opposite number."""
+        return event.a
+
+    @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:
         """What a reader of the run's events is told; ``kind``: of the entry in the log."""
         return f"{kind.replace('_', ' ')} of {event.a / NS_PER_MS:g} ms, {node}"

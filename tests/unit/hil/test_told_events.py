@@ -130,3 +130,28 @@ def test_a_lane_of_a_fault_is_active_from_the_first_to_the_last_strike() -> None
         (400 * NS_PER_MS, "-"),
     ]
     assert (450 * NS_PER_MS, "injected silence: node 1", "active") in lanes(found)
+
+
+def test_a_lane_of_a_fault_of_a_node_is_active_for_as_long_as_it_lasts() -> None:
+    faults = InjectedFaults()
+    found = faults.take(
+        [
+            entry("clock_drift", 400, 80_000),
+            entry("silence", 600, 30 * NS_PER_MS),
+            entry("clock_drift", 1400, -80_000),
+            entry("safe_torque_off", 1450, 200 * NS_PER_MS),
+        ],
+        ZERO,
+    )
+    found += [
+        *faults.ended(Instant(ZERO + 1600 * NS_PER_MS)),
+        *faults.ended(Instant(ZERO + 1600 * NS_PER_MS)),
+    ]
+    by_track: dict[str, list[tuple[int, str]]] = {}
+    for at, track, label in lanes(found):
+        by_track.setdefault(track, []).append((at // NS_PER_MS, label))
+    assert by_track == {
+        "injected clock drift: node 1": [(400, "active"), (1400, "-")],
+        "injected silence: node 1": [(600, "active"), (630, "-")],
+        "injected safe torque off: node 1": [(1450, "active")],  # over after the end, which nobody knows of
+    }

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from drivers.timebase import Instant
 from virtual_bus.faults.fault_table import TimeWindow, within
-from virtual_bus.faults.log_kind import LogNumber, node_event
+from virtual_bus.faults.log_kind import NONE, LogNumber, node_event
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 DRIFT_PPM_MAX = 10_000
@@ -29,6 +29,10 @@ class ClockDrift(TimeWindow, NodeFault):
     @staticmethod
     def befall(node: StruckNode, now: Instant, event: NodeEvent) -> None:
         node.drift_clock(event.a, now)
+
+    @staticmethod
+    def lasts_ns(event: NodeEvent) -> int:  # noqa: ARG004
+        return NONE
 
     @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:  # noqa: ARG004

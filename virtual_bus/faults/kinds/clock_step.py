@@ -26,5 +26,9 @@ class ClockStep(NodeOccasion):
         node.step_clock(event.a)
 
     @staticmethod
+    def lasts_ns(event: NodeEvent) -> int:  # noqa: ARG004
+        return 0
+
+    @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:  # noqa: ARG004
         return f"clock step of {event.a / NS_PER_US:g} us, {node}"

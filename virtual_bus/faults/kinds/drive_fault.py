@@ -115,6 +115,10 @@ class DriveFault(NodeOccasion):
         node.later(now + event.c, lambda at: node.hold_encoder(False, at))
 
     @staticmethod
+    def lasts_ns(event: NodeEvent) -> int:
+        return event.c
+
+    @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:  # noqa: ARG004
         lasts = f" for {event.c / NS_PER_MS:g} ms" if event.c else ""
         return f"drive fault {FAILURES[event.a].label.replace('_', ' ')}, {node}{lasts}"

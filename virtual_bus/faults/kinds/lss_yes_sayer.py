@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from drivers.timebase import Instant
-from virtual_bus.faults.log_kind import node_event
+from virtual_bus.faults.log_kind import NONE, node_event
 from virtual_bus.faults.node_fault import NodeEvent, NodeFault, Streams, StruckNode
 
 
@@ -22,6 +22,10 @@ class LssYesSayer(NodeFault):
     @staticmethod
     def befall(node: StruckNode, now: Instant, event: NodeEvent) -> None:  # noqa: ARG004
         node.answer_scan_in_configuration()
+
+    @staticmethod
+    def lasts_ns(event: NodeEvent) -> int:  # noqa: ARG004
+        return NONE
 
     @staticmethod
     def in_words(kind: str, node: str, event: NodeEvent) -> str:  # noqa: ARG004

@@ -1,0 +1,67 @@
+"""How wide the range of a plot is, and how high the plot, so that its ticks have labels.
+
+The viewer writes labels at the steps of one power of ten, and only where they find room; a plot with no label
+but 0 cannot be read, and begins at another x than those above and below it.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+Range = tuple[float, float]
+
+COLUMN_PX: Final = 980
+"""Height of the column of lanes and plots in a window of 1920 x 1080, as the viewer draws it."""
+_STATES_PX, _LANE_PX, _STATES_PX_MAX = 72, 40, 490
+"""Title and axis of the lanes, each lane, and what lanes may take at most."""
+_PLOT_PX: Final = 58
+"""Title and time axis of a plot."""
+_TICK_PX: Final = 26
+"""The viewer writes no labels closer than this."""
+_TICKS_MAX: Final = 8.0
+"""More would take the room of the other plots, where all do not find theirs."""
+_MANTISSA_MAX: Final = 3.0
+"""More ticks of the smaller power of ten would take the room of the other plots."""
+_MARGIN: Final = 0.15
+
+
+def lanes_px(lanes: int) -> float:
+    """What the view of so many lanes needs."""
+    return min(_STATES_PX + _LANE_PX * lanes, _STATES_PX_MAX)
+
+
+def about(values: Iterable[float]) -> Range | None:
+    """The range of values, with a margin; None: there are none, or one alone."""
+    known = list(values)
+    if not known or min(known) == max(known):
+        return None
+    margin = _MARGIN * (max(known) - min(known))
+    return min(known) - margin, max(known) + margin
+
+
+def around_zero(reach: float) -> Range:
+    """For values up to ``reach`` by size, > 0."""
+    most = (1.0 + 2.0 * _MARGIN) * reach
+    decade = 10.0 ** math.floor(math.log10(most))
+    if most > _MANTISSA_MAX * decade:
+        most = (1.0 + 2.0 * _MARGIN) * 10.0 * decade
+    return -most, most
+
+
+def plot_heights(ranges: Sequence[Range | None], room_px: float, spare: Sequence[float]) -> list[float]:
+    """Of plots one below the other, px; ``spare``: to which parts they share what none of them needs."""
+    needed: list[float] = []
+    for most in (math.inf, _TICKS_MAX):
+        needed = [_PLOT_PX + _TICK_PX * min(_ticks(each), most) for each in ranges]
+        if sum(needed) <= room_px:
+            break
+    left = max(0.0, room_px - sum(needed))
+    return [each + left * part for each, part in zip(needed, spare, strict=True)]
+
+
+def _ticks(low_high: Range | None) -> float:
+    """How many steps of the power of ten that its largest value has a range is high."""
+    if low_high is None:
+        return 2.0
+    largest = max(map(abs, low_high))
+    return (low_high[1] - low_high[0]) / 10.0 ** math.floor(math.log10(largest))

@@ -1,0 +1,91 @@
+"""``python -m tests.pictures``: all of them into a folder, with an index.html to look at them side by side.
+
+Leaves with 1 if one does not show what it has to.
+"""
+
+import argparse
+import html
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from drivers.timebase import NS_PER_S, MonotonicClock
+from hil.recorded.viewer import headless_viewer, page_file
+from tests.pictures.cases import Case, cases
+from tests.pictures.pixels import Picture, complaints
+
+_VIEWERS: Final = 3
+"""At once: one mostly waits for the notice with which it opens to go."""
+_STYLE: Final = (
+    "body{font:14px sans-serif;background:#222;color:#ddd}figure{display:inline-block;width:31%;margin:.5%}"
+    "img{width:100%}.wrong{color:#f66}"
+)
+
+Drawn = tuple[str, list[str]]
+"""Name of a picture, and what is wrong with it."""
+
+
+def draw(case: Case, recording: Path, out: Path) -> list[Drawn]:
+    """What a user sees on opening it, and the other pages, as ``out``/NAME.png and ``out``/NAME-PAGE.png."""
+    with headless_viewer() as viewer:
+        viewer.show(page_file(recording))
+        viewer.put_cursor(None)
+        drawn = [_judged(case.name, viewer.picture(), out, case)]
+        for page in viewer.pages()[1:] if case.pages else ():
+            viewer.turn_to(page)
+            drawn.append(_judged(f"{case.name}-{page.replace('/', '-')}", viewer.picture(), out, None))
+    return drawn
+
+
+def _judged(name: str, png: bytes, out: Path, case: Case | None) -> Drawn:
+    (out / f"{name}.png").write_bytes(png)
+    picture = Picture.of_png(png)
+    return name, complaints(picture, case.lines, case.seen) if case else complaints(picture, (), {})
+
+
+def write_index(drawn: Sequence[Drawn], out: Path) -> None:
+    """The contact sheet."""
+    figures = [
+        f'<figure><a href="{name}.png"><img src="{name}.png" loading="lazy"></a><figcaption>{name} '
+        f'<span class="wrong">{html.escape("; ".join(wrong))}</span></figcaption></figure>'
+        for name, wrong in drawn
+    ]
+    page = f"<!doctype html><meta charset=utf-8><title>Pictures</title><style>{_STYLE}</style>"
+    (out / "index.html").write_text(page + "\n".join(figures) + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Draw them, and say of each what is wrong with it."""
+    parser = argparse.ArgumentParser(prog="python -m tests.pictures", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--out", type=Path, default=Path("build/pictures"))
+    parser.add_argument("--only", default="", help="those whose names have this in them")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    clock = MonotonicClock()
+    ends_at = clock.now() + options.seconds * NS_PER_S
+    chosen = [case for case in cases() if options.only in case.name]
+    pending: list[Future[list[Drawn]]] = []
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(_VIEWERS) as viewers:
+        for case in chosen:
+            if clock.now() > ends_at:
+                break
+            recording = case.make(Path(folder) / case.name)
+            pending.append(viewers.submit(draw, case, recording, options.out))
+        drawn = [each for future in pending for each in future.result()]
+    write_index(drawn, options.out)
+    for name, wrong in drawn:
+        if wrong:
+            print(f"{name}: {'; '.join(wrong)}", flush=True)
+    broken = sum(bool(wrong) for _, wrong in drawn)
+    print(
+        f"{len(drawn)} pictures of {len(pending)} of {len(chosen)} recordings, {broken} not as they should be"
+    )
+    print(options.out / "index.html")
+    raise SystemExit(broken > 0)
+
+
+if __name__ == "__main__":
+    main()

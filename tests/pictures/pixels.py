@@ -1,0 +1,117 @@
+"""What is in a picture of a page, by its pixels alone."""
+
+import io
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import matplotlib.image
+import numpy as np
+from numpy.typing import NDArray
+
+Color = tuple[int, int, int]
+CURVES: Final[Mapping[str, Color]] = {
+    "speed": (84, 176, 255),
+    "error": (255, 168, 60),
+    "torque": (112, 224, 128),
+    "delay": (255, 214, 92),
+    "clock": (200, 160, 255),
+}
+"""What a line of a plot is drawn in, and below limits and bars: as a person sees them on the pages."""
+LIMIT: Final[Color] = (255, 122, 66)
+BARS: Final[Mapping[str, Color]] = {"fault": (166, 124, 27), "red": (179, 32, 42), "green": (30, 107, 53)}
+"""Of lanes."""
+_BACKGROUND: Final = np.array((13.0, 16.0, 17.0))
+_COLUMN: Final = 1344 / 1920
+"""So much of the width have lanes and plots; the rest is text."""
+_TOP: Final = 60
+"""Above are the viewer's own menus, px."""
+_ALIKE: Final = 0.995
+"""Cosine of two colours seen from the background: an edge is a mixture of both, and is alike."""
+_COVERED: Final = 0.96
+"""Of a line that others lie on: reference and estimate nearly hide a measured speed that is the same."""
+_FAINT, _BRIGHT = 0.35, 0.6
+"""What is mixed thinner with the background is not looked at; lines are brighter than the bars of lanes."""
+_BAR_PX: Final = 12
+"""A bar of a lane is 28 px high, text and lines less than this."""
+_LINE_PX: Final = 100
+"""A limit is drawn for longer, the dot of a legend for shorter."""
+_EDGE: Final = 0.15
+"""So much of the width may be before the first cycle, or covered by the legend."""
+_GAP: Final = 0.13
+"""And so much be missing: from the last cycle to the dot in the legend, or where another line covers it."""
+_INK: Final = 0.02
+
+
+class Reach(NamedTuple):
+    """How far a line goes through the column of plots, parts of its width."""
+
+    first: float
+    last: float
+    gap: float
+    """The longest stretch without it."""
+
+
+class Picture:
+    """Of a page of 1920 x 1080."""
+
+    def __init__(self, pixels: NDArray[np.float64]) -> None:
+        """``pixels``: (height, width, 3), 0 to 255."""
+        self._column = pixels[_TOP:, : round(pixels.shape[1] * _COLUMN)] - _BACKGROUND
+
+    @classmethod
+    def of_png(cls, png: bytes) -> "Picture":
+        """As ``hil picture`` writes it."""
+        return cls(matplotlib.image.imread(io.BytesIO(png), format="png")[..., :3] * 255.0)
+
+    def ink(self) -> float:
+        """How much of the column of plots is not background, 0 to 1."""
+        return float((np.abs(self._column).max(axis=2) > 30.0).mean())
+
+    def reach(self, color: Color) -> Reach | None:
+        """Of a line; None: it is nowhere."""
+        width = self._column.shape[1]
+        least = _COVERED if color == CURVES["speed"] else _ALIKE
+        columns = np.flatnonzero(self._alike(color, least, _BRIGHT).any(axis=0))
+        if not columns.size:
+            return None
+        gap = int(np.diff(columns).max(initial=0))
+        return Reach(columns[0] / width, columns[-1] / width, gap / width)
+
+    def bar_px(self, color: Color) -> int:
+        """How wide the bars of lanes in a colour are, all together."""
+        alike = self._alike(color)
+        whole = np.ones_like(alike[_BAR_PX:])
+        for row in range(_BAR_PX):
+            whole &= alike[row : row - _BAR_PX]
+        return int(whole.any(axis=0).sum())
+
+    def line_px(self, color: Color) -> int:
+        """How long the longest level line in a colour is."""
+        return int(self._alike(color).sum(axis=1).max())
+
+    def _alike(self, color: Color, least: float = _ALIKE, faint: float = _FAINT) -> NDArray[np.bool_]:
+        sought = np.array(color) - _BACKGROUND
+        length = np.linalg.norm(self._column, axis=2)
+        alike = self._column @ sought >= least * length * np.linalg.norm(sought)
+        found: NDArray[np.bool_] = alike & (length >= faint * np.linalg.norm(sought))
+        return found
+
+
+def complaints(picture: Picture, lines: tuple[str, ...], seen: Mapping[str, bool]) -> list[str]:
+    """What is wrong with a picture.
+
+    ``lines``: curves that have to go through the whole width. ``seen``: by bar, and "limit": whether it has
+    to be there, or must not be.
+    """
+    found = [] if picture.ink() >= _INK else [f"blank but for {picture.ink():.1%}"]
+    for name in lines:
+        reach = picture.reach(CURVES[name])
+        if reach is None:
+            found.append(f"no {name}")
+        elif reach.first > _EDGE or reach.last < 1 - _EDGE or reach.gap > _GAP:
+            found.append(f"{name} from {reach.first:.0%} to {reach.last:.0%}, a gap of {reach.gap:.0%}")
+    for name, wanted in seen.items():
+        there = picture.line_px(LIMIT) >= _LINE_PX if name == "limit" else picture.bar_px(BARS[name]) > 0
+        if there != wanted:
+            found.append(f"{'no' if wanted else 'a'} {name} {'line' if name == 'limit' else 'bar'}")
+    return found

@@ -1,0 +1,104 @@
+"""Each check finds what it is for in a picture made by hand, and nothing in one that is as it should be."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hil.verdict.verdict import VerdictLimits
+from tests.pictures.cases import cases
+from tests.pictures.pixels import BARS, CURVES, LIMIT, Color, Picture, complaints
+from virtual_bus.faults.register import TABLES
+
+Pixels = NDArray[np.float64]
+WIDTH = 1344
+"""Of lanes and plots."""
+
+
+def page() -> Pixels:
+    """Two curves from end to end, a limit, and lanes, beside them text."""
+    pixels = np.full((1080, 1920, 3), (13.0, 16.0, 17.0))
+    pixels[100:1000, 1400:1900] = 120.0
+    bar(pixels, "green", 120, 100, 1300)
+    bar(pixels, "fault", 160, 700, 712)
+    for row, name in ((500, "error"), (700, "torque")):
+        line(pixels, CURVES[name], row, 60, 1200)
+        pixels[row - 30 : row - 20, 1250:1260] = CURVES[name]  # the dot in its legend
+    line(pixels, LIMIT, 450, 60, 1200)
+    pixels[300:900, 20:24] = 200.0
+    pixels[900:1060, 100:1200:4] = 90.0
+    return pixels
+
+
+def bar(pixels: Pixels, name: str, row: int, begin: int, end: int) -> None:
+    """As the viewer draws them, darker than the colour that is asked for."""
+    pixels[row : row + 28, begin:end] = np.array(BARS[name]) * 0.78
+
+
+def line(pixels: Pixels, color: Color, row: int, begin: int, end: int) -> None:
+    """With an edge that is mixed with the background."""
+    pixels[row, begin:end] = color
+    pixels[row + 1, begin:end] = 0.4 * np.array(color) + 0.6 * np.array((13.0, 16.0, 17.0))
+
+
+LINES = ("error", "torque")
+SEEN = {"fault": True, "green": True, "red": False, "limit": True}
+
+
+def test_a_page_as_it_should_be() -> None:
+    assert complaints(Picture(page()), LINES, SEEN) == []
+
+
+def blank(pixels: Pixels) -> None:
+    pixels[:, :WIDTH] = (13.0, 16.0, 17.0)
+
+
+def half_empty(pixels: Pixels) -> None:
+    pixels[470:530, 60:700] = (13.0, 16.0, 17.0)
+
+
+def half_empty_at_the_end(pixels: Pixels) -> None:
+    pixels[470:530, 600:1240] = (13.0, 16.0, 17.0)
+
+
+def without_a_curve(pixels: Pixels) -> None:
+    pixels[660:710, :WIDTH] = (13.0, 16.0, 17.0)
+
+
+def without_a_fault(pixels: Pixels) -> None:
+    pixels[160:190, :WIDTH] = (13.0, 16.0, 17.0)
+
+
+def with_a_red_bar(pixels: Pixels) -> None:
+    bar(pixels, "red", 200, 400, 402)
+
+
+def without_a_limit(pixels: Pixels) -> None:
+    pixels[450:452] = (13.0, 16.0, 17.0)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (blank, "blank but for"),
+        (half_empty, "error from 52%"),
+        (half_empty_at_the_end, "a gap of 48%"),
+        (without_a_curve, "no torque"),
+        (without_a_fault, "no fault bar"),
+        (with_a_red_bar, "a red bar"),
+        (without_a_limit, "no limit line"),
+    ],
+)
+def test_what_is_wrong_is_found(spoil: Callable[[Pixels], None], found: str) -> None:
+    pixels = page()
+    spoil(pixels)
+    assert found in "; ".join(complaints(Picture(pixels), LINES, SEEN))
+
+
+def test_every_kind_of_fault_and_every_limit_has_its_picture() -> None:
+    names = [case.name for case in cases()]
+    assert len(set(names)) == len(names)
+    assert {f"fault-{kind}" for kind in TABLES} <= set(names)
+    limits = set(VerdictLimits.__dataclass_fields__) - {"compute_us_max"}  # judged in real time alone
+    assert {f"broken-{limit.removesuffix('_max')}" for limit in limits} <= set(names)
