@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from drivers.errors import BadInput, BenchError
 from hil.campaign.sweep_file import Own
@@ -15,6 +15,7 @@ from hil.recording.memory_recorder import MemoryRecorder
 from hil.verdict.summary import Summary
 
 EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
+T = TypeVar("T")
 
 
 class OwnFunctions:
@@ -54,7 +55,7 @@ class OwnFunctions:
 
         return self._called("check", seed, call)
 
-    def _called(self, key: str, seed: int, call: Callable[[Any], Any]) -> Any:
+    def _called(self, key: str, seed: int, call: Callable[[Any], T]) -> T:
         name = self._names[key]
         try:
             function = _function(name)
