@@ -8,8 +8,9 @@
 #   make test-dask   campaigns on a Dask cluster of this machine
 #   make test-vcan   the tests on vcan0: native SocketCAN, or inside User Mode Linux
 #   make truth       hold the rows of runs against the truth, for at most SECONDS
-#   make swarm       hold runs drawn at random against what must be true of each, and mutated files
-#                    against their loaders, for at most SECONDS each
+#   make swarm       hold runs drawn at random against what must be true of each, as a campaign (OUT=DIR: its
+#                    folder, in which it goes on), then runs whose processes or disk are struck, and mutated
+#                    files against their loaders, for at most SECONDS each
 #   make rehearsals  commission simulated drives by made-up data sheets, each with what vendors' sheets lack or
 #                    have oddly, alone and in pairs, for at most SECONDS
 #   make mutate      put defects into the product: all in its safety limits and fault reactions, and for at
@@ -120,6 +121,8 @@ truth: $(TOOLS) compile
 	@$(BIN)/python -m tests.benchmarks.bench_truth --seconds $(SECONDS)
 
 swarm: $(TOOLS) compile
+	@$(BIN)/python -m hil.cli campaign tests/swarm/swarm.toml --seconds $(SECONDS) \
+	  --resume --out $(or $(OUT),$$(mktemp -d))
 	@$(BIN)/python -m tests.swarm --seconds $(SECONDS)
 	@$(BIN)/python -m tests.mutants --seconds $(SECONDS)
 

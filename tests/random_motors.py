@@ -79,7 +79,7 @@ def run(config: BenchConfig) -> Rows:
     recorders: list[MemoryRecorder] = []
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
-        recorders.append(MemoryRecorder(plan, keep_rows=True))
+        recorders.append(MemoryRecorder(plan, keep_all=True))
         return recorders[-1]
 
     run_bench(

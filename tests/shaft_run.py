@@ -54,7 +54,7 @@ def run_watched(config: BenchConfig, load_at_s: float, load_nm: float) -> ShaftR
     seen: list[tuple[Instant, float]] = []
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
-        recorders.append(MemoryRecorder(plan, keep_rows=True))
+        recorders.append(MemoryRecorder(plan, keep_all=True))
         return recorders[-1]
 
     @contextmanager

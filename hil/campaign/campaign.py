@@ -18,10 +18,9 @@ from hil.campaign.plan import CampaignPlan, GridAxis
 from hil.campaign.pool import RowSource, rows_of
 from hil.campaign.statistics import ConfidenceInterval, anytime, clopper_pearson, weighted_rate
 from hil.campaign.store import RunStore, open_campaign, plan_in, schema_of
-from hil.campaign.worker import NotTheSame, Row, Workshop
+from hil.campaign.worker import Finished, NotTheSame, Row, Workshop
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.reviewing.certificate_meter import CertificateState
-from hil.verdict.summary import Summary
 from hil.verdict.verdict import ExitStatus
 
 STORED_EVERY_NS: Final = 5 * NS_PER_S
@@ -151,6 +150,26 @@ class Campaign:
         except (CounterExample, NothingCertified) as error:
             raise AssertionError(str(error)) from error
 
+    @property
+    def found(self) -> dict[int, list[str]]:
+        """By number of the run what the check of one's own says, of runs of which it says anything."""
+        if not self.plan.own.checks:
+            return {}
+        findings = self.table.column("findings").to_pylist()
+        return {number: texts for number, texts in enumerate(findings) if texts}
+
+    def assert_nothing_found(self) -> None:
+        """The check of one's own says nothing of any run."""
+        __tracebackhide__ = True
+        if self.found:
+            raise AssertionError("\n".join(self.found_lines()))
+
+    def found_lines(self) -> list[str]:
+        """What it says, with the commands that run those again."""
+        lines = [f"run {number}: {text}" for number, texts in self.found.items() for text in texts]
+        again = [f"hil campaign replay {self.folder} --run {number}" for number in self.found]
+        return lines + again
+
     def hold_certificate(self) -> None:
         """Raises CounterExample for the first run that is one, NothingCertified if none could be one."""
         states = self.column("certificate").astype(str)
@@ -161,8 +180,9 @@ class Campaign:
             told = ", ".join(f"{count} {name or 'without a certificate'}" for name, count in counted(states))
             raise NothingCertified(f"no run could be held against a certificate: {told}")
 
-    def replay(self, number: int, record: Path | None = None) -> Summary:
+    def replay(self, number: int, record: Path | None = None) -> Finished:
         """Run ``number`` once more with everything recorded; ``record``: where, else below the campaign.
+        Its check, if there is one, looks at the recording.
 
         Raises BadInput: there is no such run; NotTheSame: its digest is another one.
         """
@@ -170,11 +190,13 @@ class Campaign:
             raise BadInput("--run", "", number, f"a run of the campaign: 0 to {self.table.num_rows - 1}")
         learn(self.plan, self.table)
         folder = record or self.folder / REPLAYS_FOLDER / f"run-{number:09d}"
-        summary = Workshop(self.plan).summary(self.plan.run(number), folder)
+        done = Workshop(self.plan).finished(self.plan.run(number), folder)
         digest = self.table.column("digest")[number].as_py()
-        if summary.digest != digest:
-            raise NotTheSame(f"run {number}: digest {summary.digest}, in the campaign {digest}; see {folder}")
-        return summary
+        if done.summary.digest != digest:
+            raise NotTheSame(
+                f"run {number}: digest {done.summary.digest}, in the campaign {digest}; see {folder}"
+            )
+        return done
 
 
 def learn(plan: CampaignPlan, table: pa.Table) -> None:
@@ -230,6 +252,7 @@ def run_campaign(
     dask: str | None = None,
     resume: bool = False,
     against_certificate: bool = False,
+    seconds: float | None = None,
     stop: StopRequest | None = None,
     progress: Callable[[CampaignProgress], object] = lambda _: None,
 ) -> Campaign:
@@ -239,6 +262,7 @@ def run_campaign(
     where its stored runs end. ``workers``: processes; as many as there are cores if absent, 1: this one.
     ``dask``: address of a Dask scheduler, whose workers run it instead.
     ``against_certificate``: a counter-example ends it, see :meth:`Campaign.hold_certificate`.
+    ``seconds``: it ends after so long, and goes on with ``resume``.
     Raises BadInput or BadInputs, RunRefused for a run that cannot be run, WorkerDied, ClusterLost,
     Interrupted; what is stored then stays, and can be resumed.
     """
@@ -246,7 +270,7 @@ def run_campaign(
     campaign = Campaign(Path(out), plan)
     with stop_signals(stop) as asked, _row_maker(plan, workers, dask, asked) as make_rows:
         store = open_campaign(campaign.folder, plan, resume)
-        _run(plan, store, make_rows, progress, Enough(plan, against_certificate))
+        _run(plan, store, make_rows, progress, Enough(plan, against_certificate), seconds)
         _record_failures(campaign)
     return campaign
 
@@ -277,6 +301,7 @@ def _run(
     make_rows: RowMaker,
     progress: Callable[[CampaignProgress], object],
     enough: Enough,
+    seconds: float | None,
 ) -> None:
     passed = 0
     learn(plan, store.table())
@@ -297,7 +322,7 @@ def _run(
             now, done = clock.now(), row["run"] + 1
             runs_per_s = (done - first) * NS_PER_S / max(1, now - began)
             progress(CampaignProgress(done, plan.count, passed, runs_per_s, (plan.count - done) / runs_per_s))
-            if enough(row):
+            if enough(row) or (seconds is not None and now - began >= seconds * NS_PER_S):
                 break
             if now - stored_at >= STORED_EVERY_NS:
                 store.append(fresh)
@@ -308,9 +333,10 @@ def _run(
 
 
 def _record_failures(campaign: Campaign) -> None:
-    """The first runs that did not pass leave a recording."""
+    """The first runs that did not pass leave a recording; with a check those of which it says something."""
     wanted = campaign.plan.sweep.campaign.failures_recorded
-    for number in np.flatnonzero(~campaign.column("passed").astype(bool))[:wanted]:
+    failed = np.flatnonzero(~campaign.column("passed").astype(bool))
+    for number in (list(campaign.found) if campaign.plan.own.checks else failed)[:wanted]:
         folder = campaign.folder / FAILURES_FOLDER / f"run-{number:09d}"
         if not (folder / "summary.json").exists():
             _clear(folder)

@@ -37,6 +37,7 @@ def figures_of(done: Campaign) -> dict[str, Any]:
         "points": [_point(done, number) for number in range(done.plan.points)],
         "outcomes": dict(counted(done.column("outcome"))),
         "certificate": _certificate(done),
+        "found": {str(number): texts for number, texts in done.found.items()},
         "quantiles": _quantiles(done),
         "sensitivity": _sensitivities(done),
         "worst": worst_runs(done),

@@ -23,6 +23,7 @@ from scipy.stats import norm, qmc
 from drivers.bounded_file import NamedBy, read_toml
 from drivers.errors import BadInput
 from hil.campaign.adaptive import Drawn, Rounds
+from hil.campaign.own_functions import OwnFunctions
 from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, load_sweep
 from hil.configuration.bench_tables import Bench
 
@@ -64,6 +65,7 @@ class CampaignPlan:
         """``source``: the sweep file. Raises BadInput or BadInputs: the bench, or a key that it has not."""
         self.sweep = sweep
         self.source = source
+        self.own = OwnFunctions(sweep.own, source)
         self.axes = tuple(_axis(vary) for vary in sweep.vary)
         self._points = list(itertools.product(*(range(len(axis.choices)) for axis in self.axes)))
         self.points = len(self._points)
@@ -103,7 +105,8 @@ class CampaignPlan:
         """Run ``number``, counted from 0; ``drawn``: as :meth:`drawn` has it, if that is known elsewhere."""
         drawn = drawn or self.drawn(number)
         replicate, point = divmod(number, self.points)
-        changes: Changes = {}
+        seed = self.sweep.campaign.first_seed + replicate
+        changes: Changes = self.own.changes(seed)
         labels: dict[str, float | str] = {}
         for axis, place in zip(self.axes, self._points[point], strict=True):
             changes |= axis.choices[place]
@@ -112,7 +115,6 @@ class CampaignPlan:
             value = _spread(each, even)
             changes[each.key] = round(value) if each.whole else value
             labels[each.key] = float(changes[each.key])
-        seed = self.sweep.campaign.first_seed + replicate
         return PlannedRun(number, point, replicate, seed, changes, labels, drawn.weight, drawn.counts)
 
     def point_title(self, point: int) -> str:
@@ -131,6 +133,7 @@ class CampaignPlan:
         found = hashlib.blake2b(digest_size=16)
         found.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
         found.update(self.bench.config.resolved_text().encode())
+        found.update("".join(self.own.digests).encode())
         for axis in self.axes:
             for choice in axis.choices:
                 if not all(isinstance(value, int | float) for value in choice.values()):
@@ -139,11 +142,7 @@ class CampaignPlan:
 
     def _check_choices(self) -> None:
         """Each choice, the others at their first: no key that the bench has not, no value out of range."""
-        first: Changes = {}
-        for axis in self.axes:
-            first |= axis.choices[0]
-        if self.sweep.draw:
-            first |= {each.key: self.run(0).changes[each.key] for each in self.sweep.draw}
+        first = self.run(0).changes
         for axis in self.axes:
             for choice in axis.choices:
                 _ = self.bench.changed({**first, **choice}).config

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from drivers.bounded_file import read_toml
 from drivers.errors import BadInput
 from hil.configuration.config_files import Section, validated
+from hil.control.own_code import OBJECT_PATTERN
 
 RUNS_MAX = 10_000_000
 """More is a slip of the pen: at 20 runs a second and core it takes 100 cores more than an hour."""
@@ -117,6 +118,15 @@ class Adaptive(Section):
     """There are as many rounds as it takes, in at most half of ``campaign.seeds``; the rest counts."""
 
 
+class Own(Section):
+    """``[own]``: functions of one's own, see :class:`hil.campaign.own_functions.OwnFunctions`."""
+
+    changes: str | None = Field(default=None, pattern=OBJECT_PATTERN)
+    """Of the bench, by the seed of a run."""
+    check: str | None = Field(default=None, pattern=OBJECT_PATTERN)
+    """What every run is held against."""
+
+
 class SweepFile(Section):
     """A whole sweep file."""
 
@@ -128,6 +138,7 @@ class SweepFile(Section):
     drawing: Drawing = Drawing()
     stop: Stop = Stop()
     adaptive: Adaptive | None = None
+    own: Own = Own()
 
 
 def load_sweep(path: Path) -> SweepFile:

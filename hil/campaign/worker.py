@@ -8,13 +8,19 @@ from typing import Any, Final, NamedTuple
 from drivers.errors import BadInput, BenchError
 from drivers.timebase import MonotonicClock
 from hil.campaign.adaptive import Drawn
+from hil.campaign.own_functions import run_seen
 from hil.campaign.plan import CampaignPlan, PlannedRun
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
+from hil.control.own_code import OwnCodeFailed
 from hil.execution.bench import run_bench
 from hil.machine.progress import no_progress
 from hil.machine.stopping import Interrupted, StopRequest
+from hil.recording.memory_recorder import MemoryRecorder
+from hil.recording.recorder_choice import recorder_of
+from hil.recording.run_recorder import RunRecorder
 from hil.reviewing.certificate_meter import CertificateState
+from hil.rows.recording_plan import RecordingPlan
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import VerdictKind
 
@@ -107,6 +113,15 @@ class NotTheSame(BenchError):
     exit_status = 70
 
 
+class Finished(NamedTuple):
+    """A run that was run."""
+
+    config: BenchConfig
+    summary: Summary
+    findings: list[str] | None
+    """Of the check of one's own; None: there is none."""
+
+
 class Workshop:
     """Runs any run of a plan, in any order; what they share is loaded once."""
 
@@ -139,27 +154,76 @@ class Workshop:
         Raises BadInput or BadInputs for one that cannot be run, Interrupted.
         """
         planned = self._plan.run(number, drawn)
-        summary = self.summary(planned)
+        done = self.finished(planned)
         self._since_collected += 1
         if self._since_collected == COLLECTED_EVERY:
             self._since_collected = 0
             gc.collect()
-        return row_of_run(planned, summary, len(self._plan.bench.config.axes))
+        return row_of_run(planned, done)
 
-    def summary(self, planned: PlannedRun, record: Path | None = None) -> Summary:
+    def finished(self, planned: PlannedRun, record: Path | None = None) -> Finished:
         """What a run comes to; ``record``: the folder of its recording.
 
-        Raises as :meth:`row`; what else ends a run is told by its verdict.
+        Raises as :meth:`row`, and OwnCodeFailed; what else ends a run is told by its verdict.
         """
         try:
-            config = self._config(planned)
-            return _run(config, planned, record, self._plan.sweep.campaign.allow_uncertified, self._stop)
-        except (BadInput, BadInputs) as error:
+            config = self._plan.bench.changed(planned.changes).config
+            if not self._plan.own.checks:
+                return Finished(config, self._run(config, planned, record, recorder_of), None)
+            return self._checked(config, planned, record)
+        except BenchError as error:
             error.add_note(f"run {planned.number}: {planned.labels}")
             raise
 
-    def _config(self, planned: PlannedRun) -> BenchConfig:
-        return self._plan.bench.changed(planned.changes).config
+    def _checked(self, config: BenchConfig, planned: PlannedRun, record: Path | None) -> Finished:
+        ended: list[Summary] = []
+
+        def run() -> Any:
+            memory: list[MemoryRecorder] = []
+
+            def in_memory(plan: RecordingPlan) -> MemoryRecorder:
+                memory.append(MemoryRecorder(plan, keep_all=True))
+                return memory[-1]
+
+            recording = in_memory if record is None else recorder_of
+            ended.append(self._run(config, planned, record, recording))
+            return run_seen(config, record or memory[0], ended[-1])
+
+        findings = self._plan.own.findings(planned.seed, run)
+        if len(ended) != 1:
+            raise OwnCodeFailed(f"the check called run() {len(ended)} times, expected once")
+        return Finished(config, ended[0], findings)
+
+    def _run(
+        self,
+        config: BenchConfig,
+        planned: PlannedRun,
+        record: Path | None,
+        recording: Callable[[RecordingPlan], RunRecorder],
+    ) -> Summary:
+        concluded: list[Summary] = []
+        try:
+            return run_bench(
+                config,
+                bus_spec=None,
+                time=None,
+                seed=planned.seed,
+                record=record,
+                view=False,
+                progress=no_progress,
+                keep=record is not None,
+                allow_uncertified=self._plan.sweep.campaign.allow_uncertified,
+                privileged=False,
+                stop=self._stop,
+                recording=recording,
+                concluded=concluded.append,
+            )
+        except (BadInput, BadInputs, Interrupted):
+            raise
+        except BenchError:
+            if not concluded:
+                raise
+            return concluded[-1]
 
 
 def refusal(error: BenchError) -> Answer:
@@ -168,36 +232,9 @@ def refusal(error: BenchError) -> Answer:
     return {"error": f"{error}{notes}", "status": error.exit_status}
 
 
-def _run(
-    config: BenchConfig, planned: PlannedRun, record: Path | None, uncertified: bool, stop: StopRequest | None
-) -> Summary:
-    concluded: list[Summary] = []
-    try:
-        return run_bench(
-            config,
-            bus_spec=None,
-            time=None,
-            seed=planned.seed,
-            record=record,
-            view=False,
-            progress=no_progress,
-            keep=record is not None,
-            allow_uncertified=uncertified,
-            privileged=False,
-            stop=stop,
-            concluded=concluded.append,
-        )
-    except (BadInput, BadInputs, Interrupted):
-        raise
-    except BenchError:
-        if not concluded:
-            raise
-        return concluded[-1]
-
-
-def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
+def row_of_run(planned: PlannedRun, done: Finished) -> Row:
     """What the table keeps. Raises Interrupted: such a run tells nothing."""
-    verdict = summary.verdict
+    summary, verdict = done.summary, done.summary.verdict
     if ended_by := verdict.of(VerdictKind.INTERRUPTED):
         raise Interrupted("; ".join(ended_by))
     return {
@@ -216,5 +253,6 @@ def row_of_run(planned: PlannedRun, summary: Summary, axes: int) -> Row:
         "premises_left": _premises(summary, "premises_left"),
         "premises_unknown": _premises(summary, "premises_unknown"),
         "digest": summary.digest,
-        **{name: figure.of(summary, axes) for name, figure in FIGURES.items()},
+        **{name: figure.of(summary, len(done.config.axes)) for name, figure in FIGURES.items()},
+        **({} if done.findings is None else {"findings": done.findings}),
     }

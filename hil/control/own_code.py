@@ -74,7 +74,7 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
     key = f"drive.{setup.axis}.{role.__name__.lower()}"
     expected = f"a class derived from hil.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
     try:
-        found = getattr(_module_of(name), name.rpartition(":")[2])
+        found = object_of(name)
     except Exception as error:
         raise BadInput(setup.source, f"{key}.object", name, expected, _told(error)) from error
     if not (isinstance(found, type) and issubclass(found, role)):
@@ -86,6 +86,11 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
         takes = f"what {name} takes beside the setup"
         raise BadInput(setup.source, f"{key}.parameters", dict(parameters), takes, _told(error)) from error
     return made
+
+
+def object_of(name: str) -> Any:
+    """What ``name`` says, as :data:`OBJECT_PATTERN` has it; runs its module. Raises whatever that raises."""
+    return getattr(_module_of(name), name.rpartition(":")[2])
 
 
 def _module_of(name: str) -> ModuleType:

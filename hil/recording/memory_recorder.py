@@ -1,7 +1,7 @@
 """A recorder that keeps no files and starts no process: figures and digest of a run, made in this one."""
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,23 +28,48 @@ _REVIEWED_BYTES = 1024 * ROW.size
 """A review of so many rows costs little more than one of a single row."""
 
 
-class MemoryRecorder:
-    """As :class:`hil.recording.recorder.Recorder`, without frames: bounded memory, unless rows are kept."""
+class KeptFrame(NamedTuple):
+    """As a tap sees it."""
 
-    def __init__(self, plan: RecordingPlan, *, keep_rows: bool = False) -> None:
-        """``keep_rows``: for :meth:`rows`, :meth:`table` and :meth:`told`."""
+    direction: str
+    can_id: int
+    data: bytes
+    extended: bool
+    remote: bool
+    at: Instant
+
+
+class _FrameKeeper(FrameTap):
+    def __init__(self) -> None:
+        self.frames: list[KeptFrame] = []
+
+    def frame(
+        self, direction: str, can_id: int, data: bytes, extended: bool, remote: bool, at: Instant
+    ) -> None:
+        self.frames.append(KeptFrame(direction, can_id, bytes(data), extended, remote, at))
+
+
+class MemoryRecorder:
+    """As :class:`hil.recording.recorder.Recorder`: in bounded memory, unless all is kept."""
+
+    def __init__(self, plan: RecordingPlan, *, keep_all: bool = False) -> None:
+        """``keep_all``: for :meth:`rows`, :meth:`table`, :meth:`frames` and :meth:`told`."""
         self.events: list[RunEvent] = []
         """In the order in which they came to be known."""
-        self._plan, self._keep_rows = plan, keep_rows
+        self._plan, self._keep_all = plan, keep_all
         self._review = Review(plan.review)
         self._rows = bytearray()
         self._kept: list[bytes] = []
+        self._taps: list[_FrameKeeper] = []
         self._blocks = _Blocks()
         self._zero = RunZero(plan.started_at)
 
     def tap(self, segment: int = 0) -> FrameTap:  # noqa: ARG002
-        """Frames are dropped."""
-        return FrameTap()
+        """Frames of all segments alike; dropped, unless all is kept."""
+        if not self._keep_all:
+            return FrameTap()
+        self._taps.append(_FrameKeeper())
+        return self._taps[-1]
 
     def begin(self, at: Instant) -> None:
         """See :class:`hil.recording.recorder.Recorder`, as of the methods below."""
@@ -75,7 +100,7 @@ class MemoryRecorder:
 
     def fault_block(self, length: int, block: bytes) -> None:
         """Entries of injected faults."""
-        if self._keep_rows:
+        if self._keep_all:
             self._blocks.packed += BLOCK.pack(length, block)
 
     def confirm(self, wait: Callable[[], None]) -> None:
@@ -101,6 +126,13 @@ class MemoryRecorder:
         drives = {event.axis: event.text for event in self.events if isinstance(event, IdentityEvent)}
         return records_table(self.rows(), run_metadata(self._plan, self._zero.at, drives), self._zero.at)
 
+    def frames(self) -> list[KeptFrame]:
+        """Every frame in order of time, in run time."""
+        found = [frame for tap in self._taps for frame in tap.frames]
+        zero = self._zero.at
+        shifted = [frame._replace(at=Instant(frame.at - zero)) for frame in found]
+        return sorted(shifted, key=lambda frame: frame.at)
+
     def told(self) -> tuple[list[RunEvent], Instant]:
         """All that ``events.jsonl`` would tell, in order of time; and the first cycle."""
         return sorted([*self.events, *self._shown()], key=lambda event: event.at), self._zero.at
@@ -119,7 +151,7 @@ class MemoryRecorder:
         self._rows.clear()
         self._review.add(np.frombuffer(filled, ROW_DTYPE))
         self.events += self._review.take_events()
-        if self._keep_rows:
+        if self._keep_all:
             self._kept.append(filled)
 
 

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, flag
 from hil.terminal.output import columns, say, say_written
+from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
     from hil.campaign.campaign import Campaign, CampaignProgress
@@ -28,6 +29,10 @@ class SweepGroup(TyperGroup):
 
 
 campaign = typer.Typer(name="campaign", cls=SweepGroup, help="Many runs of a bench.", no_args_is_help=True)
+
+
+FOUND_SHOWN = 40
+"""Lines; the column ``findings`` has all."""
 
 
 class HeldAgainst(StrEnum):
@@ -63,13 +68,17 @@ def run(
             "--against", help="Every run within the premises of its certificate must keep what is certified."
         ),
     ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", min=0.0, help="End after so long; --resume goes on."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a sweep file to its end. Results do not depend on how many workers there are, nor on their fate.
 
     Exit status: 0 it was run to its end, whatever became of its runs; 2 bad input; 130 ended by a signal,
     --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
-    premises. docs/campaigns.md
+    premises. 1: a check of one's own ([own] of the sweep) says something of a run. docs/campaigns.md
     """
     with reported_errors():
         from hil.campaign.campaign import run_campaign
@@ -86,6 +95,7 @@ def run(
                 dask=dask,
                 resume=resume,
                 against_certificate=against is not None,
+                seconds=seconds,
                 progress=line.show,
             )
         finally:
@@ -93,6 +103,8 @@ def run(
         _print(done, as_json)
         if against is not None:
             done.hold_certificate()
+        if done.found:
+            raise typer.Exit(ExitStatus.FAILED)
 
 
 @campaign.command("report")
@@ -132,13 +144,16 @@ def replay(
     with reported_errors():
         from hil.campaign.campaign import Campaign
 
-        summary = Campaign.load(folder).replay(number, record)
+        done = Campaign.load(folder).replay(number, record)
+        summary = done.summary
         if as_json:
             typer.echo(json.dumps(summary.as_json(), allow_nan=False))
         else:
             typer.echo(
                 f"run {number}: {summary.verdict.outcome}; digest {summary.digest}, as in the campaign"
             )
+            for text in done.findings or ():
+                typer.echo(f"found: {text}")
             say_written(Path(summary.recording))
         raise typer.Exit(summary.verdict.exit_status)
 
@@ -149,9 +164,11 @@ class _ProgressLine:
     def __init__(self) -> None:
         self._shown = False
         self._percent = -1
+        self._last: CampaignProgress | None = None
         self._on_terminal = sys.stderr.isatty()
 
     def show(self, at: "CampaignProgress") -> None:
+        self._last = at
         percent = 100 * at.done // at.planned
         if percent == self._percent and not self._on_terminal:
             return
@@ -168,6 +185,8 @@ class _ProgressLine:
     def end(self) -> None:
         if self._shown and self._on_terminal:
             print(file=sys.stderr, flush=True)
+        if self._last is not None:
+            say(f"{self._last.runs_per_s:.1f} runs a second")
 
 
 def _duration(seconds: float) -> str:
@@ -192,6 +211,10 @@ def _print(done: "Campaign", as_json: bool) -> None:
     typer.echo(f"{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned")
     if "failure" in found:
         typer.echo(failure_line(found["failure"]))
+    if done.plan.own.checks:
+        typer.echo(f"the check found something in {len(done.found)} runs")
+    for line in done.found_lines()[:FOUND_SHOWN]:
+        typer.echo(line)
     for title, each in found["certificate"].get("runs", {}).items():
         typer.echo(f"certificate {title}: {each} runs")
     typer.echo(f"intervals of {100 * found['confidence']:g} %, {found['interval']}; campaign {done.folder}")

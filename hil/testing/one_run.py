@@ -32,7 +32,7 @@ def run(
 
     ``bench``: the path of a bench file, its tables, or a :class:`hil.Bench`. ``changes``: values for dotted
     keys of it, see :meth:`hil.Bench.changed`. ``record``: the folder of the recording, new or empty; True:
-    one below ``runs``; False: nothing is written, and all but the frames is kept in memory. ``seed``,
+    one below ``runs``; False: nothing is written, and all is kept in memory. ``seed``,
     ``bus``, ``time`` ("real" paces a simulated bus), ``network``, ``allow_uncertified``: as for ``hil run``.
     ``controllers``: by axis, an object in place of the bench's own. ``signals``: functions of the time in s
     in place of references and loads, e.g. ``{"load.axis1.torque_nm": f}``; they are asked for each cycle
@@ -62,7 +62,7 @@ def run(
     memory: list[MemoryRecorder] = []
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
-        memory.append(MemoryRecorder(plan, keep_rows=True))
+        memory.append(MemoryRecorder(plan, keep_all=True))
         return memory[-1]
 
     summary = run_bench(

@@ -137,11 +137,13 @@ class Run:
 
     @cached_property
     def wire(self) -> Wire:
-        """Every frame that the bench sent or received, from connecting to the drives to their release.
-
-        Raises ValueError where none was recorded.
-        """
-        return read_wire(self.folder)
+        """Every frame that the bench sent or received, from connecting to the drives to their release."""
+        if isinstance(self._kept, Path):
+            return read_wire(self._kept)
+        found = Wire()
+        for frame in self._kept.frames():
+            found.take(*frame)
+        return found
 
     def axis(self, name: str | None = None) -> AxisHistory:
         """One axis, cycle by cycle; ``name`` may be left out if there is only one."""

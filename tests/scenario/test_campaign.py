@@ -330,7 +330,7 @@ def test_adaptive_draws_are_the_same_whoever_runs_them_and_find_the_failures(tmp
     assert failure["rate"] == pytest.approx((counting["weight"] * ~counting["passed"]).mean())
     assert whole.pass_rate().low == pytest.approx(1.0 - failure["high"])
     again = Campaign.load(tmp_path / "whole")
-    assert again.replay(43, tmp_path / "again").digest == table["digest"][43]
+    assert again.replay(43, tmp_path / "again").summary.digest == table["digest"][43]
 
 
 def test_a_guide_that_is_no_figure_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ import pytest
 
 import hil
 from drivers.errors import BadInput
+from drivers.timebase import NS_PER_US
 from hil import Bench, Run, run
+from hil.testing.wire import ORIGIN
 
 ROOT = Path(__file__).parents[2]
 LING = ROOT / "examples" / "ling2012.toml"
@@ -51,9 +53,18 @@ def test_memory_tells_the_same_events(in_memory: Run, recorded: Run) -> None:
     assert any("blackout" in event for event in told)
 
 
+def test_memory_keeps_the_same_frames(in_memory: Run, recorded: Run) -> None:
+    frames = in_memory.wire.frames
+    assert [frame._replace(at=ORIGIN) for frame in frames] == [
+        frame._replace(at=ORIGIN) for frame in recorded.wire.frames
+    ]
+    apart = [mine.at - other.at for mine, other in zip(frames, recorded.wire.frames, strict=True)]
+    assert max(map(abs, apart)) < NS_PER_US, "candump writes whole microseconds"
+
+
 def test_what_was_not_recorded_is_refused(in_memory: Run) -> None:
     with pytest.raises(ValueError, match="not recorded; run it with record=DIR"):
-        _ = in_memory.wire
+        _ = in_memory.folder
     with pytest.raises(AssertionError, match="recording: none was asked for"):
         in_memory.assert_error_below(rad_s=0.0)
 

@@ -1,4 +1,7 @@
-"""``python -m tests.swarm``: random runs until the time is up; ``--case N`` repeats one."""
+"""``python -m tests.swarm``: random runs whose processes or disk are struck, until the time is up.
+
+``--case N`` repeats one. Those that need no processes are a campaign: swarm.toml.
+"""
 
 import argparse
 import tempfile
@@ -6,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.timebase import NS_PER_S, MonotonicClock
-from tests.swarm.swarm import failures, warm
+from tests.swarm.swarm import failures, is_struck, warm
 
 CASES: Final = 100
 """Those that ``make test`` runs."""
@@ -24,11 +27,13 @@ def main() -> None:
     clock = MonotonicClock()
     ends_at = clock.now() + options.seconds * NS_PER_S
     warm()
-    number, broken = first, 0
+    number, ran, broken = first, 0, 0
     while clock.now() < ends_at and number - first != count:
-        broken += _run(number)
+        if is_struck(number) or number == options.case:
+            ran += 1
+            broken += _run(number)
         number += 1
-    print(f"{number - first} runs, {broken} of them broke something")
+    print(f"{ran} runs, {broken} of them broke something")
     raise SystemExit(broken > 0)
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -12,6 +12,7 @@ from can.io.canutils import CanutilsLogReader
 
 from drivers.cia402.profile import State
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from hil import Run
 from hil.configuration.config import BenchConfig
 from hil.loop.stamp_attribution import REVOKED
 from hil.recording.run_metadata import FIRST_CYCLE
@@ -111,19 +112,58 @@ class Ran:
         return -(-round(self.config.bench.duration_s * NS_PER_S) // self.config.loop.period)
 
 
-def one_object_that_tells_the_status(ran: Ran) -> Iterator[str]:
-    """A documented status, one object on stdout with the same in it, the same again in summary.json."""
-    status, summary = ran.case.status, ran.folder / SUMMARY_FILE
+@dataclass(frozen=True)
+class Member(Ran):
+    """A run of the campaign: its recording or the memory of this process has it."""
+
+    run: Run = field(kw_only=True)
+
+    @property
+    def whole(self) -> bool:
+        """Nobody takes anything away from it."""
+        return True
+
+    @cached_property
+    def rows(self) -> Rows:
+        """(n,) of all axes."""
+        return self.run.rows
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """Of events.jsonl, if there is one."""
+        return self.run.events
+
+    @property
+    def wire(self) -> Wire:
+        """All frames."""
+        return self.run.wire
+
+    @property
+    def first_cycle(self) -> int:
+        """On the clock of the bench, and so of the drives' witnesses, ns."""
+        return int(self.run.table.schema.metadata[FIRST_CYCLE.encode()])
+
+
+def the_status_is_a_documented_one(ran: Ran) -> Iterator[str]:
+    """And the object that is printed tells it."""
+    status = ran.case.status
+    if not ran.survived:
+        return
+    if status not in ran.statuses:
+        yield f"status {status}: {ran.case.said[-400:]}"
+    if ran.told["verdict"]["exit_status"] != status:
+        yield f"status {status}, the object says {ran.told['verdict']['exit_status']}"
+
+
+def summary_json_is_the_object(ran: Ran) -> Iterator[str]:
+    """The one that was printed; also where others had to write it."""
+    summary = ran.folder / SUMMARY_FILE
     if not ran.survived:
         if ran.case.recovered:
             yield f"hil recover: status {ran.case.recovered}: {ran.case.said[-400:]}"
         if not summary.exists():
             yield "the host was killed, and there is no summary.json"
         return
-    if status not in ran.statuses:
-        yield f"status {status}: {ran.case.said[-400:]}"
-    if ran.told["verdict"]["exit_status"] != status:
-        yield f"status {status}, the object says {ran.told['verdict']['exit_status']}"
     if summary.exists() and json.loads(summary.read_text(encoding="utf-8")) != ran.told:
         yield "summary.json is not the object that was printed"
     if not summary.exists() and ran.circumstances.mishap not in RECORDER_STRUCK:
@@ -257,8 +297,8 @@ def nothing_is_left_over(ran: Ran) -> Iterator[str]:
 
 
 Invariant = Callable[[Ran], Iterator[str]]
-INVARIANTS: Final[tuple[Invariant, ...]] = (
-    one_object_that_tells_the_status,
+OF_RUNS: Final[tuple[Invariant, ...]] = (
+    the_status_is_a_documented_one,
     what_struck_the_recording_is_told,
     a_host_that_is_killed_leaves_its_rows,
     every_planned_cycle_has_one_row,
@@ -266,17 +306,26 @@ INVARIANTS: Final[tuple[Invariant, ...]] = (
     completed_means_enabled_throughout,
     passed_means_at_rest_and_without_emergency,
     nothing_is_told_that_has_not_happened,
-    frames_are_in_order_of_time,
     emergencies_are_told_when_they_were_sent,
+)
+OF_RECORDINGS: Final[tuple[Invariant, ...]] = (
+    summary_json_is_the_object,
+    frames_are_in_order_of_time,
     nothing_is_left_over,
 )
+"""They need its files."""
 
 
 def broken(ran: Ran) -> list[str]:
-    """What a run does not hold, by name."""
+    """What a recorded run does not hold, by name."""
     if not (ran.folder / "frames.log").exists():
         return [] if _ended_without_a_disk(ran) else ["there is no recording"]
-    return [f"{invariant.__name__}: {text}" for invariant in INVARIANTS for text in invariant(ran)]
+    return held_against((*OF_RUNS, *OF_RECORDINGS), ran)
+
+
+def held_against(invariants: Sequence[Invariant], ran: Ran) -> list[str]:
+    """What a run does not hold of them, by name."""
+    return [f"{invariant.__name__}: {text}" for invariant in invariants for text in invariant(ran)]
 
 
 def _ended_without_a_disk(ran: Ran) -> bool:

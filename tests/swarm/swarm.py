@@ -1,4 +1,6 @@
-"""Runs cases as a user does, each with the command in a process of its own, and holds it to the invariants.
+"""Runs cases whose processes or disk are struck, and holds each to the invariants.
+
+A user does the same: with the command in a process of its own. What needs no processes: tests.swarm.members.
 
 A case is forked from this process, which has imported everything, and forks its logger in turn
 (:mod:`tests.swarm.warm`). The writing end of one pipe stays open in all of them: what the case has to say
@@ -49,6 +51,11 @@ def warm() -> None:
     run_metadata._commit()
     gc.collect()
     gc.freeze()
+
+
+def is_struck(number: int) -> bool:
+    """Whether something befalls the processes of case ``number``, or its disk."""
+    return _circumstances(number).mishap is not Mishap.NONE
 
 
 def failures(number: int, folder: Path) -> list[str]:

@@ -2,12 +2,25 @@
 
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
+from hil.testing.campaign_runs import CampaignRunner
 from tests.swarm.__main__ import CASES
 
 BATCH = CASES // 2
+SWEEP = Path(__file__).with_name("swarm.toml")
+
+
+def test_nothing_is_found_in_the_campaign(tmp_path: Path) -> None:
+    tables = tomllib.loads(SWEEP.read_text(encoding="utf-8"))
+    assert tables["campaign"]["first_seed"] == CASES
+    tables["campaign"] |= {"first_seed": 0, "seeds": CASES}
+    done = CampaignRunner(tmp_path, SWEEP.parent)(tables)
+    assert done.table.num_rows == CASES
+    done.assert_nothing_found()
 
 
 @pytest.mark.parametrize("first", range(0, CASES, BATCH))

@@ -37,7 +37,7 @@ def run_with_taps(config: BenchConfig, clock_starts_at_us: int | None = None) ->
     recorders: list[MemoryRecorder] = []
 
     def in_memory(plan: RecordingPlan) -> MemoryRecorder:
-        recorders.append(MemoryRecorder(plan, keep_rows=True))
+        recorders.append(MemoryRecorder(plan, keep_all=True))
         return recorders[-1]
 
     @contextmanager

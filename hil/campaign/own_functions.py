@@ -1,0 +1,88 @@
+"""Functions of one's own in a campaign: what a run changes in its bench, and what it is held against."""
+
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from drivers.errors import BadInput, BenchError
+from hil.campaign.sweep_file import Own
+from hil.configuration.config import BenchConfig
+from hil.control.own_code import OwnCodeFailed, object_of, source_of
+from hil.recording.memory_recorder import MemoryRecorder
+from hil.verdict.summary import Summary
+
+EXPECTED: Final = "a function, as MODULE:NAME or FILE.py:NAME beside the sweep file"
+T = TypeVar("T")
+
+
+class OwnFunctions:
+    """Those that ``[own]`` of a sweep names.
+
+    ``changes(seed)`` returns what is changed in the bench, by dotted keys. ``check(seed, run)`` calls
+    ``run()`` once, which runs the bench and returns a :class:`hil.Run`; it returns or yields in words what
+    is not as it should be.
+    """
+
+    def __init__(self, own: Own, source: Path) -> None:
+        """``source``: the sweep file. Runs none of them. Raises BadInput for a file that is not there."""
+        self._source = str(source)
+        given = own.model_dump(exclude_none=True)
+        self._names = {
+            key: str(source.parent / name) if ".py:" in name else name for key, name in given.items()
+        }
+        self.digests = [self._digest(key) for key in self._names]
+        """BLAKE2b of their files."""
+        self.checks = "check" in self._names
+
+    def changes(self, seed: int) -> dict[str, Any]:
+        """For the run with ``seed``. Raises BadInput or OwnCodeFailed."""
+        if "changes" not in self._names:
+            return {}
+
+        def call(function: Callable[[int], Mapping[str, Any]]) -> dict[str, Any]:
+            return deepcopy(dict(function(seed)))  # keys below its tables may be changed further
+
+        return self._called("changes", seed, call)
+
+    def findings(self, seed: int, run: Callable[[], Any]) -> list[str]:
+        """Of the check. Raises BadInput or OwnCodeFailed, and BenchError as ``run``."""
+
+        def call(function: Callable[[int, Callable[[], Any]], Iterable[str]]) -> list[str]:
+            return [str(text) for text in function(seed, run)]
+
+        return self._called("check", seed, call)
+
+    def _called(self, key: str, seed: int, call: Callable[[Any], T]) -> T:
+        name = self._names[key]
+        try:
+            function = _function(name)
+        except Exception as error:
+            told = f"{type(error).__name__}: {error}"
+            raise BadInput(self._source, f"own.{key}", name, EXPECTED, told) from error
+        try:
+            return call(function)
+        except BenchError:
+            raise
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{Path(last.filename).name}:{last.lineno} in {last.name}"
+            raise OwnCodeFailed(f"{name}, seed {seed}: {where}: {type(error).__name__}: {error}") from error
+
+    def _digest(self, key: str) -> str:
+        try:
+            return source_of(self._names[key])[1]
+        except ValueError as error:
+            raise BadInput(self._source, f"own.{key}", self._names[key], EXPECTED, str(error)) from error
+
+
+def run_seen(config: BenchConfig, kept: Path | MemoryRecorder, summary: Summary) -> Any:
+    """A :class:`hil.Run`, which is above this floor: found as code of one's own finds it."""
+    return _function("hil:Run")(config, kept, summary=summary)
+
+
+@cache
+def _function(name: str) -> Any:
+    return object_of(name)
