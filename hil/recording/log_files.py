@@ -268,7 +268,7 @@ class RerunKeeper:
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         self._telemetry.take_events(events)
-        self._telemetry.take_frames(frames)
+        self._telemetry.observed.take(frames)
         if self._blocks.add(rows):
             self._send_block()
 
@@ -301,7 +301,7 @@ class LiveKeeper:
 
     def take(self, rows: Rows, frames: NDArray[np.void], events: Sequence[RunEvent]) -> None:
         self._telemetry.take_events(events)
-        self._telemetry.take_frames(frames)
+        self._telemetry.observed.take(frames)
         self._telemetry.take_rows(rows)
 
     def flush(self) -> None:

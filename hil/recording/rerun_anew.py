@@ -55,7 +55,7 @@ def _write(plan: RecordingPlan, folder: Path, telemetry: Telemetry, summary: Sum
     telemetry.take_events([event for event in told if event.at <= 0])
     if plan.observed and plan.frames:
         for frames in RecordedBus(folder).arrays(plan.segments):
-            telemetry.take_frames(frames)
+            telemetry.observed.take(frames)
     for rows in read_records(folder / RECORDS_FILE):
         telemetry.take_rows(rows)
     telemetry.take_events([event for event in told if event.at > 0])

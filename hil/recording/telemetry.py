@@ -111,7 +111,8 @@ class Telemetry:
         self._tracks: set[str] = set()
         self._styled: set[str] = set()
         self._envelopes: dict[str, Envelope] = {}
-        self._observed = ObservedFrames(plan.observed)
+        self.observed = ObservedFrames(plan.observed)
+        """It is given the frames; what they tell is shown with the next rows."""
         self._rows = 0
         self._marks = dict.fromkeys(self._axes, 0)
         self._show_verdict(None)
@@ -138,15 +139,10 @@ class Telemetry:
             mine = rows if len(self._axes) == 1 else rows[rows["axis"] == number]
             if mine.size:
                 self._show_axis(number, name, mine)
-
         self._show_observed()
 
-    def take_frames(self, frames: NDArray[np.void]) -> None:
-        """What was observed is in them: (n,) of FRAME_DTYPE. It is shown with the next rows."""
-        self._observed.take(frames)
-
     def _show_observed(self) -> None:
-        for path, times, values in self._observed.drain():
+        for path, times, values in self.observed.drain():
             self._plot(path, times, values)
 
     def show_histograms(self, delays: Sequence[TimeHistogram]) -> None:
