@@ -26,6 +26,7 @@ from hil.campaign.adaptive import Drawn, Rounds
 from hil.campaign.own_functions import OwnFunctions
 from hil.campaign.sweep_file import RUNS_MAX, Draw, SweepFile, Vary, load_sweep
 from hil.configuration.bench_tables import Bench
+from hil.configuration.config import BenchConfig
 
 Changes = dict[str, Any]
 
@@ -77,9 +78,7 @@ class CampaignPlan:
         path = source.parent / sweep.campaign.bench
         tables = read_toml(path, "bench file", NamedBy(str(source), "campaign.bench", sweep.campaign.bench))
         self.bench = Bench(tables, source=str(path), folder=path.parent).changed(sweep.change)
-        spec = self.bench.config.bus.spec
-        if spec != "simulated":
-            raise BadInput(str(path), "bus.spec", spec, "'simulated': a campaign runs in simulated time")
+        refuse_real_time(self.bench.config, str(path))
         adaptive = sweep.adaptive
         self.rounds = None if adaptive is None else Rounds(adaptive, self._even, sweep.drawing.seed)
         """Of adaptive draws; to be given the rows in order."""
@@ -196,3 +195,10 @@ def _label(value: Any) -> str:
     if isinstance(value, Mapping):
         return str(value.get("kind") or value.get("plan") or json.dumps(value, sort_keys=True))
     return Path(value).stem if isinstance(value, str) else json.dumps(value)
+
+
+def refuse_real_time(config: BenchConfig, source: str) -> None:
+    """Raises BadInput for a bench on a bus in real time, whose drives may be real."""
+    spec = config.bus.spec
+    if spec != "simulated":
+        raise BadInput(source, "bus.spec", spec, "'simulated': a campaign runs in simulated time")

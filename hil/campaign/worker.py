@@ -9,7 +9,7 @@ from drivers.errors import BadInput, BenchError
 from drivers.timebase import MonotonicClock
 from hil.campaign.adaptive import Drawn
 from hil.campaign.own_functions import run_seen
-from hil.campaign.plan import CampaignPlan, PlannedRun
+from hil.campaign.plan import CampaignPlan, PlannedRun, refuse_real_time
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_errors import BadInputs
 from hil.control.own_code import OwnCodeFailed
@@ -168,6 +168,7 @@ class Workshop:
         """
         try:
             config = self._plan.bench.changed(planned.changes).config
+            refuse_real_time(config, self._plan.bench.source)
             if not self._plan.own.checks:
                 return Finished(config, self._run(config, planned, record, recorder_of), None)
             return self._checked(config, planned, record)

@@ -118,3 +118,11 @@ def test_code_that_is_not_there_is_refused(tmp_path: Path, name: str) -> None:
     path = written(tmp_path, {"changes": name})
     with pytest.raises(BadInput, match=r"own\.changes: found .*, expected a function"):
         run_campaign(path, tmp_path / "out", workers=1)
+
+
+def test_no_function_leads_a_campaign_to_a_bus_in_real_time(tmp_path: Path) -> None:
+    path = written(tmp_path, {"changes": "own.py:changes"})
+    own = tmp_path / "own.py"
+    own.write_text(own.read_text().replace('"load": {},', '"load": {}, "bus.spec": "hub:nobody",'))
+    with pytest.raises(BadInput, match=r"bus\.spec: found 'hub:nobody', expected 'simulated'"):
+        run_campaign(path, tmp_path / "out", workers=1)
