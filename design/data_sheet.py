@@ -27,9 +27,11 @@ AGREEING = 0.12
 """Share by which two figures of one sheet may differ. Makers allow their figures 10 %, and give torque per
 ampere for a warm motor and back-EMF for a cold one; most wrong conventions are 28 % apart or more."""
 AGREEING_WELL = 0.05
-"""Within which another convention is offered as the reason of a contradiction: two figures' rounding."""
+"""Within which a ratio of two time constants is taken for a convention's: two figures' rounding."""
 LOSSES = 0.25
 """Share of the torque that friction, iron and saturation may take at the rated point."""
+SATURATION = 0.5
+"""The same towards the peak."""
 
 _KRPM = 1000.0 * math.pi / 30.0
 """1000 r/min in rad/s."""
@@ -146,9 +148,9 @@ class DataSheet:
         for first, second in combinations((name for name in CONVENTIONS if name in self.flux), 2):
             yield from self._of_flux(first, second)
         if self.rated_current_a is not None:
-            yield from self._of_rating(self.rated_current_a)
+            yield from self._of_current("rated", self.rated_current_a, self.rated_torque_nm, LOSSES)
         if self.peak_current_a is not None and self.peak_torque_nm is not None:
-            yield from self._of_peak(self.peak_current_a, self.peak_torque_nm)
+            yield from self._of_current("peak", self.peak_current_a, self.peak_torque_nm, SATURATION)
         yield from self._of_voltage()
         yield from self._of_times()
 
@@ -163,31 +165,25 @@ class DataSheet:
             _explained(first, self.flux[first], second, self.flux[second]),
         )
 
-    def _of_rating(self, current_a: float) -> Iterator[Contradiction]:
+    def _of_current(
+        self, point: str, current_a: float, torque_nm: float, lost: float
+    ) -> Iterator[Contradiction]:
+        """``lost``: share of the torque that need not reach the shaft."""
         made = 1.5 * self.emf_constant_v_s * current_a
-        if 1.0 - AGREEING <= made / self.rated_torque_nm <= 1.0 / (1.0 - LOSSES):
+
+        def agree(factor: float) -> bool:
+            return 1.0 - AGREEING <= factor * made / torque_nm <= 1.0 / (1.0 - lost)
+
+        if agree(1.0):
             return
         readings = {
             math.sqrt(0.5): "it fits if the current is a peak value and was entered as rms",
             math.sqrt(2.0): "it fits if the current is an rms value and was entered as a peak",
         }
-        fits = [
-            text for factor, text in readings.items() if _agree(made * factor, self.rated_torque_nm, AGREEING)
-        ]
-        rms = current_a / math.sqrt(2.0)
         yield Contradiction(
-            f"rated torque {self.rated_torque_nm:g} N m and rated current {rms:.4g} A rms",
+            f"{point} torque {torque_nm:g} N m and {point} current {current_a / math.sqrt(2.0):.4g} A rms",
             f"with {self.made_flux} this current makes {made:.4g} N m",
-            "".join(fits),
-        )
-
-    def _of_peak(self, current_a: float, torque_nm: float) -> Iterator[Contradiction]:
-        made = 1.5 * self.emf_constant_v_s * current_a
-        if 1.0 - AGREEING <= made / torque_nm <= 2.0:  # iron saturates towards the peak
-            return
-        yield Contradiction(
-            f"peak torque {torque_nm:g} N m and peak current {current_a / math.sqrt(2.0):.4g} A rms",
-            f"with {self.made_flux} this current makes {made:.4g} N m",
+            "".join(text for factor, text in readings.items() if agree(factor)),
         )
 
     def _of_voltage(self) -> Iterator[Contradiction]:
@@ -259,19 +255,16 @@ def _kind(name: str) -> str:
 
 
 def _explained(first: str, one: float, second: str, other: float) -> str:
-    """Which readings of one of the two make them agree; a figure that is read otherwise keeps its kind."""
+    """Which readings of one of the two make them agree, best first; each keeps its kind."""
     sides = ((first, one, emf_constant(second, other)), (second, other, emf_constant(first, one)))
-    for within in (AGREEING_WELL, AGREEING):
-        readings = [
-            f"{reading} = {value:g}"
-            for name, value, fixed in sides
-            for reading in CONVENTIONS
-            if reading != name and _kind(reading) == _kind(name)
-            if _agree(emf_constant(reading, value), fixed, within)
-        ]
-        if readings:
-            return f"they agree if {' or '.join(readings)} is meant"
-    return ""
+    readings = sorted(
+        (abs(math.log(emf_constant(reading, value) / fixed)), f"{reading} = {value:g}")
+        for name, value, fixed in sides
+        for reading in CONVENTIONS
+        if reading != name and _kind(reading) == _kind(name)
+        if _agree(emf_constant(reading, value), fixed, AGREEING)
+    )
+    return f"they agree if {' or '.join(text for _, text in readings)} is meant" if readings else ""
 
 
 def _time_explained(ratio: float) -> str:

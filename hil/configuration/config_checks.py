@@ -273,7 +273,7 @@ def _torque_of(key: str, entry: Load) -> tuple[str, float]:
     """The key that its torque comes from, and the least that it is, N m."""
     if isinstance(entry, LoadStep):
         return f"{key}.torque_nm", entry.torque_nm
-    return f"{key}.path", min(entry.signal.levels)
+    return f"{key}.path", entry.signal.least
 
 
 def _load_files(axis: str, entries: Sequence[Load], config: BenchConfig) -> Iterator[Fault]:

@@ -165,7 +165,7 @@ class SignalFile(_Entry):
     @property
     def ends_s(self) -> float:
         """When its last row comes, s."""
-        return self.at_s + self.signal.times_s[-1]
+        return self.at_s + self.signal.last_s
 
     @property
     def _per_unit(self) -> float:
@@ -173,7 +173,7 @@ class SignalFile(_Entry):
 
     def describe(self) -> str:
         """In words, for the events of a run."""
-        return f"{self.quantity.value} of {Path(self.path).name}, {len(self.signal.times_s)} points"
+        return f"{self.quantity.value} of {Path(self.path).name}, {self.signal.points} points"
 
     def segment(self) -> Segment:
         """As the loop has it."""

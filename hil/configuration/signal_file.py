@@ -4,7 +4,6 @@
 columns are left alone.
 """
 
-from array import array
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -34,8 +33,13 @@ class Signal:
     """What a file holds, in SI units."""
 
     quantity: Quantity
-    times_s: "array[float]"
-    levels: "array[float]"
+    times_s: bytes
+    """(n,), doubles, little-endian: as the loop looks them up (:class:`hil.loop.scenario.Table`)."""
+    levels: bytes
+    """(n,), likewise."""
+    points: int
+    last_s: float
+    least: float
     peak: float
     """Largest magnitude."""
     rate: float
@@ -70,8 +74,16 @@ def _load(path: Path, _modified_ns: int, _size: int) -> Signal:
         expected = f"more than the row before it, {times[place - 1]:g}"
         raise BadInput(str(path), f"{TIME}[{place}]", float(times[place]), expected)
     rates = np.abs(np.diff(levels)) / np.diff(times)
-    peak = float(np.abs(levels).max())
-    return Signal(quantity, array("d", times), array("d", levels), peak, float(rates.max(initial=0.0)))
+    return Signal(
+        quantity,
+        times.astype("<f8").tobytes(),
+        levels.astype("<f8").tobytes(),
+        points=len(times),
+        last_s=float(times[-1]),
+        least=float(levels.min()),
+        peak=float(np.abs(levels).max()),
+        rate=float(rates.max(initial=0.0)),
+    )
 
 
 def _read(path: Path) -> Any:

@@ -50,9 +50,6 @@ class ShaftLoad:
         self._node_id = node_id
         self._load = load
 
-    def set_torque(self, torque_nm: float) -> None:
-        """Nothing: the drive has the file."""
-
     def begin_with_next_sync(self) -> None:
         """Have it begun by the SYNC that comes next. Raises PeerFault."""
         course = LoadCourse.HELD if self._load.between == "held" else LoadCourse.STRAIGHT
@@ -73,7 +70,7 @@ def _raw(torque_nm: float) -> bytes:
 def find_load_machine(
     network: CanopenNetwork, node_id: int, source: str, axis: str, wanted: Sequence[Load]
 ) -> ObjectLoadMachine | ShaftLoad | None:
-    """The load machine of a simulated drive; None for a drive without one.
+    """What puts loads on a simulated drive's shaft; None for a drive without it.
 
     Raises BadInput if the bench asks for a load (``wanted``) that nothing can produce.
     """
@@ -120,7 +117,7 @@ class LoadMachines:
         self._instrument: InstrumentLoadMachine | None = None
 
     def find(self, drive: ServoDrive, say: Say) -> LoadMachine | None:
-        """The load machine on the shaft of ``drive``, with its load off; None if there is none.
+        """What is told the loads of ``drive``, off now; None if there is none, or the shaft has them itself.
 
         Raises BadInput if the bench asks for a load that nothing can make, PeerFault if it fails.
         """
@@ -131,7 +128,7 @@ class LoadMachines:
         if machine is not None:
             machine.take_off()
             self._objects.append(machine)
-        return machine
+        return machine if isinstance(machine, ObjectLoadMachine) else None
 
     @property
     def chore(self) -> Callable[[Instant], None] | None:

@@ -365,9 +365,11 @@ class Axis:
         )
 
     def _apply_load(self, torque_nm: float) -> None:
-        if torque_nm != self._load_nm and self.parts.load_machine is not None:
-            self.parts.load_machine.set_torque(torque_nm)
+        """A shaft that bears a load over time by itself has no load machine that is told."""
+        if torque_nm != self._load_nm:
             self._load_nm = torque_nm
+            if self.parts.load_machine is not None:
+                self.parts.load_machine.set_torque(torque_nm)
 
     def _check(self, reason: str | None) -> None:
         if reason is not None:

@@ -7,6 +7,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol
 
+from librt.strings import read_f64_le
+from mypy_extensions import i64
+
+_DOUBLE: Final[i64] = 8
+"""Bytes."""
+
 
 class Quantity(Enum):
     """What a set-point or a reference is."""
@@ -83,46 +89,65 @@ class Sine:
 class Table:
     """Points in time, and between them straight or held; before the first that one, after the last the last.
 
-    A point is found from the one before, so a million of them cost no more than ten.
+    The piece that was asked for is kept. The next is sought as far on as that one was, and from there in
+    steps that double: a million points cost what ten do.
     """
 
-    def __init__(self, at_s: float, times_s: Sequence[float], levels: Sequence[float], held: bool) -> None:
-        """``times_s``: (n,), rising, from ``at_s``. ``levels``: (n,)."""
+    def __init__(self, at_s: float, times_s: bytes, levels: bytes, held: bool) -> None:
+        """``times_s``: (n,), rising, from ``at_s``. ``levels``: (n,). Both doubles, little-endian."""
         self.at_s: Final = at_s
         self._times_s = times_s
         self._levels = levels
         self._held = held
-        self._last = len(times_s) - 1
-        self._place = 0
+        self._last: i64 = len(times_s) // _DOUBLE - 1
+        self._place: i64 = 0
+        self._skipped: i64 = 0
+        """Points between the last two pieces: so many may lie before the next, too."""
+        self._from_s = self._until_s = self._level = self._rise = 0.0
+        """Of the piece at hand: where it begins and ends, the level there, how far it rises."""
+        self._enter(-math.inf)
 
     def value(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
-        place = self._find(elapsed_s)
-        level = self._levels[place]
-        if self._held or place == self._last or elapsed_s <= self._times_s[0]:
-            return level
-        share = (elapsed_s - self._times_s[place]) / (self._times_s[place + 1] - self._times_s[place])
-        return level + share * (self._levels[place + 1] - level)
+        if not self._from_s <= elapsed_s < self._until_s:
+            self._enter(elapsed_s)
+        if self._rise == 0.0:
+            return self._level
+        return self._level + (elapsed_s - self._from_s) / (self._until_s - self._from_s) * self._rise
 
     def rate(self, elapsed_s: float, start: float) -> float:  # noqa: ARG002
-        place = self._find(elapsed_s)
-        if self._held or place == self._last or elapsed_s < self._times_s[0]:
-            return 0.0
-        passed_s = self._times_s[place + 1] - self._times_s[place]
-        return (self._levels[place + 1] - self._levels[place]) / passed_s
+        if not self._from_s <= elapsed_s < self._until_s:
+            self._enter(elapsed_s)
+        return 0.0 if self._rise == 0.0 else self._rise / (self._until_s - self._from_s)
 
-    def _find(self, elapsed_s: float) -> int:
+    def _enter(self, elapsed_s: float) -> None:
+        """Have the piece in which ``elapsed_s`` lies."""
+        place = self._place = self._find(elapsed_s)
+        self._level, self._rise = read_f64_le(self._levels, _DOUBLE * place), 0.0
+        self._from_s, self._until_s = read_f64_le(self._times_s, _DOUBLE * place), math.inf
+        if elapsed_s < self._from_s:
+            self._from_s, self._until_s = -math.inf, self._from_s
+        elif place < self._last:
+            self._until_s = read_f64_le(self._times_s, _DOUBLE * place + _DOUBLE)
+            if not self._held:
+                self._rise = read_f64_le(self._levels, _DOUBLE * place + _DOUBLE) - self._level
+
+    def _find(self, elapsed_s: float) -> i64:
         """The last point that is not later; the first where all are."""
-        place, times_s = self._place, self._times_s
-        for _ in range(8):
-            if place < self._last and times_s[place + 1] <= elapsed_s:
-                place += 1
-            elif place > 0 and times_s[place] > elapsed_s:
-                place -= 1
-            else:
-                self._place = place
-                return place
-        self._place = max(0, bisect_right(times_s, elapsed_s) - 1)
-        return self._place
+        times_s, place, step = self._times_s, self._place, i64(1)
+        ahead = place + self._skipped
+        if ahead <= self._last and read_f64_le(times_s, _DOUBLE * ahead) <= elapsed_s:
+            place = ahead
+        elif read_f64_le(times_s, _DOUBLE * place) > elapsed_s:
+            place = 0
+        while place + step <= self._last and read_f64_le(times_s, _DOUBLE * (place + step)) <= elapsed_s:
+            place += step
+            step *= 2
+        while step > 1:
+            step >>= 1
+            if place + step <= self._last and read_f64_le(times_s, _DOUBLE * (place + step)) <= elapsed_s:
+                place += step
+        self._skipped = place - self._place - 1 if place > self._place else 0
+        return place
 
 
 class ReferenceProfile:

@@ -2,13 +2,14 @@
 
 import inspect
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from drivers.errors import BadInput
-from hil.studies.motor.figures import FIGURES, GROUPS, missing, option, ways
+from hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file
 from hil.terminal.output import columns, put, say_written
@@ -74,7 +75,17 @@ def _ask(values: dict[str, float]) -> None:
         if not 1 <= chosen <= len(choices):
             raise BadInput("answer", GROUPS[group].question, chosen, f"1 to {len(choices)}")
         figure = choices[chosen - 1]
-        values[figure.key] = typer.prompt(f"  {figure.text}", type=float)
+        values[figure.key] = typer.prompt(f"  {figure.text}", value_proc=_reader(figure))
+
+
+def _reader(figure: SheetFigure) -> Callable[[str], float]:
+    def number(entered: str) -> float:
+        try:
+            return figure.number(entered)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return number
 
 
 def _with_figures() -> None:
@@ -83,7 +94,9 @@ def _with_figures() -> None:
     fixed = [item for item in signature.parameters.values() if item.kind is not item.VAR_KEYWORD]
     added = []
     for figure in FIGURES:
-        kind = Annotated[float | None, typer.Option(option(figure.key), help=figure.text)]
+        kind = Annotated[
+            float | None, typer.Option(option(figure.key), help=figure.text, parser=_reader(figure))
+        ]
         added.append(
             inspect.Parameter(figure.key, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
         )

@@ -1,6 +1,6 @@
 """A load torque over time that the simulated shaft bears by itself, without a frame for it."""
 
-from array import array
+import math
 from dataclasses import dataclass
 from zlib import crc32
 
@@ -19,9 +19,9 @@ class LoadTable:
     """(n,); positive opposes positive speed."""
 
     @classmethod
-    def of(cls, times_s: "array[float]", torques_nm: "array[float]") -> "LoadTable":
-        """The same points, copied."""
-        return cls(np.array(times_s), np.array(torques_nm))
+    def of(cls, times_s: bytes, torques_nm: bytes) -> "LoadTable":
+        """The same points, copied from little-endian doubles."""
+        return cls(np.frombuffer(times_s, "<f8").copy(), np.frombuffer(torques_nm, "<f8").copy())
 
     @property
     def number(self) -> int:
@@ -45,13 +45,23 @@ def fill_loads(
     ``place``: a point not later than the first instant, or the first of all. Returns that of the last.
     """
     last = len(times_s) - 1
+    from_s, until_s, level, span_s, rise = 0.0, -math.inf, 0.0, 1.0, 0.0  # of a piece between two points
+    skipped = 0  # points between the last two pieces: so many may lie before the next
     for number in range(count):
         now_s = at_s + number * period_s
-        while place < last and times_s[place + 1] <= now_s:
-            place += 1
-        load = torques_nm[place]
-        if not held and place < last and now_s > times_s[place]:
-            share = (now_s - times_s[place]) / (times_s[place + 1] - times_s[place])
-            load += share * (torques_nm[place + 1] - load)
-        loads[number] = load if now_s >= 0.0 else 0.0
+        if now_s >= until_s:
+            before = place
+            if place + skipped < last and times_s[place + skipped] <= now_s:
+                place += skipped
+            while place < last and times_s[place + 1] <= now_s:
+                place += 1
+            skipped = max(place - before - 1, 0)
+            from_s, until_s, level, span_s, rise = times_s[place], math.inf, torques_nm[place], 1.0, 0.0
+            if now_s < from_s:
+                until_s = from_s
+            elif place < last:
+                until_s = times_s[place + 1]
+                if not held:
+                    span_s, rise = until_s - from_s, torques_nm[place + 1] - level
+        loads[number] = level + (now_s - from_s) / span_s * rise if now_s >= 0.0 else 0.0
     return place

@@ -1,6 +1,7 @@
 """``hil motor new`` and ``hil motor show`` as they are typed."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ SHEET = {
 
 
 def _new(
-    path: Path, changes: dict[str, float | None] | None = None, *more: str, text: str = ""
+    path: Path, changes: Mapping[str, float | str | None] | None = None, *more: str, text: str = ""
 ) -> tuple[int, str]:
     values = {**SHEET, **(changes or {})}
     words = [str(word) for pair in values.items() if pair[1] is not None for word in pair]
@@ -49,6 +50,20 @@ def test_what_the_sheet_gives_otherwise_is_the_same_motor(tmp_path: Path) -> Non
         two.resistance_ohm, two.inductance_d_h, two.inertia_kg_m2)  # fmt: skip
 
 
+def test_a_figure_comes_in_the_unit_of_the_sheet(tmp_path: Path) -> None:
+    assert _new(tmp_path / "a.toml", {"--inertia-kg-cm2": None, "--inertia-kg-m2": 1.2e-4})[0] == 0
+    others = {
+        "--r-line-ohm": "1800 mOhm", "--l-line-mh": "5400 uH", "--kt-nm-arms": "113.2896 oz-in/A",
+        "--ke-line-vrms-krpm": "0.0484 V/rpm", "--inertia-kg-cm2": None, "--inertia-kg-m2": "1200 g·cm^2",
+        "--rated-torque-nm": "21.2418 lb in",
+    }  # fmt: skip
+    status, text = _new(tmp_path / "b.toml", others)
+    assert status == 0, text
+    one, two = (load_motor(tmp_path / name).parameters for name in ("a.toml", "b.toml"))
+    for figure in ("resistance_ohm", "inductance_d_h", "flux_linkage_wb", "inertia_kg_m2", "rated_torque_nm"):
+        assert getattr(two, figure) == pytest.approx(getattr(one, figure), rel=1e-5)
+
+
 def test_a_hot_winding_and_time_constants_of_the_cold_one(tmp_path: Path) -> None:
     status, text = _new(tmp_path / "a.toml", {"--tau-electrical-ms": 3.0}, "--winding-c", "120")
     assert status == 0, text
@@ -60,7 +75,7 @@ def test_a_hot_winding_and_time_constants_of_the_cold_one(tmp_path: Path) -> Non
 def test_a_contradiction_is_refused_and_nothing_written(tmp_path: Path) -> None:
     status, text = _new(tmp_path / "a.toml", {"--ke-line-vrms-krpm": 68.4})
     assert status == 2
-    assert "kt_nm_apk = 0.8 or ke_line_vpk_krpm = 68.4 is meant" in text
+    assert "kt_nm_apk = 0.8 or ke_line_vpk_krpm = 68.4 or kt_nm_adc = 0.8 is meant" in text
     assert not (tmp_path / "a.toml").exists()
 
 
@@ -77,8 +92,10 @@ def test_what_is_missing_is_named_with_its_options(tmp_path: Path, group: str) -
     ({"--poles": 9}, "even number"),
     ({"--r-line-ohm": -1.0}, "above zero"),
     ({"--r-phase-ohm": 0.9}, "one of them"),
+    ({"--kt-nm-arms": "0.8 kg"}, "ozin"),
+    ({"--poles": "ten"}, "is not a number"),
 ])  # fmt: skip
-def test_what_cannot_be_is_refused(tmp_path: Path, changes: dict[str, float | None], told: str) -> None:
+def test_what_cannot_be_is_refused(tmp_path: Path, changes: dict[str, float | str | None], told: str) -> None:
     status, text = _new(tmp_path / "a.toml", changes)
     assert status == 2
     assert told in text
