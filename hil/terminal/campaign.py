@@ -78,7 +78,7 @@ def run(
 
     Exit status: 0 it was run to its end, whatever became of its runs; 2 bad input; 130 ended by a signal,
     --resume goes on. With --against certificate: 7 a counter-example ended it; 6 no run was within the
-    premises. 1: a check of one's own ([own] of the sweep) says something of a run. docs/campaigns.md
+    premises. 1: a check of one's own (the table own of the sweep) says something of a run. docs/campaigns.md
     """
     with reported_errors():
         from hil.campaign.campaign import run_campaign
