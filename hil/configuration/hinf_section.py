@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_US
 from hil.configuration.config_files import Section
+from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import LossCertificate, MadeFor, Rows
 from hil.control.hinf import HinfFeedback, HinfSettings
@@ -35,7 +36,7 @@ class HinfFigures(Section):
     """Rms of the command by the encoder's noise."""
 
 
-class HinfSection(Section):
+class HinfSection(AxisController):
     """x+ = A x + B e + L (u_sent - feed-forward), u = C x + D e + feed-forward; e is the speed error."""
 
     kind: Literal["hinf"]

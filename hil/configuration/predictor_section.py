@@ -7,6 +7,7 @@ from pydantic import Field
 
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.config_files import Section
+from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
@@ -32,7 +33,7 @@ class PredictorFigures(Section):
     """Rms of the command by the encoder's noise."""
 
 
-class PredictorController(Section):
+class PredictorController(AxisController):
     """The state is predicted to the instant at which a command acts, and the load is cancelled."""
 
     kind: Literal["predictor"]
