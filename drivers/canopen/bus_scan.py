@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
+from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SDO_REQUEST, SERVICES, TPDOS
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST
 from drivers.errors import NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
@@ -106,14 +106,7 @@ class Traffic:
         return self.broadcasts["SYNC"] > 0 or any(seen["PDO"] for seen in self.by_node.values())
 
 
-_BROADCASTS = {0x000: "NMT", 0x080: "SYNC", 0x100: "TIME", 0x7E4: "LSS answer", 0x7E5: "LSS request"}
-_KINDS = {
-    0x080: "EMCY",
-    **dict.fromkeys(range(0x180, 0x580, 0x80), "PDO"),
-    SDO_ANSWER: "SDO answer",
-    SDO_REQUEST: "SDO request",
-    0x700: "heartbeat",
-}
+_KINDS = SERVICES | dict.fromkeys(TPDOS | RPDOS, "PDO")
 
 
 class BusScan:
@@ -182,8 +175,8 @@ class BusScan:
         kind = _KINDS.get(can_id & 0x780)
         if foreign:
             traffic.others += 1
-        elif can_id in _BROADCASTS:
-            traffic.broadcasts[_BROADCASTS[can_id]] += 1
+        elif can_id in BROADCASTS:
+            traffic.broadcasts[BROADCASTS[can_id]] += 1
         elif kind is not None and can_id & 0x7F:
             traffic.by_node.setdefault(can_id & 0x7F, Counter())[kind] += 1
         else:

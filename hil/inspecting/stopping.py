@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from drivers.canopen.bus_scan import NODES
+from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand
-from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.errors import BusDown, NoAnswer, PeerFault
