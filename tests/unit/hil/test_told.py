@@ -1,0 +1,184 @@
+"""What commands tell, whole: texts and files beside those that were last looked at.
+
+Every run is seeded and in simulated time, so nothing but a change of the code, or of what numpy makes of the
+last bits, changes a word. Whether the figures are right is asked elsewhere, by witnesses; here, that each is
+told, in its unit, in its place, and that none moves unnoticed. After a change that is meant, look at what
+
+    SERVOBENCH_TELL_ANEW=1 pytest tests/unit/hil/test_told.py; git diff tests/unit/hil/told
+
+shows, and commit it.
+"""
+
+import csv
+import os
+import re
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.cia402.profile import Mode, supported_mode_bit
+from hil.cli import app
+from tests.commissioning import LOSS, unknown_world
+
+ROOT: Final = Path(__file__).parents[3]
+EXAMPLES: Final = ROOT / "examples"
+TOLD: Final = Path(__file__).with_name("told")
+ANEW: Final = "SERVOBENCH_TELL_ANEW"
+NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+CHANGING: Final = (
+    (re.compile(r" +"), " "),
+    (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?([+-]\d\d:\d\d|Z)?"), "DATE"),
+    (re.compile(r"servobench \d[\w.+]*"), "servobench VERSION"),
+    (re.compile(r"(Computing|Pace|Open with|min_margin) .*"), r"\1"),
+    (re.compile(r"(pid servobench simulated servo drive) .*(?= one| two)"), r"\1 COMMIT"),
+    (re.compile(r'"compute_us": [{][^}]*[}]'), '"compute_us"'),
+    (re.compile(r" [\d.]+/s .* left at most|[\d.]+ runs a second"), ""),
+    (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),
+)
+"""What no two runs have in common; the last bits of a solver."""
+AS_NEAR: Final = 2e-3
+"""Texts are rounded to three digits and more; the last of them may go either way."""
+
+
+def hold(name: str, text: str, folder: Path) -> None:
+    """Against the file of that name: word by word, and number by number."""
+    for found, word in ((str(folder), "FOLDER"), (str(ROOT), "ROOT")):
+        text = text.replace(found, word)
+    for pattern, word in CHANGING:
+        text = pattern.sub(word, text)
+    text = "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
+    path = TOLD / f"{name}.txt"
+    if os.environ.get(ANEW):
+        path.write_text(text, encoding="utf-8")
+    told = path.read_text(encoding="utf-8")
+    assert NUMBER.sub("#", text).splitlines() == NUMBER.sub("#", told).splitlines()
+    pairs = zip(text.splitlines(), told.splitlines(), strict=True)
+    moved = [
+        pair for pair in pairs if _numbers(pair[0]) != pytest.approx(_numbers(pair[1]), rel=AS_NEAR, abs=1e-9)
+    ]
+    assert moved == []
+
+
+def _numbers(line: str) -> list[float]:
+    return [float(number) for number in NUMBER.findall(line)]
+
+
+def run(*commands: str) -> str:
+    """Each as on the command line, from the present folder; all that it says."""
+    text = ""
+    for command in commands:
+        done = CliRunner(env={"COLUMNS": "160"}).invoke(app, command.format(examples=EXAMPLES).split())
+        assert done.exception is None or isinstance(done.exception, SystemExit), command
+        text += f"$ hil {command}\n{done.output}exit status {done.exit_code}\n\n"
+    return text
+
+
+def files(*names: str) -> str:
+    """Texts that a command has left in the present folder."""
+    return "".join(f"==== {name}\n{Path(name).read_text(encoding='utf-8')}\n" for name in names)
+
+
+def commissioned() -> str:
+    """All units hidden, in cyclic synchronous torque."""
+    told = run("commission --bus simulated --node 1 --rehearse 3 --yes --out out")
+    left = (
+        "report.md",
+        "bench.toml",
+        "drive.toml",
+        "motor.toml",
+        "network.toml",
+        "drive.dcf",
+        "parameters.txt",
+    )
+    return told + files(*(f"out/{name}" for name in left))
+
+
+def commissioned_by_speeds() -> str:
+    """A drive that takes no torques, and finds its turn by homing; one reading in a hundred is lost."""
+    only = supported_mode_bit(Mode.CYCLIC_SYNCHRONOUS_VELOCITY) | supported_mode_bit(Mode.HOMING)
+    said: list[str] = []
+    unknown_world(3, Path("out"), modes=only, faults=LOSS, tell=said.append)
+    return "\n".join(said) + "\n" + files("out/report.md", "out/drive.toml")
+
+
+def measured() -> str:
+    """A network with faults, drives enabled."""
+    told = run(
+        "measure --bus simulated --node 1,2 --cycles 800 --enable --seed 3 "
+        "--faults {examples}/faults/demo.toml --out network.toml --faults-out faults.toml",
+        "measure --bus simulated --node 1 --cycles 300",
+    )
+    return told + files("network.toml", "faults.toml")
+
+
+def reviewed() -> str:
+    """A run, and what can be asked of its recording."""
+    told = run(
+        "run {examples}/ling2012.toml --record one",
+        "run {examples}/ling2012.toml --record two --seed 7",
+        "review one",
+        "compare one two",
+        "compare one two --json",
+        "runs .",
+        "export one --to csv --out one.csv",
+    )
+    rows = csv.DictReader(Path("one.csv").read_text(encoding="utf-8").splitlines())
+    return told + "\n".join(str({**row, "compute_ns": ""}) for row in islice(rows, 0, 200, 20))
+
+
+SWEEP: Final = """
+[campaign]
+name = "small"
+bench = "{examples}/ling2012.toml"
+seeds = 3
+failures_recorded = 1
+
+[change]
+"bench.duration_s" = 1.2
+
+[[vary]]
+key = "drive.axis1.controller.proportional_nm_s_rad"
+values = [0.004, 0.12]
+
+[[vary]]
+key = "loop.actuation"
+values = ["on_arrival", "on_sync"]
+
+[[draw]]
+key = "drive.axis1.motor.mechanics.inertia_kg_m2"
+distribution = "uniform"
+low = 0.0006
+high = 0.0010
+"""
+
+
+def campaigned() -> str:
+    """A sweep over two keys, half of whose runs do not pass."""
+    Path("sweep.toml").write_text(SWEEP.format(examples=EXAMPLES), encoding="utf-8")
+    told = run("campaign run sweep.toml --out out --workers 1 --json", "campaign report out")
+    return told + files("out/report.html")
+
+
+def designed() -> str:
+    """Gains, margins and certificates."""
+    motor = "{examples}/motors/ling2012.toml"
+    network = "--period-ms 10 --strategy arrival --loss-max 5 --tau-max-ms 4"
+    return run(
+        f"motor show {motor}",
+        f"analyse speed {motor} --gain 0,-0.0212 --delay-ms 64",
+        f"analyse speed {motor} --gain 0,-0.0212 {network}",
+        f"design speed {motor} --error-percent 5 --load-nm 0.6 --speed-rpm 1500 --out speed.toml",
+        f"design pid {motor} --latency-ms 1.5 --out pid.toml",
+    ) + files("speed.toml", "pid.toml")
+
+
+@pytest.mark.parametrize(
+    "tell", [commissioned, commissioned_by_speeds, measured, reviewed, campaigned, designed]
+)
+def test_what_is_told(tell: Callable[[], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    hold(tell.__name__, tell(), tmp_path)
