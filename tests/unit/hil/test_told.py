@@ -1,17 +1,6 @@
-"""What commands tell, whole: texts and files beside those that were last looked at.
-
-Every run is seeded and in simulated time, so nothing but a change of the code, or of what numpy makes of the
-last bits, changes a word. Whether the figures are right is asked elsewhere, by witnesses; here, that each is
-told, in its unit, in its place, and that none moves unnoticed. After a change that is meant, look at what
-
-    SERVOBENCH_TELL_ANEW=1 pytest tests/unit/hil/test_told.py; git diff tests/unit/hil/told
-
-shows, and commit it.
-"""
+"""What commands tell, whole: texts, and the files that they leave."""
 
 import csv
-import os
-import re
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -23,48 +12,10 @@ from typer.testing import CliRunner
 from drivers.cia402.profile import Mode, supported_mode_bit
 from hil.cli import app
 from tests.commissioning import LOSS, unknown_world
+from tests.told import ROOT, hold
 
-ROOT: Final = Path(__file__).parents[3]
 EXAMPLES: Final = ROOT / "examples"
 TOLD: Final = Path(__file__).with_name("told")
-ANEW: Final = "SERVOBENCH_TELL_ANEW"
-NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-CHANGING: Final = (
-    (re.compile(r" +"), " "),
-    (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?([+-]\d\d:\d\d|Z)?"), "DATE"),
-    (re.compile(r"servobench \d[\w.+]*"), "servobench VERSION"),
-    (re.compile(r"(Computing|Pace|Open with|min_margin) .*"), r"\1"),
-    (re.compile(r"(simulated servo drive)( [0-9a-f]{10}\S*)?(?= (one|two)$)", re.MULTILINE), r"\1 COMMIT"),
-    (re.compile(r'"compute_us": [{][^}]*[}]'), '"compute_us"'),
-    (re.compile(r" [\d.]+/s .* left at most|[\d.]+ runs a second"), ""),
-    (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),
-)
-"""What no two runs have in common; the last bits of a solver."""
-AS_NEAR: Final = 2e-3
-"""Texts are rounded to three digits and more; the last of them may go either way."""
-
-
-def hold(name: str, text: str, folder: Path) -> None:
-    """Against the file of that name: word by word, and number by number."""
-    for found, word in ((str(folder), "FOLDER"), (str(ROOT), "ROOT")):
-        text = text.replace(found, word)
-    for pattern, word in CHANGING:
-        text = pattern.sub(word, text)
-    text = "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
-    path = TOLD / f"{name}.txt"
-    if os.environ.get(ANEW):
-        path.write_text(text, encoding="utf-8")
-    told = path.read_text(encoding="utf-8")
-    assert NUMBER.sub("#", text).splitlines() == NUMBER.sub("#", told).splitlines()
-    pairs = zip(text.splitlines(), told.splitlines(), strict=True)
-    moved = [
-        pair for pair in pairs if _numbers(pair[0]) != pytest.approx(_numbers(pair[1]), rel=AS_NEAR, abs=1e-9)
-    ]
-    assert moved == []
-
-
-def _numbers(line: str) -> list[float]:
-    return [float(number) for number in NUMBER.findall(line)]
 
 
 def run(*commands: str) -> str:
@@ -213,4 +164,4 @@ def designed() -> str:
 )
 def test_what_is_told(tell: Callable[[], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    hold(tell.__name__, tell(), tmp_path)
+    hold(tell().replace(str(tmp_path), "FOLDER"), TOLD / f"{tell.__name__}.txt")
