@@ -22,8 +22,11 @@ KNOCK_EVERY_NS: Final = Duration(2 * NS_PER_MS)
 KNOCK_WAIT_NS: Final = Duration(150 * NS_PER_MS)
 """For the last answers."""
 ROUNDS: Final = 2
+"""A request or its answer may be lost; twice in a row is rare on a bus on which anything works."""
 SDO_TIMEOUT_S: Final = 0.2
+"""CiA 301 sets no limit; devices answer within some milliseconds, slow ones within a tenth of a second."""
 SDO_ATTEMPTS: Final = 3
+"""As for :data:`ROUNDS`, and the device is known to be there: it may be busy."""
 _UPLOAD = 0x40
 _ASKED_FOR = bytes((DEVICE_TYPE & 0xFF, DEVICE_TYPE >> 8, 0))
 """Index and sub-index as they stand in a request and in its answer."""

@@ -34,6 +34,7 @@ _ASK_EVERY: Final = Duration(NS_PER_MS)
 """A frame of eight bytes takes 1 ms at 125 kbit/s."""
 _ASK_WAIT: Final = Duration(50 * NS_PER_MS)
 _SDO_TIMEOUT_S: Final = 0.05
+"""Somebody waits for drives to stop: who is silent for so long is stopped by NMT."""
 _UPLOAD: Final = 0x40
 _DOWNLOAD_TWO_BYTES: Final = 0x2B
 _UPLOADED: Final = 2
