@@ -6,31 +6,14 @@ from typing import Literal
 from pydantic import Field
 
 from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.config_files import Section
 from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import LossCertificate, MadeFor
+from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
 from hil.control.motion import MotionModel
 from hil.control.predictor import LoadCancelling, PredictorSettings
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
-
-
-class PredictorFigures(Section):
-    """``figures``: what the design found; see docs/predictor.md."""
-
-    load_nm: float = Field(gt=0)
-    """The step of the load that it was designed for."""
-    peak_over_floor: float = Field(gt=0)
-    """After that step, at the worst instant between two samples."""
-    peak_over_floor_inertia_70_percent: float = Field(gt=0)
-    peak_over_floor_inertia_130_percent: float = Field(gt=0)
-    gamma: float = Field(gt=0)
-    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
-    delay_margin_us: float = Field(ge=0)
-    torque_noise_nm: float = Field(ge=0)
-    """Rms of the command by the encoder's noise."""
 
 
 class PredictorController(AxisController):
@@ -55,7 +38,7 @@ class PredictorController(AxisController):
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: LossCertificate | None = None
-    figures: PredictorFigures | None = None
+    figures: LoopFigures | None = None
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis, which brings its predictor."""
