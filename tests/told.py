@@ -10,12 +10,16 @@ what
 shows, and commit it.
 """
 
+import copy
 import os
 import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
+
+from drivers.errors import BenchError
 
 ROOT: Final = Path(__file__).parents[1]
 ANEW: Final = "SERVOBENCH_TELL_ANEW"
@@ -54,3 +58,46 @@ def hold(text: str, path: Path) -> None:
 
 def _numbers(line: str) -> list[float]:
     return [float(number) for number in NUMBER.findall(line)]
+
+
+VALUES: Final = (-1, 0, 1, 0.5, 1e12, "x", True)
+"""What is put in the place of every value in turn; beside that it is left out."""
+_ENTRIES_MAX: Final = 1
+"""Of a list: the others are like them."""
+
+
+def struck(tables: Mapping[str, Any], load: Callable[[dict[str, Any]], object]) -> list[str]:
+    """What ``load`` says of ``tables`` with each value left out and replaced in turn, a line an answer."""
+    lines = []
+    for path in _paths(tables):
+        answers: dict[str, list[str]] = {}
+        for value in (None, *VALUES):
+            changed = copy.deepcopy(dict(tables))
+            node: Any = changed
+            for step in path[:-1]:
+                node = node[step]
+            if value is None:
+                del node[path[-1]]
+            else:
+                node[path[-1]] = value
+            try:
+                load(changed)
+            except BenchError as error:
+                answer = re.sub(r"found .*?, expected", "expected", str(error))
+            else:
+                answer = "accepted"
+            answers.setdefault(answer, []).append(f"{value!r}")
+        name = ".".join(map(str, path))
+        lines += [f"{name} = {', '.join(values)}: {answer}" for answer, values in answers.items()]
+    return lines
+
+
+def _paths(node: object, above: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    children: Iterable[tuple[str | int, object]] = ()
+    if isinstance(node, Mapping):
+        children = node.items()
+    elif isinstance(node, list):
+        children = enumerate(node[:_ENTRIES_MAX])
+    for step, child in children:
+        yield (*above, step)
+        yield from _paths(child, (*above, step))
