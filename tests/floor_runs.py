@@ -18,14 +18,9 @@ from design.speed.speed_pid import first_order_current_loop, pid_by_rule
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.studies.speed.hinf import design_speed_hinf, hinf_controller_of
-from hil.studies.speed.predictor import (
-    PredictorDrive,
-    PredictorNetwork,
-    PredictorResult,
-    controller_of,
-    design_speed_predictor,
-)
+from hil.studies.speed.dynamic import PredictorDrive, PredictorNetwork
+from hil.studies.speed.hinf import design_speed_hinf
+from hil.studies.speed.predictor import PredictorResult, design_speed_predictor
 from tests.shaft_run import ShaftRun, run_watched
 
 PERIOD_S = 1e-3
@@ -123,7 +118,7 @@ def predictor(case: Case) -> PredictorResult:
 
 def table_of(found: PredictorResult) -> dict[str, Any]:
     """[controller] without ``made_for``: it also runs on another inertia."""
-    return controller_of(found).model_dump(mode="json", exclude={"made_for", "figures"})
+    return found.controller().model_dump(mode="json", exclude={"made_for", "figures"})
 
 
 def hinf(case: Case) -> dict[str, Any]:
@@ -136,7 +131,7 @@ def hinf(case: Case) -> dict[str, Any]:
         case.load_nm,
         0.05 * motor.rated_torque_nm,
     )
-    return hinf_controller_of(found).model_dump(mode="json", exclude={"made_for", "figures"})
+    return found.controller().model_dump(mode="json", exclude={"made_for", "figures"})
 
 
 def observing(case: Case) -> dict[str, Any]:
@@ -175,7 +170,7 @@ def observing(case: Case) -> dict[str, Any]:
     )
     c = controller(best.x)
     matrices = {name: getattr(c, name).tolist() for name in ("A", "B", "L", "C")}
-    told = hinf_controller_of(made).model_dump(mode="json", exclude={"made_for", "figures"})
+    told = made.controller().model_dump(mode="json", exclude={"made_for", "figures"})
     return told | matrices | {"D": c.D}
 
 

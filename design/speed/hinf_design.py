@@ -17,7 +17,6 @@ import scipy.optimize
 
 from design.delay.delay_loop import Array
 from design.errors import DesignError, InfeasibleDesign
-from design.hinf.margins import Margins
 from design.speed.conditioned import Conditioned, conditioned, truncated
 from design.speed.hinf_loop import HinfLoop
 from design.speed.hinf_problem import (
@@ -27,6 +26,7 @@ from design.speed.hinf_problem import (
     design_controller,
     weighted_norms,
 )
+from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
 from design.speed.predictor_design import INERTIAS, PHASES, PredictorRequest
 
 _MARGIN_STEP = 0.1
@@ -49,7 +49,6 @@ _INTEGRAL = 0.3
 _EVALUATIONS = 60
 _ORDER_PRICE = 2e-3
 """What the reduction may add to the cost."""
-LOST = 5
 _SEARCH = 20
 """Steps of a period in which the delay margin is sought."""
 
@@ -168,29 +167,12 @@ def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
     return made
 
 
-@dataclass(frozen=True, slots=True)
-class HinfRobustness:
-    """Figures of the loop with the reduced controller: exact; peaks are of trials without noise."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HinfRobustness(LoopRobustness):
+    """With the reduced controller."""
 
-    peak_over_floor: float
-    peak_over_floor_inertia_less: float
-    peak_over_floor_inertia_more: float
-    peak_over_floor_lost: float
-    """Of its own floor, with five samples lost in a row before the first that tells of the step."""
-    gain: float
-    """L2 gain from load torque to speed error, rad/s per N m, every sample coming."""
-    gain_inertia_less: float
-    gain_inertia_more: float
-    gain_current_loop_slower: float
-    """With half the bandwidth; inf: unstable."""
-    bandwidths: tuple[float, float]
-    """Of the current loop, in shares of its own, between which the loop is stable, by steps of a tenth, down
-    to a half and up to twice."""
     uncertainty_norm: float
     """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
-    margins: Margins
-    delay_margin_s: float
-    command_noise_nm: float
 
 
 def hinf_robustness(made: HinfDesign) -> HinfRobustness:
@@ -206,22 +188,12 @@ def hinf_robustness(made: HinfDesign) -> HinfRobustness:
         gain_inertia_less=made.loop(inertia=0.7).gain(),
         gain_inertia_more=made.loop(inertia=1.3).gain(),
         gain_current_loop_slower=made.loop(current=0.5).gain(),
-        bandwidths=(_bandwidth(made, -0.1, 0.5), _bandwidth(made, 0.1, 2.0)),
+        bandwidths=stable_bandwidths(lambda share: made.loop(current=share).spectral_radius() < 1.0),
         uncertainty_norm=float(np.max(weighted_norms(made.problem, made.controller.K, omega))),
         margins=made.loop().margins(),
         delay_margin_s=_delay_margin_s(made),
         command_noise_nm=made.noise_nm,
     )
-
-
-def _bandwidth(made: HinfDesign, step: float, end: float) -> float:
-    """The last share of the current loop's bandwidth on the way to ``end`` with which the loop is stable."""
-    reached = 1.0
-    while abs(end - reached) > 0.5 * abs(step):
-        if made.loop(current=reached + step).spectral_radius() >= 1.0:
-            return reached
-        reached += step
-    return reached
 
 
 def _delay_margin_s(made: HinfDesign) -> float:

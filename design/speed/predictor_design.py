@@ -18,9 +18,9 @@ import scipy.optimize
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import peak_floor_rad_s
 from design.errors import InfeasibleDesign
-from design.hinf.margins import Margins
 from design.motor import PmsmParameters
 from design.sampled.held_loop import Operation
+from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
 from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
 from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_model, of_state, plant_of
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
@@ -204,33 +204,14 @@ def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float |
     return low
 
 
-@dataclass(frozen=True, slots=True)
-class PredictorRobustness:
-    """Figures of a predictor. Those of its loop are exact, for constant gains: of the quiet filter."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictorRobustness(LoopRobustness):
+    """For constant gains, of the quiet filter; the loop is stable, and has its delay margin, with both."""
 
-    peak_over_floor: float
-    peak_over_floor_inertia_less: float
-    peak_over_floor_inertia_more: float
-    peak_over_floor_lost: float
-    """Of its own floor, with five samples lost in a row before the first that tells of the step."""
-    gain: float
-    """L2 gain from load torque to speed error, rad/s per N m, every sample coming."""
-    gain_inertia_less: float
-    gain_inertia_more: float
-    gain_current_loop_slower: float
-    """With half the bandwidth; inf: unstable."""
-    bandwidths: tuple[float, float]
-    """Of the current loop, in shares of its own, between which the loop is stable with both filters; by steps
-    of a tenth, down to a half and up to twice."""
     gains_found: tuple[float, ...]
     """With 1, 2 .. samples lost after each that comes."""
-    margins: Margins
-    delay_margin_s: float
-    """The smaller one of the two filters."""
-    command_noise_nm: float
 
 
-LOST = 5
 _SETTLED = 300
 """Rounds after which the covariance repeats itself."""
 
@@ -246,6 +227,12 @@ def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRo
         loop = PredictorLoop(prediction, request.plant.changed(inertia, current))
         return loop.gain(loop.chain(L))
 
+    filters = [kalman.observer(walk) for walk in (found.walks.quiet, found.walks.bold)]
+
+    def stable(share: float) -> bool:
+        loop = PredictorLoop(prediction, request.plant.changed(current=share))
+        return all(map(loop.is_stable, filters))
+
     return PredictorRobustness(
         peak_over_floor=found.ratio(),
         peak_over_floor_inertia_less=found.ratio(0.7),
@@ -255,27 +242,12 @@ def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRo
         gain_inertia_less=gain(inertia=0.7),
         gain_inertia_more=gain(inertia=1.3),
         gain_current_loop_slower=gain(current=0.5),
-        bandwidths=(_bandwidth(found, -0.1, 0.5), _bandwidth(found, 0.1, 2.0)),
+        bandwidths=stable_bandwidths(stable),
         gains_found=tuple(losses_gain(found, [lost]) for lost in range(1, losses_max + 1)),
         margins=own.margins(L),
-        delay_margin_s=min(
-            delay_margin_s(prediction, kalman.observer(walk))
-            for walk in (found.walks.quiet, found.walks.bold)
-        ),
+        delay_margin_s=min(delay_margin_s(prediction, gains) for gains in filters),
         command_noise_nm=own.torque_noise_nm(L, request.speed_noise_rad_s),
     )
-
-
-def _bandwidth(found: PredictorDesign, step: float, end: float) -> float:
-    """The last share of the current loop's bandwidth on the way to ``end`` with which the loop is stable."""
-    gains = [found.request.kalman.observer(walk) for walk in (found.walks.quiet, found.walks.bold)]
-    reached = 1.0
-    while abs(end - reached) > 0.5 * abs(step):
-        loop = PredictorLoop(found.prediction, found.request.plant.changed(current=reached + step))
-        if not all(loop.is_stable(L) for L in gains):
-            return reached
-        reached += step
-    return reached
 
 
 def losses_gain(made: PredictorDesign, losses: Sequence[int]) -> float:

@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final
 
+from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SDO_REQUEST, SERVICES, TPDOS
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtState
-from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST
 from drivers.errors import NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
@@ -22,8 +22,11 @@ KNOCK_EVERY_NS: Final = Duration(2 * NS_PER_MS)
 KNOCK_WAIT_NS: Final = Duration(150 * NS_PER_MS)
 """For the last answers."""
 ROUNDS: Final = 2
+"""A request or its answer may be lost; twice in a row is rare on a bus on which anything works."""
 SDO_TIMEOUT_S: Final = 0.2
+"""CiA 301 sets no limit; devices answer within some milliseconds, slow ones within a tenth of a second."""
 SDO_ATTEMPTS: Final = 3
+"""As for :data:`ROUNDS`, and the device is known to be there: it may be busy."""
 _UPLOAD = 0x40
 _ASKED_FOR = bytes((DEVICE_TYPE & 0xFF, DEVICE_TYPE >> 8, 0))
 """Index and sub-index as they stand in a request and in its answer."""
@@ -106,14 +109,7 @@ class Traffic:
         return self.broadcasts["SYNC"] > 0 or any(seen["PDO"] for seen in self.by_node.values())
 
 
-_BROADCASTS = {0x000: "NMT", 0x080: "SYNC", 0x100: "TIME", 0x7E4: "LSS answer", 0x7E5: "LSS request"}
-_KINDS = {
-    0x080: "EMCY",
-    **dict.fromkeys(range(0x180, 0x580, 0x80), "PDO"),
-    SDO_ANSWER: "SDO answer",
-    SDO_REQUEST: "SDO request",
-    0x700: "heartbeat",
-}
+_KINDS = SERVICES | dict.fromkeys(TPDOS | RPDOS, "PDO")
 
 
 class BusScan:
@@ -182,8 +178,8 @@ class BusScan:
         kind = _KINDS.get(can_id & 0x780)
         if foreign:
             traffic.others += 1
-        elif can_id in _BROADCASTS:
-            traffic.broadcasts[_BROADCASTS[can_id]] += 1
+        elif can_id in BROADCASTS:
+            traffic.broadcasts[BROADCASTS[can_id]] += 1
         elif kind is not None and can_id & 0x7F:
             traffic.by_node.setdefault(can_id & 0x7F, Counter())[kind] += 1
         else:

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import Final
 
+from drivers.canopen.cob_ids import SYNC
 from drivers.exchange import Master
 from drivers.timebase import Clock, Instant
 from drivers.wire.link import BusLink
 
-SYNC: Final = 0x080
 NEVER: Final = Instant(1 << 62)
 
 Handler = Callable[[bytes, Instant], None]

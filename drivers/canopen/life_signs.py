@@ -2,11 +2,11 @@
 
 from typing import Final
 
+from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.frame_pump import NEVER
 from drivers.timebase import Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
-ERROR_CONTROL: Final = 0x700
 _OPERATIONAL: Final = b"\x05"
 _ANSWER_BYTES: Final = 1
 """A remote frame has the length of the answer that it asks for (CiA 301 7.2.8.3.2.1)."""

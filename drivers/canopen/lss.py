@@ -14,11 +14,11 @@ from collections.abc import Iterator
 from struct import Struct
 from typing import NamedTuple
 
+from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
 from drivers.canopen.network import CanopenNetwork
 from drivers.errors import NoAnswer, PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
-REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
 ANSWER_NS = Duration(20 * NS_PER_MS)
 """Wait for an answer of a fast scan; half of the 128 steps wait for all of it."""
 PATIENCE_NS = Duration(500 * NS_PER_MS)
@@ -79,12 +79,12 @@ class LssMaster:
         self._answers: list[bytes] = []
         self._followed: tuple[int, ...] | None = None
         """The parts that devices have confirmed, which are asked for the next one now."""
-        network.listen(ANSWER_ID, lambda data, _at: self._answers.append(data))
+        network.listen(LSS_ANSWER, lambda data, _at: self._answers.append(data))
 
     def close(self) -> None:
         """Leave all devices in LSS state waiting and listen no more."""
         self.to_waiting()
-        self._network.unlisten(ANSWER_ID)
+        self._network.unlisten(LSS_ANSWER)
 
     def to_waiting(self) -> None:
         """Every device leaves the configuration state; one that has got its node-ID boots (CiA 305 6.4.1)."""
@@ -291,7 +291,7 @@ class LssMaster:
         return [first, *(answer for answer in self._answers if len(answer) == 8 and answer[0] == request[0])]
 
     def _send(self, request: bytes) -> None:
-        self._network.link.send(REQUEST_ID, request.ljust(8, b"\x00"))
+        self._network.link.send(LSS_REQUEST, request.ljust(8, b"\x00"))
 
 
 def _beside(branch: _Branch, address: LssAddress) -> Iterator[_Branch]:

@@ -12,14 +12,13 @@ from typing import Any
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
+from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.frame_pump import NEVER, FramePump, Handler
-from drivers.canopen.life_signs import ERROR_CONTROL, LifeSigns
+from drivers.canopen.life_signs import LifeSigns
 from drivers.canopen.nmt import Emergency, NodeStatus, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtCommand
 from drivers.canopen.sdo import (
-    SDO_ANSWER,
     SDO_ATTEMPTS,
-    SDO_REQUEST,
     AnswerQueue,
     DownloadPost,
     PostedDownload,
@@ -31,7 +30,6 @@ from drivers.errors import AnswersTwice, NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
 from drivers.wire.link import BusLink
 
-EMERGENCY = 0x080
 MASTER_NODE_ID = 127
 SURPLUS_BORNE = 2
 """SDO answers too many of which nothing is made: an adapter may repeat a frame. Two nodes give one for each

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 from struct import Struct, calcsize
 
+from drivers.canopen.cob_ids import RPDOS, TPDOS
 from drivers.canopen.objects import RemoteObjects, SettingRefused
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
@@ -62,8 +63,8 @@ class PdoDirection(Enum):
         """Predefined connection set (CiA 301 table 39), PDO 1 to 4."""
         if not 1 <= number <= _PDOS_LOOKED_AT:
             raise ValueError(f"PDO {number} has no predefined identifier")
-        first = 0x180 if self is PdoDirection.TRANSMIT else 0x200
-        return first + 0x100 * (number - 1) + node_id
+        first = TPDOS if self is PdoDirection.TRANSMIT else RPDOS
+        return list(first)[number - 1] + node_id
 
 
 @dataclass(frozen=True, slots=True)

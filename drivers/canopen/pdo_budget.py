@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from drivers.canopen.cob_ids import SYNC
 from drivers.canopen.pdo import PdoMap, PdoPlan, frame_bits_max, mapping_text
 from drivers.timebase import NS_PER_S, Duration
 
-SYNC_ID = 0x080
 LOAD_LIMIT_PERCENT = 80.0
 """Above it heartbeats, EMCYs and SDOs wait too long: with 20 % left one SDO transfer fits in two cycles."""
 _SDO_BYTES = 8
@@ -63,7 +63,7 @@ class Budget(NamedTuple):
 
 def budget_of(plans: Iterable[PdoPlan], period_ns: Duration, bitrate_bit_s: int) -> Budget:
     """The frames of a cycle: SYNC, every TPDO, and every RPDO once; a statusword told on change seldom."""
-    lines = [_line("SYNC", SYNC_ID, 0, bitrate_bit_s, 1.0, "")]
+    lines = [_line("SYNC", SYNC, 0, bitrate_bit_s, 1.0, "")]
     for plan in plans:
         for pdo in plan:
             share, length = pdo.times_a_cycle(period_ns), (pdo.bits + 7) // 8

@@ -15,6 +15,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError
 
+from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.owed import Owed
 from drivers.errors import NoAnswer, PeerFault, TransferAborted
 from drivers.timebase import Duration, Instant, duration_s
@@ -22,8 +23,6 @@ from drivers.timebase import Duration, Instant, duration_s
 # canopen logs each repeated request as a warning. Whoever wants to read that sets up logging for it.
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
-SDO_REQUEST = 0x600
-SDO_ANSWER = 0x580
 SDO_ATTEMPTS = 6
 """Requests sent before a node is given up; so many answers may then still be under way."""
 

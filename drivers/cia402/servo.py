@@ -43,7 +43,9 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 RELEASE_LIMIT: Final = Duration(3 * NS_PER_S)
 _CONNECT_TRY_S: Final = 0.1
+"""A drive that is there answers within milliseconds; one that boots is asked again soon."""
 _SETTLE_NS: Final = 50 * NS_PER_MS
+"""For an NMT command, which nobody confirms: devices carry it out within some milliseconds."""
 
 
 class ServoDrive(Drive):

@@ -58,6 +58,7 @@ TYPES: Final[Mapping[str, tuple[int, bool]]] = MappingProxyType({
 })  # fmt: skip
 """Data types by their names in CiA 301: octets, and whether signed."""
 _POLE_PAIRS_MAX: Final = 200
+"""Torque motors have some tens; beyond this the object holds something else."""
 
 
 class NotTold(ValueError):

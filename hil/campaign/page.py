@@ -23,6 +23,7 @@ _MEMBERS: Final = "/members"
 _GREEN, _RED = (112, 224, 128), (255, 74, 96)
 _INK: Final = (235, 235, 235)
 _GREY: Final = 60
+"""Of 255: cells without runs."""
 _MARGIN: Final = 0.5
 """Of a cell, about the map."""
 

@@ -27,7 +27,10 @@ Floats = NDArray[np.float64]
 RESAMPLES: Final = 2000
 """Of a bootstrap: the ends of a 95 % interval rest on 50 of them each."""
 _PRIOR: Final = 0.5
+"""Jeffreys' prior of a rate, Beta(1/2, 1/2): the bound holds for any, and is narrow for this at rates near
+0 and 1."""
 _EDGE: Final = 1e-15
+"""Nearest to 0 and 1 at which the logarithms of the likelihood are still told apart."""
 
 
 class ConfidenceInterval(NamedTuple):

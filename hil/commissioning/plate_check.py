@@ -10,6 +10,7 @@ from hil.commissioning.request import POLE_PAIRS_MAX
 from hil.commissioning.session import Session, nameplate_wins
 
 _RATING_TOLERANCE: Final = 0.03
+"""Plates are printed with three digits, and 6075h and 6076h hold whole mA and mN m."""
 _RATING_SLIP: Final = 1.5
 """Between two words for one rating, as stall and continuous torque: more is a slip of plate or drive."""
 

@@ -43,6 +43,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 ENABLE_LIMIT_S: Final = 3.0
+"""A drive that charges its DC link or releases a brake takes a second or two."""
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
 PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
 SETTLE: Final = Duration(20 * NS_PER_MS)
@@ -52,6 +53,7 @@ _FRAMES_TO_ACT: Final = 5.8
 _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
+"""The worst case of stuffing included; the rest is for SDO, heartbeats and what others send."""
 _HOST_LOST: Final = 0x8130
 """EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 

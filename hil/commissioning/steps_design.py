@@ -27,13 +27,19 @@ _NOISE_TORQUE: Final = 0.05
 _GAIN_DELAY: Final = 0.6
 """Crossing frequency times delay of the designs, about."""
 _LOAD_MAX_PERCENT: Final = 60.0
+"""Less than a commissioning takes: more drives and other devices are to come."""
 _ROOM: Final = 1.25
+"""The delays that were measured are medians; a quarter more holds their spread."""
 _VERIFY_SHARE: Final = 0.5
+"""Of the limit of speed: what overshoots stays within it."""
 _RAMP_S: Final = 0.25
+"""Long against the speed loop, so that a plateau is reached without a step in torque."""
 _HOLD_S: Final = 0.5
+"""Its second half is judged: the loop has settled by then."""
 _ERROR_MAX: Final = 0.02
 """Of the plateau's speed, rms."""
 _UNITS_MAX: Final = 3.0
+"""Of 606Ch, where these are coarse: its rounding, and what the loop makes of it."""
 
 
 class Suggest(Step):

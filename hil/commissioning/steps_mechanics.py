@@ -34,7 +34,9 @@ _TORQUE_SHARE: Final = 0.6
 _RAMP_S: Final = 0.25
 """The shortest ramp: two windows of the identification and more."""
 _SLOWER: Final = 2.5
+"""A drive in a speed mode follows a ramp by its own loop, whose lag has to be short against it."""
 _PLATEAU_S: Final = 0.4
+"""Long against the speed loop that holds it; the torque of its second part is friction alone."""
 _PLATEAUS: Final = (0.3, 0.65, 1.0)
 """Of the top speed: three speeds, or viscous and Coulomb friction could not be told apart."""
 _COAST_S_MAX: Final = 2.0

@@ -21,8 +21,11 @@ _PATIENCE: Final = 4.0
 _LATE: Final = 1.5
 """A reaction later than so many time-outs fails the step."""
 _SILENT_PERIODS: Final = 5
+"""Readings that stay away for so long: the drive answers no SYNC any more, and is asked for its state."""
 _REST_S: Final = 0.3
+"""A shaft that an offset of the torque drives has crept visibly by then."""
 _REST_TURNS: Final = 0.01
+"""3.6 degrees: more than what a drive settles by when its controllers are switched on."""
 
 
 class SetUp(Step):

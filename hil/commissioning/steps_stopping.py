@@ -26,11 +26,15 @@ _PROOF_SHARE: Final = 0.1
 """Of the limit of speed: a hundredth of its energy."""
 _RUN_UP_S: Final = 0.3
 _HOLD_S: Final = 0.2
+"""The speed has settled before it is stopped."""
 _SLOWER: Final = 1.5
 """The ramp is the drive's, but its controller lags, and a stop begins within a cycle of its own."""
 _REST_UNITS: Final = 2
+"""Of position: an encoder that stands between two counts flickers by one."""
 _REST_READINGS: Final = 5
+"""So many in a row within :data:`_REST_UNITS`; a shaft that turns round stands for less."""
 _FIT_READINGS: Final = 10
+"""The speed out of positions, over so many: a count is a tenth of the error then."""
 
 
 class StopSettings(Step):

@@ -47,9 +47,11 @@ _RATIO_ERROR: Final = 0.01
 _RATIO_ERROR_MAX: Final = 0.1
 """Twice of it tells the nearest two factors that occur, 1.25 apart."""
 _LOOKS: Final = 4
+"""Each over a longer path, as far as the limits allow one."""
 _FARTHER: Final = 4.0
 """Each look leads so many times as far as the one before."""
 _WORTH_IT: Final = 1.5
+"""A path that is not half as long again brings no visibly better ratio."""
 _PULSE_SPEED_SHARE: Final = 0.5
 """Of the speed limit, that a longer pulse may come up to: its speed goes with the root of its path."""
 _RATIO_TOLERANCE: Final = 0.03

@@ -32,6 +32,7 @@ _SPEED_SHARE: Final = 0.95
 _PUSH_SHARE: Final = 0.3
 """Of the torque limit, beside what friction takes: a run-up of a second or two."""
 _LOOK_S: Final = 0.15
+"""Between two looks at the speed: long enough for the shaft to show whether it still gains."""
 _END_S: Final = 0.02
 """Of a run-up that ends at the limit of speed."""
 _STALLED: Final = 0.1
@@ -39,6 +40,7 @@ _STALLED: Final = 0.1
 _VOLTAGE_V: Final = (5.0, 1500.0)
 """A DC link that drives motors; 6079h is in mV, and some drives tell other units."""
 _PLATE_RATIO: Final = 1.5
+"""DC link and losses are known to a tenth or two; 1.73, lines taken for phases, is beyond it."""
 _USED: Final = 0.05
 """k = 2, relative: what dead times and the room for current measurement take of the DC link."""
 _DROP: Final = 0.08

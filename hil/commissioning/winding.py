@@ -19,6 +19,7 @@ _CONSTANT: Final = "torque_constant_nm_a"
 _CONSTANT_TOLERANCE: Final = 0.1
 """Between the torque constant that was told and the measured one: magnets differ by percents."""
 _SLIP_TOLERANCE: Final = 0.05
+"""Slips lie a fifth and more apart, and a plate is good to some percent."""
 _ALIKE: Final = 0.02
 """Raw values are rounded."""
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from drivers.canopen.frame_pump import SYNC
+from drivers.canopen.cob_ids import BROADCASTS, EMERGENCY, NODE_BITS, SYNC
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.observed import NUMBERS, with_observed
@@ -25,8 +25,6 @@ FRAME_BITS_WITHOUT_DATA = 47
 """Of a data frame with 11-bit identifier, stuff bits apart, interframe space included (ISO 11898-1)."""
 STUFFED_BITS_WITHOUT_DATA = 34
 """Of those, the bits from the start of the frame to its CRC; each four after the first five may add one."""
-_BROADCASTS = (0x000, 0x080, 0x100, 0x7E4, 0x7E5)
-"""NMT, SYNC, TIME and LSS (CiA 301, 7.3.5)."""
 LOAD_DELAY_MAX_S = (1 << 32) * NS_PER_US // NS_PER_S
 """Of 2100h:5, 32 bits of microseconds."""
 TOLERANCE = 1.0 + 1e-9
@@ -205,8 +203,8 @@ def _background(config: BenchConfig) -> Iterator[Fault]:
                 if entry.bytes_max or entry.remote:
                     yield f"{key}[{index}].bytes_max", entry.bytes_max, "0: a SYNC without counter", ""
                 continue
-            taken = entry.can_id in _BROADCASTS or (entry.can_id > 0x80 and entry.can_id & 0x7F in nodes)
-            if taken and not entry.extended:
+            of_node = entry.can_id > EMERGENCY and entry.can_id & NODE_BITS in nodes
+            if (of_node or entry.can_id in BROADCASTS) and not entry.extended:
                 expected = (
                     "an identifier that CiA 301 gives neither to the whole network nor to a node of the bench"
                 )

@@ -4,13 +4,14 @@ A new kind is its class in ``hil/control``, its section here, and its place in t
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
 from design.speed.position_loop import PositionDesign, design_position
 from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.configuration.config_files import Section
+from hil.configuration.controller_section import AxisController
 from hil.configuration.drive_file import LoopOfDrive
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.predictor_section import PredictorController
@@ -22,6 +23,7 @@ from hil.control.own_code import OBJECT_PATTERN, guarded_compensator, guarded_co
 from hil.control.positions import PositionLoop, SetPointStream
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Compensator, Controller
+from hil.loop.scenario import Quantity
 
 
 class ArrivalCompensator(Section):
@@ -56,7 +58,7 @@ class TunedFor(Section):
     current_loop: LoopOfDrive = Field(description="the table [controller.made_for.current_loop]")
 
 
-class PidController(Section):
+class PidController(AxisController):
     """u = Kp e + Ki int(e) - Kd s/(1 + s Tf) omega + Bff omega*, torque out of speed error."""
 
     kind: Literal["pid"]
@@ -80,7 +82,7 @@ class PidController(Section):
 Gains = Annotated[tuple[Gain, ...], Field(strict=False, min_length=2, max_length=3)]
 
 
-class StateFeedbackController(Section):
+class StateFeedbackController(AxisController):
     """u = K x with x = [i_q* - i_q, omega* - omega] and u = i_q* - i_qr, [Ling2012] (2.4) and (2.14).
 
     A third gain acts on the integral of the speed error.
@@ -118,7 +120,7 @@ class SpeedLoopOfDrive(Section):
         return design_position(period / NS_PER_S, self.delay_us / 1e6, bandwidth_rad_s)
 
 
-class PositionController(Section):
+class PositionController(AxisController):
     """omega_set = K (theta* - theta) + F omega*, speed set-points out of the position error; for csv."""
 
     kind: Literal["position"]
@@ -127,6 +129,10 @@ class PositionController(Section):
     feedforward: float = Field(default=1.0, ge=0, le=2)
     """F: of the reference's own speed."""
     made_for: SpeedLoopOfDrive = Field(description="a table with delay_us and speed_bandwidth_hz")
+    gives: ClassVar = (Quantity.SPEED,)
+
+    def follows(self, given: Quantity) -> Quantity:  # noqa: ARG002
+        return Quantity.POSITION
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis."""
@@ -139,10 +145,14 @@ class PositionController(Section):
         return PositionLoop(gain_per_s, self.feedforward, lead)
 
 
-class StreamController(Section):
+class StreamController(AxisController):
     """The reference itself as set-points: positions in csp, speeds in csv, torques in cst."""
 
     kind: Literal["stream"]
+    gives: ClassVar = tuple(Quantity)
+
+    def follows(self, given: Quantity) -> Quantity:
+        return given
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis."""
@@ -168,8 +178,13 @@ class OwnCompensator(OwnCode):
         return guarded_compensator(self.object, self.parameters, setup)
 
 
-class OwnController(OwnCode):
+class OwnController(OwnCode, AxisController):
     """A controller of one's own."""
+
+    gives: ClassVar = tuple(Quantity)
+
+    def follows(self, given: Quantity) -> None:
+        """Any."""
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis; runs the code. Raises BadInput if it is none."""
@@ -179,16 +194,24 @@ class OwnController(OwnCode):
 CompensatorSection = Annotated[
     ArrivalCompensator | StampCompensator | OwnCompensator, Field(discriminator="kind")
 ]
-ControllerSection = Annotated[
+AnyController = (
     PidController
     | StateFeedbackController
     | PredictorController
     | HinfSection
     | PositionController
     | StreamController
-    | OwnController,
-    Field(discriminator="kind"),
-]
+    | OwnController
+)
+ControllerSection = Annotated[AnyController, Field(discriminator="kind")]
+
+
+def controllers_giving(given: Quantity) -> list[str]:
+    """The kinds of controllers whose set-points are ``given``."""
+    sections: tuple[type[AxisController], ...] = get_args(AnyController)
+    return [
+        get_args(section.model_fields["kind"].annotation)[0] for section in sections if given in section.gives
+    ]
 
 
 class ControllerFile(Section):

@@ -6,9 +6,9 @@ from pydantic import Field, model_validator
 
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_US
-from hil.configuration.config_files import Section
+from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import LossCertificate, MadeFor, Rows
+from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor, Rows
 from hil.control.hinf import HinfFeedback, HinfSettings
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
@@ -17,25 +17,7 @@ _ORDER_MAX = 64
 Vector = Annotated[tuple[Gain, ...], Field(strict=False, min_length=1, max_length=_ORDER_MAX)]
 
 
-class HinfFigures(Section):
-    """``figures``: what the design found; see docs/control.md."""
-
-    load_nm: float = Field(gt=0)
-    """The step of the load that it was designed for."""
-    peak_over_floor: float = Field(gt=0)
-    """After that step, at the worst instant between two samples."""
-    peak_over_floor_inertia_70_percent: float = Field(gt=0)
-    peak_over_floor_inertia_130_percent: float = Field(gt=0)
-    norm: float = Field(gt=0)
-    """H-infinity norm of the weighted problem."""
-    gamma: float = Field(gt=0)
-    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
-    delay_margin_us: float = Field(ge=0)
-    torque_noise_nm: float = Field(ge=0)
-    """Rms of the command by the encoder's noise."""
-
-
-class HinfSection(Section):
+class HinfSection(AxisController):
     """x+ = A x + B e + L (u_sent - feed-forward), u = C x + D e + feed-forward; e is the speed error."""
 
     kind: Literal["hinf"]
@@ -51,7 +33,7 @@ class HinfSection(Section):
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: LossCertificate | None = None
-    figures: HinfFigures | None = None
+    figures: LoopFigures | None = None
 
     @model_validator(mode="after")
     def _shapes(self) -> "HinfSection":

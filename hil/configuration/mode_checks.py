@@ -7,6 +7,7 @@ from drivers.errors import MISSING
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config import BenchConfig
 from hil.configuration.config_axis import DriveConfig
+from hil.configuration.controller_kinds import controllers_giving
 from hil.configuration.references import Reference, peak_level, peak_rate
 from hil.loop.scenario import Quantity
 
@@ -15,13 +16,6 @@ Fault = tuple[str, object, str, str]
 
 GIVEN: Final = {"cst": Quantity.TORQUE, "csv": Quantity.SPEED, "csp": Quantity.POSITION}
 """What a drive takes in its mode."""
-_SPEED_LOOPS: Final = ("pid", "state_feedback", "predictor", "hinf")
-_KINDS: Final = {
-    "cst": (*_SPEED_LOOPS, "stream", "python"),
-    "csv": ("position", "stream", "python"),
-    "csp": ("stream", "python"),
-}
-"""Kinds of controllers whose set-points a mode takes."""
 _OF_SPEEDS: Final = ("speed_error_peak_percent_max", "after_load_percent_max", "speed_error_rms_rad_s_max")
 _OF_POSITIONS: Final = ("position_error_peak_rad_max", "position_error_rms_rad_max")
 
@@ -36,23 +30,18 @@ def quantity_of(config: BenchConfig, axis: str) -> Quantity:
 
 def _taken(drive: DriveConfig) -> Quantity | None:
     """The reference that a drive's controller takes; None: any."""
-    kind = drive.controller.kind
-    if kind in _SPEED_LOOPS:
-        return Quantity.SPEED
-    if kind == "stream":
-        return GIVEN[drive.mode]
-    return Quantity.POSITION if kind == "position" else None
+    return drive.controller.follows(GIVEN[drive.mode])
 
 
 def mode_faults(config: BenchConfig) -> Iterator[Fault]:
     """What does not go with a drive's mode."""
     for axis in config.axes:
         drive = config.drive[axis]
-        kinds, kind = _KINDS[drive.mode], drive.controller.kind
-        if kind not in kinds:
-            key = f"drive.{axis}.controller.kind"
-            given = f"the drive is given {GIVEN[drive.mode].value}s"
-            yield key, kind, f'one of {", ".join(kinds)}: in mode = "{drive.mode}" {given}', ""
+        given = GIVEN[drive.mode]
+        if given not in drive.controller.gives:
+            key, kinds = f"drive.{axis}.controller.kind", ", ".join(controllers_giving(given))
+            expected = f'one of {kinds}: in mode = "{drive.mode}" the drive is given {given.value}s'
+            yield key, drive.controller.kind, expected, ""
         yield from _limits_of_mode(f"drive.{axis}.limits", drive)
         if drive.mode != "cst" and config.loop.command_readback == "event":
             expected = f'"sync": {axis} is in {drive.mode}, and 6074h is the demand of a torque mode'

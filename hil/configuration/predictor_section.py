@@ -6,9 +6,9 @@ from typing import Literal
 from pydantic import Field
 
 from drivers.timebase import NS_PER_US, Duration
-from hil.configuration.config_files import Section
+from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
-from hil.configuration.speed_controller_file import LossCertificate, MadeFor
+from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
 from hil.control.motion import MotionModel
 from hil.control.predictor import LoadCancelling, PredictorSettings
@@ -16,23 +16,7 @@ from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
 
 
-class PredictorFigures(Section):
-    """``figures``: what the design found; see docs/predictor.md."""
-
-    load_nm: float = Field(gt=0)
-    """The step of the load that it was designed for."""
-    peak_over_floor: float = Field(gt=0)
-    """After that step, at the worst instant between two samples."""
-    peak_over_floor_inertia_70_percent: float = Field(gt=0)
-    peak_over_floor_inertia_130_percent: float = Field(gt=0)
-    gamma: float = Field(gt=0)
-    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
-    delay_margin_us: float = Field(ge=0)
-    torque_noise_nm: float = Field(ge=0)
-    """Rms of the command by the encoder's noise."""
-
-
-class PredictorController(Section):
+class PredictorController(AxisController):
     """The state is predicted to the instant at which a command acts, and the load is cancelled."""
 
     kind: Literal["predictor"]
@@ -54,7 +38,7 @@ class PredictorController(Section):
     made_for: MadeFor | None = None
     """The network and the drive that it was designed for; ``hil run`` refuses others."""
     certificate: LossCertificate | None = None
-    figures: PredictorFigures | None = None
+    figures: LoopFigures | None = None
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis, which brings its predictor."""

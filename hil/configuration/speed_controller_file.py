@@ -105,6 +105,24 @@ class LossCertificate(Section):
         return self.sequences.gain_certified
 
 
+class LoopFigures(Section):
+    """``figures`` of a controller with states of its own: what the design found; see docs/control.md."""
+
+    load_nm: float = Field(gt=0)
+    """The step of the load that it was designed for."""
+    peak_over_floor: float = Field(gt=0)
+    """After that step, at the worst instant between two samples."""
+    peak_over_floor_inertia_70_percent: float = Field(gt=0)
+    peak_over_floor_inertia_130_percent: float = Field(gt=0)
+    norm: float | None = Field(default=None, gt=0)
+    """Of H-infinity alone: of the weighted problem."""
+    gamma: float = Field(gt=0)
+    """L2 gain from load torque to speed error, rad/s per N m, of the sampled loop without losses."""
+    delay_margin_us: float = Field(ge=0)
+    torque_noise_nm: float = Field(ge=0)
+    """Rms of the command by the encoder's noise."""
+
+
 class Certificate(Section):
     """``certificate``: what is proved of the loop with the constant delay, and of the sampled one."""
 

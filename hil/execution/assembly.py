@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.canopen.cob_ids import SYNC
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.exchange import Drive
 from drivers.rotation import RAD_S_PER_RPM
@@ -42,7 +43,7 @@ from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_b
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.frame import Frame
 
-SYNC_FRAME = Frame(0x080)
+SYNC_FRAME = Frame(SYNC)
 FRAME_BITS_BARE = 44
 """Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
 PATIENCE_SIMULATED_S = 10.0

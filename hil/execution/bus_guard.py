@@ -14,14 +14,14 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from drivers.canopen.frame_pump import SYNC, Handler
-from drivers.canopen.life_signs import ERROR_CONTROL
-from drivers.canopen.network import EMERGENCY, CanopenNetwork
+from drivers.canopen.cob_ids import EMERGENCY, ERROR_CONTROL, NMT, SDO_REQUEST, SYNC
+from drivers.canopen.frame_pump import Handler
+from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX
 from drivers.canopen.owed import Owed
 from drivers.canopen.pdo import PdoMap
-from drivers.canopen.sdo import SDO_REQUEST, object_name
+from drivers.canopen.sdo import object_name
 from drivers.cia402.servo import ServoDrive
 from drivers.errors import PeerFault
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
@@ -36,7 +36,6 @@ ERRORS_A_SECOND_MAX: Final = 16
 """A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
 limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
 _BOOT_UP: Final = b"\x00"
-_NMT: Final = 0x000
 _CONSUMER_HEARTBEAT: Final = 0x1016
 _SDO_WRITE: Final = 1
 """Client command specifier of initiate download, CiA 301 7.2.4.3.3."""
@@ -190,7 +189,7 @@ class BusGuard:
 
     def _watch_own_identifiers(self, name: str | None, segment: GuardedSegment, own_sync: bool) -> None:
         network = segment.network
-        own = [_NMT, ERROR_CONTROL + network.node_id, *([SYNC] if own_sync else [])]
+        own = [NMT, ERROR_CONTROL + network.node_id, *([SYNC] if own_sync else [])]
         for drive in segment.drives:
             own += [pdo.cob_id for pdo in drive.plan.rpdos] if drive.plan is not None else []
             self._listen_too(name, SDO_REQUEST + drive.node_id, self._request_watcher(drive.node_id))

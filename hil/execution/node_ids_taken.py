@@ -8,10 +8,9 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-from drivers.canopen.life_signs import ERROR_CONTROL
-from drivers.canopen.network import EMERGENCY, CanopenNetwork
+from drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
+from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NODE_ID_MAX
-from drivers.canopen.sdo import SDO_ANSWER
 from drivers.errors import BadInput, NoAnswer, PeerFault
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
@@ -24,17 +23,6 @@ ANSWER_LIMIT_S: Final = 0.1
 ATTEMPTS: Final = 2
 DEVICE_TYPE: Final = 0x1000
 DEVICE_NAME: Final = 0x1008
-
-_SENT_BY_NODES: Final = {
-    EMERGENCY: "an EMCY",
-    0x180: "a TPDO1",
-    0x280: "a TPDO2",
-    0x380: "a TPDO3",
-    0x480: "a TPDO4",
-    SDO_ANSWER: "an SDO answer",
-    ERROR_CONTROL: "a heartbeat",
-}
-"""Predefined connection set (CiA 301 7.3.5): what a node itself sends, by its identifier's upper bits."""
 
 
 def refuse_taken(
@@ -71,9 +59,9 @@ def _heard(link: BusLink, clock: Clock, nodes: Collection[int]) -> dict[int, str
     heard: dict[int, str] = {}
     until = Instant(clock.now() + LISTEN_FOR)
     while (received := link.recv(until)) is not None:
-        kind, node = _SENT_BY_NODES.get(received[0] & 0x780), received[0] & 0x7F
+        kind, node = SENT_BY_NODES.get(received[0] & ~NODE_BITS), received[0] & NODE_BITS
         if kind is not None and node in nodes:
-            heard[node] = kind
+            heard[node] = f"{'an' if kind[0] in 'ES' else 'a'} {kind}"
         if clock.now() >= until:
             break
     return heard

@@ -9,7 +9,7 @@ the order of the segments where it arrives at one instant.
 
 from collections.abc import Callable, Mapping, Sequence
 
-from drivers.canopen.frame_pump import SYNC
+from drivers.canopen.cob_ids import SYNC
 from drivers.canopen.network import CanopenNetwork
 from drivers.exchange import Master
 from drivers.timebase import Clock, Duration, Instant

@@ -6,7 +6,7 @@ from enum import Enum
 
 import can
 
-from drivers.canopen.frame_pump import SYNC
+from drivers.canopen.cob_ids import SYNC
 from drivers.errors import BadInput, BusDown
 from drivers.timebase import NS_PER_S, Duration
 from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from drivers.canopen.bus_scan import NODES
+from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand
-from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
 from drivers.errors import BusDown, NoAnswer, PeerFault
@@ -34,6 +34,7 @@ _ASK_EVERY: Final = Duration(NS_PER_MS)
 """A frame of eight bytes takes 1 ms at 125 kbit/s."""
 _ASK_WAIT: Final = Duration(50 * NS_PER_MS)
 _SDO_TIMEOUT_S: Final = 0.05
+"""Somebody waits for drives to stop: who is silent for so long is stopped by NMT."""
 _UPLOAD: Final = 0x40
 _DOWNLOAD_TWO_BYTES: Final = 0x2B
 _UPLOADED: Final = 2

@@ -42,7 +42,9 @@ from hil.rows.records import Rows
 from virtual_bus.drive.servo import SimulatedServo
 
 CONNECT_LIMIT_S: Final = 5.0
+"""A device that was just switched on boots in a second or two."""
 ENABLE_LIMIT_S: Final = 2.0
+"""A drive that charges its DC link or releases a brake takes a second or so."""
 
 Say = Callable[[str], None]
 

@@ -25,13 +25,17 @@ from virtual_bus.child_python import python_command, python_environment
 
 SIZE: Final = "1920x1080"
 _START_MAX_NS: Final = 30 * NS_PER_S
+"""It starts in a second or two; on a busy machine without a GPU in ten."""
 _LOAD_MAX_NS: Final = 300 * NS_PER_S
 """An hour with three axes takes half a minute on two slow processors."""
 _GREETING_NS: Final = 5 * NS_PER_S
 """For so long the viewer shows a notice over the page."""
 _SETTLE_TRIES: Final = 40
+"""At :data:`_POLL_NS`: eight seconds for a page to stop changing."""
 _EVIDENCE_MAX: Final = 200
+"""Characters of what a viewer said last; its logs are long."""
 _POLL_NS: Final = 200 * NS_PER_MS
+"""Nobody sees a fifth of a second where a picture takes several."""
 _REMEDY: Final = (
     "it needs a Vulkan driver, for which a software one will do: apt-get install mesa-vulkan-drivers"
 )

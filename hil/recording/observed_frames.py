@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.canopen.cob_ids import SDO_ANSWER
 from drivers.canopen.pdo import PdoDirection
-from drivers.canopen.sdo import SDO_ANSWER
 from drivers.cia402.observed import NUMBERS
 from hil.rows.recording_plan import ObservedDrive, ObservedSignal
 

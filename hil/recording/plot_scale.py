@@ -23,6 +23,7 @@ _TICKS_MAX: Final = 8.0
 _MANTISSA_MAX: Final = 3.0
 """More ticks of the smaller power of ten would take the room of the other plots."""
 _MARGIN: Final = 0.15
+"""Of the range, on each side: a curve does not lie upon the frame."""
 
 
 def lanes_px(lanes: int) -> float:

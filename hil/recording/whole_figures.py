@@ -25,6 +25,7 @@ _DRAWN: Final = {
     "torque": ("torque/measured", "torque/command", "torque/load", "torque/brake"),
 }
 _MARGIN: Final = 1.15
+"""Bars end below the frame, with room for the label above the largest."""
 
 
 def in_view(limit: float, signal: float) -> bool:

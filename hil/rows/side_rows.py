@@ -56,6 +56,7 @@ class EventKind(IntEnum):
 LEVELS: tuple[str, ...] = ("INFO", "WARN", "ERROR", "CRITICAL")
 
 TEXT_BYTES: Final = 500
+"""With it a row has 512."""
 EVENT: Final = struct.Struct(f"<qBBH{TEXT_BYTES}s")
 EVENT_DTYPE: Final = np.dtype(
     [("at", "<i8"), ("kind", "u1"), ("level", "u1"), ("length", "<u2"), ("text", "u1", (TEXT_BYTES,))]

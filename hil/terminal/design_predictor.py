@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from design.motor import PmsmParameters
     from design.sampled.held_loop import SampledNetwork
     from hil.configuration.drive_current_loop import KnownLoop
-    from hil.studies.speed.predictor import PredictorNetwork
+    from hil.studies.speed.dynamic import PredictorNetwork
 
 _PERIOD_MS = 1.0
 _ENCODER_COUNTS = 65_536
@@ -129,14 +129,9 @@ def finish_predictor(
 ) -> None:
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
-    from hil.studies.speed.hinf import HinfResult, certified_hinf, design_speed_hinf, write_hinf
-    from hil.studies.speed.predictor import (
-        PredictorDrive,
-        PredictorResult,
-        certified_predictor,
-        design_speed_predictor,
-        write_predictor,
-    )
+    from hil.studies.speed.dynamic import PredictorDrive
+    from hil.studies.speed.hinf import design_speed_hinf
+    from hil.studies.speed.predictor import design_speed_predictor
 
     drive = PredictorDrive(
         inner.bandwidth_hz,
@@ -148,22 +143,16 @@ def finish_predictor(
     noise_nm = options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm
     over = _network(options, delay_s, network)
     load = load_nm or motor.rated_torque_nm
-    found: HinfResult | PredictorResult
+    design = design_speed_hinf if structure == "hinf" else design_speed_predictor
     on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")
     try:
-        if structure == "hinf":
-            found = certified_hinf(design_speed_hinf(motor, drive, over, load, noise_nm))
-        else:
-            found = certified_predictor(design_speed_predictor(motor, drive, over, load, noise_nm))
+        made = design(motor, drive, over, load, noise_nm).certified()
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
-    figures = {"current_bandwidth_from": inner.key, **found.figures}
+    figures = {"current_bandwidth_from": inner.key, **made.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        if isinstance(found, HinfResult):
-            write_hinf(out, found)
-        else:
-            write_predictor(out, found)
+        made.write(out)
         say_written(out)
 
 
@@ -171,7 +160,7 @@ def _network(
     options: PredictorOptions, delay_s: float | None, network: "SampledNetwork | None"
 ) -> "PredictorNetwork":
     """``delay_s``: the age that a sample reaches, period included, as elsewhere in this command."""
-    from hil.studies.speed.predictor import PredictorNetwork
+    from hil.studies.speed.dynamic import PredictorNetwork
 
     if network is not None:
         own = {"--period-ms": options.period_ms, "--losses-max": options.losses_max}

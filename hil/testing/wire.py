@@ -12,6 +12,7 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
+from drivers.canopen.cob_ids import ERROR_CONTROL, SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.pdo import PdoDirection, PdoPlan
 from drivers.cia402.bench_modes import BENCH_MODES
 from drivers.cia402.objects402 import Object
@@ -32,7 +33,6 @@ SHOWN_MAX = 5
 """Frames that a message lists."""
 _LINE = re.compile(r"\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#(R?)([0-9A-F]*)\n?")
 _PATTERN = re.compile(r"(?P<id>[0-9A-Fa-f.]{3}|[0-9A-Fa-f.]{8})#(?P<data>R|[0-9A-Fa-f.]*)(?P<rest>\*?)")
-SDO_REQUEST = 0x600
 _SDO_WRITE = 0x20
 """Initiate download: the upper three bits of the command (CiA 301 7.2.4.3.3)."""
 _STANDARD_DIGITS = 3
@@ -201,10 +201,10 @@ def intended_frames(host_node: int, node: int, plan: PdoPlan) -> list[Intended]:
     rules = [
         Intended("000#....", True),
         Intended("080#", True),
-        Intended(f"{0x700 + host_node:03X}#05", True),
-        Intended(f"{0x600 + node:03X}#{'.' * 16}", True),
-        Intended(f"{0x580 + node:03X}#{'.' * 16}", False),
-        Intended(f"{0x700 + node:03X}#..", False),
+        Intended(f"{ERROR_CONTROL + host_node:03X}#05", True),
+        Intended(f"{SDO_REQUEST + node:03X}#{'.' * 16}", True),
+        Intended(f"{SDO_ANSWER + node:03X}#{'.' * 16}", False),
+        Intended(f"{ERROR_CONTROL + node:03X}#..", False),
     ]
     for pdo in plan:
         sent = pdo.direction is PdoDirection.RECEIVE

@@ -1,7 +1,8 @@
 """A seeded sample of mutants over the lines of the product, held against the unit tests of their rooms.
 
-A mutant is judged by those test files of its room that call the function that it is in. Which they are is
-found out once for each state of the tree, which takes some minutes, and kept in build/.
+A mutant is judged by those test files of its room that call the function that it is in; in a module that
+numba compiles, whose calls nobody sees, by those that import it. Which they are is found out once for each
+state of the tree, which takes some minutes, and kept in build/.
 """
 
 import hashlib
@@ -78,9 +79,21 @@ def callers(mutant: Mutant, calls: Calls, room: str) -> list[str]:
     """The test files of a room that call the mutant's function; those that call least come first, as they
     are about it."""
     home = f"tests/unit/{room}/"
-    place = (mutant.place.file, mutant.function_line)
+    file = mutant.place.file
+    place = (file, 0 if file in _unseen() else mutant.function_line)
     found = [test for test, called in calls.items() if test.startswith(home) and place in called]
     return sorted(found, key=lambda test: len(calls[test]))
+
+
+@cache
+def _unseen() -> set[str]:
+    """Modules whose functions numba compiles."""
+    paths = (path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+    return {
+        path.relative_to(ROOT).as_posix()
+        for path in paths
+        if "\nimport numba\n" in path.read_text(encoding="utf-8")
+    }
 
 
 def _digest() -> str:

@@ -142,3 +142,13 @@ def test_a_mutant_is_judged_by_its_room_and_first_by_the_test_that_is_about_it()
     }
     assert room_of(mutant) == "hil"
     assert callers(mutant, calls, "hil") == ["tests/unit/hil/test_f.py", "tests/unit/hil/test_wide.py"]
+
+
+def test_what_numba_compiles_is_judged_by_who_imports_it() -> None:
+    file = "virtual_bus/drive/motor_kernel.py"
+    mutant = mutants_of(file, (ROOT / file).read_text(encoding="utf-8"))[-1]
+    assert mutant.function_line > 0
+    home = "tests/unit/virtual_bus/test_motor.py"
+    assert callers(mutant, {home: [(file, 0)], "tests/unit/virtual_bus/test_b.py": []}, "virtual_bus") == [
+        home
+    ]

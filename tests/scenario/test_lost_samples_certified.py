@@ -12,12 +12,8 @@ from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from hil.execution.network_guard import certified_plans
-from hil.studies.speed.predictor import (
-    PredictorDrive,
-    PredictorNetwork,
-    controller_of,
-    design_speed_predictor,
-)
+from hil.studies.speed.dynamic import PredictorDrive, PredictorNetwork
+from hil.studies.speed.predictor import design_speed_predictor
 from tests.floor_runs import Case
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -96,7 +92,7 @@ def test_the_predictor_of_a_file_is_the_one_that_is_certified() -> None:
     drive = PredictorDrive(800.0, 65_536, 500.0, 20e3, 1e-4)
     network = PredictorNetwork(1e-3, 1e-3, 1, measured=False)
     result = design_speed_predictor(LING2012.parameters, drive, network, 0.6, 0.1)
-    design, written = result.design, controller_of(result)
+    design, written = result.design, result.controller()
     assert (written.torque_gain, written.speed_gain_nm_s_rad) == tuple(design.F[:2])
     assert (written.load_noise_nm_sqrt_s, written.load_noise_max_nm_sqrt_s) == (
         design.walks.quiet,

@@ -10,6 +10,7 @@ from typing import Final
 from drivers.timebase import Duration, Instant
 
 CHECKPOINTS_MAX: Final = 4_096
+"""Ends of frames, 32 kB: a second of a full bus at 500 kbit/s is in them frame by frame."""
 
 
 class BusLoad:

@@ -50,13 +50,19 @@ from virtual_bus.frame import Frame
 from virtual_bus.timeline import Event, Timeline
 
 CLIENTS_MAX: Final = 64
+"""More than a lab has on one bus; each costs the broker a copy of every frame."""
 OUTBOX_MAX: Final = 8_192
 """Frames kept for a client beyond what its socket holds: about a second of a full bus at 1 Mbit/s."""
 LINGER_NS: Final = 2 * NS_PER_S
+"""Between the end of a run and the next one the bus stays, with its place and its clock."""
 _HELLO_PATIENCE_NS: Final = 5 * NS_PER_S
+"""A client says who it is at once; a process of a busy machine may be kept waiting for seconds."""
 _RETRY_LEAVING_NS: Final = 100 * NS_PER_MS
+"""Somebody holds the lock of the place, who is about to join: a moment."""
 _WAIT_MAX_NS: Final = 60 * NS_PER_S
+"""Of one ``select``; nothing is due, and a longer wait brings nothing."""
 _PACKETS_PER_TURN: Final = 64
+"""Of one client in a row, so that one that floods does not keep the others from the bus."""
 _NEVER: Final = Instant(1 << 62)
 
 

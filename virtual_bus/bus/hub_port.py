@@ -28,7 +28,9 @@ from virtual_bus.bus.hub_protocol import (
 from virtual_bus.frame import Frame
 
 _WAIT_MAX_S: Final = 3_600.0
+"""Of one ``poll``, whose milliseconds are a C int; the wait goes on after it."""
 _ANSWER_MAX_S: Final = 5.0
+"""The broker answers at once; a process of a busy machine may be kept waiting for seconds."""
 _ASK_AGAIN_S: Final = 0.01
 """Another thread that reads may have taken in the answer."""
 

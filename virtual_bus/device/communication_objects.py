@@ -1,5 +1,6 @@
 """The communication profile of a simulated device, 1000h..1FFFh, with its defaults (CiA 301, 7.5.2)."""
 
+from drivers.canopen.cob_ids import EMERGENCY, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen.data_types import DataType
 from virtual_bus.device.device_options import DeviceOptions, PdoDefault
 from virtual_bus.device.eds_export import export_eds
@@ -31,14 +32,14 @@ def _add_errors(dictionary: ObjectDictionary, options: DeviceOptions) -> None:
     history.add(0, "Number of errors", U8, RW)
     for subindex in range(1, options.error_history + 1):
         history.add(subindex, f"Standard error field {subindex}", U32, RO)
-    dictionary.add(0x1014, "COB-ID EMCY", U32, RW, default=0x80, node_relative=True)
+    dictionary.add(0x1014, "COB-ID EMCY", U32, RW, default=EMERGENCY, node_relative=True)
     dictionary.add(0x1015, "Inhibit time EMCY", U16, RW)
     behaviour = dictionary.add_array(0x1029, "Error behaviour")
     behaviour.add(1, "Communication error", U8, RW)
 
 
 def _add_sync(dictionary: ObjectDictionary) -> None:
-    dictionary.add(0x1005, "COB-ID SYNC message", U32, RW, default=0x80)
+    dictionary.add(0x1005, "COB-ID SYNC message", U32, RW, default=SYNC)
     dictionary.add(0x1006, "Communication cycle period", U32, RW)
     dictionary.add(0x1007, "Synchronous window length", U32, RW)
     dictionary.add(0x1019, "Synchronous counter overflow value", U8, RW)
@@ -83,8 +84,8 @@ def _add_storage(dictionary: ObjectDictionary) -> None:
 
 def _add_sdo_server(dictionary: ObjectDictionary) -> None:
     record = dictionary.add_record(0x1200, "SDO server parameter")
-    record.add(1, "COB-ID client to server (rx)", U32, RO, default=0x600, node_relative=True)
-    record.add(2, "COB-ID server to client (tx)", U32, RO, default=0x580, node_relative=True)
+    record.add(1, "COB-ID client to server (rx)", U32, RO, default=SDO_REQUEST, node_relative=True)
+    record.add(2, "COB-ID server to client (tx)", U32, RO, default=SDO_ANSWER, node_relative=True)
 
 
 def _add_rpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault, entries: int) -> None:

@@ -4,6 +4,7 @@
 
 from typing import Final
 
+from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
 from drivers.timebase import NS_PER_MS, Instant
@@ -15,7 +16,6 @@ from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
 
-ERROR_CONTROL: Final = 0x700
 HEARTBEAT_ERROR: Final = 0x8130
 """EMCY: life guard or heartbeat error (CiA 301, table 26)."""
 

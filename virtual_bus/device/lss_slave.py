@@ -17,6 +17,7 @@ It is the host's controller that runs at that rate; where the host cannot set on
 from collections.abc import Callable
 from enum import IntEnum
 
+from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, Instant
@@ -24,8 +25,6 @@ from virtual_bus.device.parameter_storage import ParameterStore
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
 
-REQUEST_ID = 0x7E5
-RESPONSE_ID = 0x7E4
 NODE_ID_KEY = (0x0000, 1)
 """Where the node-ID is kept in the parameter store: no object has this index."""
 BIT_RATE_KEY = (0x0000, 2)
@@ -91,7 +90,7 @@ class LssSlave:
         self._services |= dict.fromkeys(range(Lss.SELECT_FIRST, Lss.SELECT_LAST + 1), self._select)
         self._services |= dict.fromkeys(range(Lss.IDENTIFY_FIRST, Lss.IDENTIFY_LAST + 1), self._identify)
         self._services |= dict.fromkeys(range(Lss.INQUIRE_FIRST, Lss.INQUIRE_LAST + 1), self._inquire)
-        station.listen(REQUEST_ID, self._on_request)
+        station.listen(LSS_REQUEST, self._on_request)
 
     def follow_bit_rate(self, set_bit_rate: Callable[[int], None]) -> None:
         """Call ``set_bit_rate(bit/s)`` when the host's controller is to run at another rate."""
@@ -119,7 +118,7 @@ class LssSlave:
             service(frame.data, now)
 
     def _answer(self, command: int, data: bytes = b"") -> None:
-        self._station.out.append(Frame(RESPONSE_ID, (bytes([command]) + data).ljust(8, b"\x00")))
+        self._station.out.append(Frame(LSS_ANSWER, (bytes([command]) + data).ljust(8, b"\x00")))
 
     def _identity(self, part: int) -> int:
         """Vendor-ID, product code, revision number, serial number."""

@@ -13,6 +13,7 @@ node-ID stays there until LSS gives it one.
 
 from collections.abc import Callable
 
+from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.timebase import Instant
 from virtual_bus.device.sdo_abort import AbortCode
@@ -37,7 +38,6 @@ ERROR_BEHAVIOUR: dict[int, dict[NmtState, NmtState]] = {
 """1029h: by its value, what each state becomes on an error; a state left out stays (CiA 301, 7.5.2.32)."""
 
 NMT_CAN_ID = 0x000
-BOOT_UP = 0x700
 
 StateListener = Callable[[NmtState, Instant], None]
 
@@ -78,7 +78,7 @@ class NmtSlave:
 
     def boot_up(self, now: Instant) -> None:
         """INITIALISING is over: boot-up message, PRE-OPERATIONAL (CiA 301, 7.2.8.3.3)."""
-        self._station.out.append(Frame(BOOT_UP + self._station.node_id, b"\x00"))
+        self._station.out.append(Frame(ERROR_CONTROL + self._station.node_id, b"\x00"))
         self.enter(NmtState.PRE_OPERATIONAL, now)
 
     def on_communication_error(self, now: Instant) -> None:

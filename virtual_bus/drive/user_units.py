@@ -33,6 +33,7 @@ _MILLI_RPM_PER_REV_S: Final = 60_000
 _WRAP: Final = 1 << 32
 _HALF: Final = 1 << 31
 _EQUAL: Final = 1e-12
+"""Ratios of integers below 2^32, rounded once: a factor of one differs by less, any other by far more."""
 
 
 class UserUnits:

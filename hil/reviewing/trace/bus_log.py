@@ -31,6 +31,7 @@ _GZIP_MAGIC: Final = b"\x1f\x8b"
 _LINE_MAX: Final = 1024
 """A line of candump -x -a with 64 bytes has 330."""
 _SHOWN_MAX: Final = 60
+"""Of a line that is no frame: enough to know it by, on a line of the terminal."""
 
 
 class BusLog:

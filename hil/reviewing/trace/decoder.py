@@ -3,10 +3,22 @@
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from drivers.canopen.sdo import SDO_ANSWER, SDO_REQUEST, abort_text, object_name
+from drivers.canopen.cob_ids import (
+    EMERGENCY,
+    ERROR_CONTROL,
+    LSS_ANSWER,
+    LSS_REQUEST,
+    NMT,
+    NODE_BITS,
+    SDO_ANSWER,
+    SDO_REQUEST,
+    SYNC,
+    TIME,
+)
+from drivers.canopen.sdo import abort_text, object_name
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.log_frame import LogFrame
-from hil.reviewing.trace.lss_words import LSS_ANSWER, LSS_REQUEST, lss_text
+from hil.reviewing.trace.lss_words import lss_text
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 from hil.reviewing.trace.pdo_book import PdoBook
@@ -20,7 +32,6 @@ from hil.reviewing.trace.service_words import (
 )
 from hil.reviewing.trace.trace_entry import TraceEntry
 
-_NMT, _SYNC, _TIME, _EMCY, _ERROR_CONTROL = 0x000, 0x080, 0x100, 0x080, 0x700
 _NO_OBJECT: Final = (0x0602_0000, 0x0609_0011)
 """Abort codes of an object or a sub-index that is not there (CiA 301 table 22)."""
 _IDENTITY: Final = 0x1018
@@ -62,8 +73,8 @@ class BusDecoder:
         if frame.extended or frame.fd:
             what = "CAN FD frame" if frame.fd else "29-bit identifier"
             return [_entry(frame, "other", None, f"{what}: no CANopen")]
-        can_id, node = frame.can_id, frame.can_id & 0x7F
-        service = can_id & 0x780
+        can_id, node = frame.can_id, frame.can_id & NODE_BITS
+        service = can_id & ~NODE_BITS
         if can_id in (LSS_REQUEST, LSS_ANSWER):
             answer = can_id == LSS_ANSWER
             text = ("answer: " if answer else "") + lss_text(frame.data, answer)
@@ -72,9 +83,9 @@ class BusDecoder:
             return [self._broadcast(frame)]
         if service in (SDO_REQUEST, SDO_ANSWER) and not frame.remote:
             return self._take_sdo(frame, node, answer=service == SDO_ANSWER)
-        if service == _ERROR_CONTROL:
+        if service == ERROR_CONTROL:
             return [self._error_control(frame, node)]
-        if service == _EMCY and not frame.remote:
+        if service == EMERGENCY and not frame.remote:
             objects = self._objects(node)
             code = int.from_bytes(frame.data[:2], "little") if len(frame.data) >= 2 else None
             text = emergency_text(node, frame.data, objects.make)
@@ -99,15 +110,15 @@ class BusDecoder:
     def _broadcast(self, frame: LogFrame) -> TraceEntry:
         if frame.remote:
             return self._process_data(frame)
-        if frame.can_id == _NMT:
+        if frame.can_id == NMT:
             node, text = nmt_text(frame.data)
             return _entry(frame, "nmt", node, text)
-        if frame.can_id == _SYNC:
+        if frame.can_id == SYNC:
             counter = frame.data[0] if len(frame.data) == 1 else None
             text = "SYNC" if counter is None else f"SYNC {counter}"
             entry = _entry(frame, "sync", None, text)
             return entry if counter is None else entry._replace(details=(("counter", counter),))
-        if frame.can_id == _TIME:
+        if frame.can_id == TIME:
             return _entry(frame, "time", None, time_text(frame.data))
         return self._process_data(frame)
 

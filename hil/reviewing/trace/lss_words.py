@@ -2,11 +2,7 @@
 
 from typing import Final
 
-from drivers.canopen.lss import ANSWER_ID as LSS_ANSWER
-from drivers.canopen.lss import REQUEST_ID as LSS_REQUEST
 from drivers.canopen.nmt_states import UNCONFIGURED
-
-__all__ = ["LSS_ANSWER", "LSS_REQUEST", "lss_text"]
 
 _PARTS: Final = ("vendor-ID", "product code", "revision number", "serial number")
 _IDENTIFY: Final = (

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import can
 import pytest
 
-from drivers.canopen.frame_pump import NEVER, SYNC, FramePump
+from drivers.canopen.cob_ids import SYNC
+from drivers.canopen.frame_pump import NEVER, FramePump
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, WireFrame
 from drivers.wire.link import BusLink

@@ -12,6 +12,7 @@ from virtual_bus.faults.log_kind import LATER, LogKind
 from virtual_bus.faults.node_fault import NodeFault, Slowness, Streams
 
 BOOT_MAX: Final = 600 * NS_PER_S
+"""No drive takes so long; beyond it stands a mistaken unit."""
 
 
 class SlowDrive(NodeFault):

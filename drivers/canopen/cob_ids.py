@@ -1,0 +1,31 @@
+"""CANopen's predefined connection set, CiA 301 7.3.5: which identifier means what."""
+
+from typing import Final
+
+NMT: Final = 0x000
+SYNC: Final = 0x080
+TIME: Final = 0x100
+LSS_ANSWER: Final = 0x7E4
+LSS_REQUEST: Final = 0x7E5
+
+# A service of one node: its node id is added.
+EMERGENCY: Final = 0x080
+SDO_ANSWER: Final = 0x580
+SDO_REQUEST: Final = 0x600
+ERROR_CONTROL: Final = 0x700
+"""Boot-up, heartbeat, node guarding."""
+
+NODE_BITS: Final = 0x07F
+"""Of an identifier: the node id; the others are the function code."""
+BROADCASTS: Final = {
+    NMT: "NMT command",
+    SYNC: "SYNC",
+    TIME: "TIME",
+    LSS_ANSWER: "LSS answer",
+    LSS_REQUEST: "LSS request",
+}
+TPDOS: Final = {0x180: "TPDO1", 0x280: "TPDO2", 0x380: "TPDO3", 0x480: "TPDO4"}
+RPDOS: Final = {0x200: "RPDO1", 0x300: "RPDO2", 0x400: "RPDO3", 0x500: "RPDO4"}
+SENT_BY_NODES: Final = TPDOS | {EMERGENCY: "EMCY", SDO_ANSWER: "SDO answer", ERROR_CONTROL: "heartbeat"}
+SERVICES: Final = SENT_BY_NODES | RPDOS | {SDO_REQUEST: "SDO request"}
+"""By function code."""
