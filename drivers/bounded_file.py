@@ -118,11 +118,11 @@ def parse_json(text: str, source: str, what: str, place: str = "") -> Any:
     """
     _check_form(text, source, place)
     try:
-        found = json.loads(text)
+        value = json.loads(text)
     except ValueError as error:
         raise BadInput(source, place, text[:60], what, str(error)) from None
-    _check_values(found, source, place)
-    return found
+    _check_values(value, source, place)
+    return value
 
 
 @contextmanager
@@ -225,9 +225,9 @@ def _check_form(text: str, source: str, place: str) -> None:
         raise BadInput(source, place or line, found, expected)
 
 
-def _check_values(found: Any, source: str, place: str) -> None:
+def _check_values(node: Any, source: str, place: str) -> None:
     """Refuse what no key takes: integers beyond 64 bits, inf and nan, and text with control characters."""
-    waiting: list[tuple[str, Any]] = [(place, found)]
+    waiting: list[tuple[str, Any]] = [(place, node)]
     while waiting:
         key, value = waiting.pop()
         if isinstance(value, dict):
@@ -249,5 +249,5 @@ def _no_toml(source: str, text: str, message: str) -> BadInput:
     place = re.search(r"line (\d+)", message)
     lines = text.splitlines()
     line = int(place.group(1)) if place else len(lines)
-    found = lines[line - 1].strip()[:60] if 0 < line <= len(lines) else ""
-    return BadInput(source, f"line {line}", found, "valid TOML", message)
+    at_fault = lines[line - 1].strip()[:60] if 0 < line <= len(lines) else ""
+    return BadInput(source, f"line {line}", at_fault, "valid TOML", message)

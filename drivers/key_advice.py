@@ -29,8 +29,8 @@ _UNIT_WORDS = frozenset(word for unit in UNITS for word in unit.split("/")) | {"
 
 def nearest(unknown: str, known: Iterable[str]) -> str | None:
     """The known word that looks most like ``unknown``; None if none does."""
-    found = difflib.get_close_matches(unknown, list(known), n=1, cutoff=0.6)
-    return found[0] if found else None
+    near = difflib.get_close_matches(unknown, list(known), n=1, cutoff=0.6)
+    return near[0] if near else None
 
 
 def same_quantity(unknown: str, known: Iterable[str]) -> str | None:

@@ -122,14 +122,14 @@ def _may_vanish(
 def _corners() -> Array:
     """(4, 16 pieces) offsets of r_d, r_q, L_d, L_q in spreads, the corners of a piece together."""
     cuts_r, cuts_l = (np.linspace(-1.0, 1.0, pieces + 1) for pieces in (_PIECES_R, _PIECES_L))
-    found = [
+    corners = [
         corner
         for i, j, m in itertools.product(range(_PIECES_R), range(_PIECES_L), range(_PIECES_L))
         for corner in itertools.product(
             cuts_r[i : i + 2], cuts_r[i : i + 2], cuts_l[j : j + 2], cuts_l[m : m + 2]
         )
     ]
-    return np.array(found).T
+    return np.array(corners).T
 
 
 _CORNERS = _corners()

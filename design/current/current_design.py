@@ -146,7 +146,7 @@ def roots(values: ComplexArray) -> list[list[float]]:
 
 def design_figures(design: AxisDesign, reduced: AxisDesign | None = None) -> dict[str, Any]:
     """What ``--json`` prints about one axis; zeros and poles as [real, imaginary] pairs, rad/s."""
-    found = design.margins
+    margins = design.margins
     stable = design.controller.is_stable()
     figures: dict[str, Any] = {
         "gain": design.form.gain,
@@ -154,11 +154,11 @@ def design_figures(design: AxisDesign, reduced: AxisDesign | None = None) -> dic
         "poles": roots(design.form.poles),
         "gamma_min": design.gamma_min,
         "closed_loop_norm": design.closed_loop_norm,
-        "gain_margin_db": found.gain_margin_db,
-        "gain_margin_rad_s": found.gain_margin_rad_s,
-        "phase_margin_deg": found.phase_margin_deg,
-        "phase_margin_rad_s": found.phase_margin_rad_s,
-        "modulus_margin": found.modulus_margin,
+        "gain_margin_db": margins.gain_margin_db,
+        "gain_margin_rad_s": margins.gain_margin_rad_s,
+        "phase_margin_deg": margins.phase_margin_deg,
+        "phase_margin_rad_s": margins.phase_margin_rad_s,
+        "modulus_margin": margins.modulus_margin,
         "steady_state_error": design.steady_state_error,
         "rise_time_s": design.step.rise_time_s,
         "settling_time_s": design.step.settling_time_s,

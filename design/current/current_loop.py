@@ -102,8 +102,8 @@ def lowest_rate_hz(
     def holds(rate_hz: float) -> bool:
         if rate_hz <= 1.05 * crossover_rad_s / math.pi:
             return False
-        found = sampled_figures(G, tustin(K, rate_hz, crossover_rad_s), delay_samples)
-        return found.spectral_radius < 1.0 and found.margins.modulus_margin >= modulus_margin
+        figures = sampled_figures(G, tustin(K, rate_hz, crossover_rad_s), delay_samples)
+        return figures.spectral_radius < 1.0 and figures.margins.modulus_margin >= modulus_margin
 
     found = lowest_rate(holds, 1e-3)
     if found is None:

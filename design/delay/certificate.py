@@ -109,12 +109,12 @@ def certified_gain_auto(model: SpeedModel, loop: DelayLoop, order_max: int = ORD
     failure: NoSolution | None = None
     for order in range(order_max + 1):
         try:
-            found = certified_gain(model, loop, order)
+            certified = certified_gain(model, loop, order)
         except NoSolution as error:
             failure = error
             continue
-        if best is None or found.gain < best.gain:
-            best = found
+        if best is None or certified.gain < best.gain:
+            best = certified
         if best.gain <= CLOSE_ENOUGH * exact:
             break
     if best is None:

@@ -109,29 +109,31 @@ def _positivity(unknowns: Unknowns, n: int, order: int) -> list[MatrixInequality
     moments.add(unknowns, "P", identity)
     for k in range(order):
         moments.add(unknowns, "Q", np.sqrt(2.0 * k + 1.0) * identity[:, (k + 1) * n : (k + 2) * n])
-    found = [moments]
+    blocks = [moments]
     for name in ("Q", "Z"):
         part = MatrixInequality.zero(unknowns, n)
         part.add(unknowns, name, np.eye(n))
-        found.append(part)
-    return found
+        blocks.append(part)
+    return blocks
 
 
 def _decrease(unknowns: Unknowns, signals: _Signals) -> MatrixInequality:
     """-V' as a form of the signals, without what the performance adds."""
-    found = MatrixInequality.zero(unknowns, signals.m)
-    found.add(unknowns, "P", -signals.moments, signals.moments_rate.T)
-    _add_form(found, unknowns, "Q", signals.now, -1.0)
-    _add_form(found, unknowns, "Q", signals.then, 1.0)
-    _add_form(found, unknowns, "Z", signals.rate, -1.0)
+    inequality = MatrixInequality.zero(unknowns, signals.m)
+    inequality.add(unknowns, "P", -signals.moments, signals.moments_rate.T)
+    _add_form(inequality, unknowns, "Q", signals.now, -1.0)
+    _add_form(inequality, unknowns, "Q", signals.then, 1.0)
+    _add_form(inequality, unknowns, "Z", signals.rate, -1.0)
     for k, projection in enumerate(signals.projections):
-        _add_form(found, unknowns, "Z", projection, 2.0 * k + 1.0)
-    return found
+        _add_form(inequality, unknowns, "Z", projection, 2.0 * k + 1.0)
+    return inequality
 
 
-def _add_form(found: MatrixInequality, unknowns: Unknowns, name: str, rows: Array, weight: float) -> None:
+def _add_form(
+    inequality: MatrixInequality, unknowns: Unknowns, name: str, rows: Array, weight: float
+) -> None:
     part = unknowns.slice_of(name)
-    found.coefficients[part] += weight * (rows @ unknowns.basis(name) @ rows.T)
+    inequality.coefficients[part] += weight * (rows @ unknowns.basis(name) @ rows.T)
 
 
 def gain_problem(loop: ScaledLoop, order: int, margin: float = STRICT) -> LmiProblem:

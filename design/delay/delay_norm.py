@@ -50,7 +50,7 @@ def crossings(loop: DelayLoop) -> list[Crossing]:
     function = loop_function(loop)
     a, b = function.denominator.plain, function.denominator.delayed
     W = _magnitude_squared(a) - _magnitude_squared(b)
-    found = []
+    angles = []
     for root in np.atleast_1d(np.polynomial.polynomial.polyroots(W)):
         if abs(root.imag) > 1e-9 * abs(root) or root.real <= 0.0:
             continue
@@ -58,8 +58,8 @@ def crossings(loop: DelayLoop) -> list[Crossing]:
         ratio = _at(a, w) / _at(b, w)
         delay = -cmath.phase(ratio) % (2.0 * math.pi) / w
         slope = float(np.polynomial.polynomial.polyval(root.real, np.polynomial.polynomial.polyder(W)))
-        found.append(Crossing(w / function.time_unit_s, delay * function.time_unit_s, slope >= 0.0))
-    return sorted(found, key=lambda crossing: crossing.frequency_rad_s)
+        angles.append(Crossing(w / function.time_unit_s, delay * function.time_unit_s, slope >= 0.0))
+    return sorted(angles, key=lambda crossing: crossing.frequency_rad_s)
 
 
 def unstable_roots(loop: DelayLoop) -> int:
@@ -147,11 +147,11 @@ def peaks(loop: DelayLoop, share: float = 0.5) -> list[Peak]:
     gains = function.magnitude(w)
     inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] > gains[2:])) + 1
     inner = inner[gains[inner] >= 0.9 * share * np.max(gains)]
-    found = [Peak(float(gains[0]), 0.0)]
+    all_peaks = [Peak(float(gains[0]), 0.0)]
     if len(inner):
         gain, at = _zoom(function, w[inner - 1], w[inner + 1])
-        found += [Peak(float(g), float(x) / function.time_unit_s) for g, x in zip(gain, at, strict=True)]
-    return found
+        all_peaks += [Peak(float(g), float(x) / function.time_unit_s) for g, x in zip(gain, at, strict=True)]
+    return all_peaks
 
 
 def sampled_norm(loop: DelayLoop) -> float:

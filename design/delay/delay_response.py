@@ -60,16 +60,16 @@ class DelayedSteps:
 
     def next(self, x: Array, before: Array, load: float) -> tuple[Array, Array]:
         """From the state (n,) at an interval's begin and the interval before: the interval, and its end."""
-        found = np.empty_like(before)
+        after = np.empty_like(before)
         for number in range(self._pieces):
             flat = (
                 self._from_start @ x
                 + self._from_delayed @ before[number].ravel()
                 + self._from_load[:, 0] * load
             )
-            found[number] = flat.reshape(_POINTS, self._n)
-            x = found[number, -1]
-        return found, x
+            after[number] = flat.reshape(_POINTS, self._n)
+            x = after[number, -1]
+        return after, x
 
     def fine(self, x: Array, interval: Array) -> Array:
         """States at equal steps from the interval's begin, where the state is ``x``, up to before its end."""

@@ -194,11 +194,11 @@ def _polished(
         return -float((_gain(weight, omega) * _largest(box, form, omega)[0])[0])
 
     at = math.log(worst[2])
-    found = scipy.optimize.minimize_scalar(
+    optimum = scipy.optimize.minimize_scalar(
         depth, bounds=(at - 0.1, at + 0.1), method="bounded", options={"xatol": 1e-10}
     )
-    if -found.fun <= reached:
+    if -optimum.fun <= reached:
         return reached, worst
-    omega = np.array([math.exp(found.x)])
+    omega = np.array([math.exp(optimum.x)])
     _, r, L = _largest(box, form, omega)
-    return -float(found.fun), (float(r[0]), float(L[0]), float(omega[0]))
+    return -float(optimum.fun), (float(r[0]), float(L[0]), float(omega[0]))

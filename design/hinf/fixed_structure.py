@@ -149,7 +149,7 @@ def _minimax(problem_of: _Scaled, structure: Structure, start: Array) -> Array:
             "type": "ineq",
             "fun": lambda x, r=responses, w=omega: x[-1] - np.log(values(x[:-1], w, r)),
         }
-        found = scipy.optimize.minimize(
+        optimum = scipy.optimize.minimize(
             lambda x: x[-1],
             np.append(theta, math.log(max(level, 1e-9))),
             jac=lambda x: np.eye(len(x))[-1],
@@ -157,8 +157,8 @@ def _minimax(problem_of: _Scaled, structure: Structure, start: Array) -> Array:
             method="SLSQP",
             options={"maxiter": 100, "ftol": 1e-10},
         )
-        if np.all(np.isfinite(found.x)) and values(found.x[:-1], fine, on_fine).max() < _BAD:
-            theta = found.x[:-1]
+        if np.all(np.isfinite(optimum.x)) and values(optimum.x[:-1], fine, on_fine).max() < _BAD:
+            theta = optimum.x[:-1]
         seen = values(theta, fine, on_fine)
         peak = float(fine[int(np.argmax(seen))])
         omega = np.unique(np.concatenate([omega, peak * np.array([0.97, 1.0, 1.03])]))

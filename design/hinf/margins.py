@@ -96,7 +96,7 @@ def _modulus_margin(L: Response, omega: Array, values: ComplexArray) -> tuple[fl
     def near(log_omega: float) -> float:
         return float(np.abs(1.0 + L(np.array([math.exp(log_omega)]))[0]))
 
-    found = scipy.optimize.minimize_scalar(near, bounds=bounds, method="bounded", options={"xatol": 1e-9})
-    if found.fun < distance[k]:
-        return float(found.fun), math.exp(found.x)
+    optimum = scipy.optimize.minimize_scalar(near, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    if optimum.fun < distance[k]:
+        return float(optimum.fun), math.exp(optimum.x)
     return float(distance[k]), float(omega[k])

@@ -192,8 +192,8 @@ def _without_constant(E: Array, W: Array) -> _Start | NoRiccatiSolution:
     if not unstable:
         return _Start(np.zeros_like(E), modes, True)
     scale = balancing_scales(E)
-    T, found, _, _, U, *_ = lapack.dgees(_is_right, (E * scale / scale[:, None]).T, sort_t=1)
-    if found != unstable:
+    T, stable, _, _, U, *_ = lapack.dgees(_is_right, (E * scale / scale[:, None]).T, sort_t=1)
+    if stable != unstable:
         return _meeting(np.concatenate([values, -values.conj()]))
     T, V = T[:unstable, :unstable], U[:, :unstable] / scale[:, None]
     Y, factor, _ = lapack.dtrsyl(T, T, V.T @ W @ V, trana="T")

@@ -71,14 +71,14 @@ def _peak(
     values = mu(omega)
     k = int(np.argmax(values))
     bounds = (math.log(omega[max(k - 1, 0)]), math.log(omega[min(k + 1, len(omega) - 1)]))
-    found = scipy.optimize.minimize_scalar(
+    optimum = scipy.optimize.minimize_scalar(
         lambda log_omega: -float(mu(np.array([math.exp(log_omega)]))[0]),
         bounds=bounds,
         method="bounded",
         options={"xatol": 1e-10},
     )
-    if -found.fun > values[k]:
-        return -float(found.fun), math.exp(found.x)
+    if -optimum.fun > values[k]:
+        return -float(optimum.fun), math.exp(optimum.x)
     return float(values[k]), float(omega[k])
 
 
@@ -123,6 +123,6 @@ def real_mu_upper_bound(M: ComplexArray, starts: int = 3) -> float:
     for k in range(starts):
         start = np.zeros(2 * n) if k == 0 else generator.normal(scale=1.0, size=2 * n)
         start[n:] += 0.1
-        found = scipy.optimize.minimize(bound, start, method="Nelder-Mead", options={"maxiter": 400})
-        best = min(best, float(found.fun))
+        optimum = scipy.optimize.minimize(bound, start, method="Nelder-Mead", options={"maxiter": 400})
+        best = min(best, float(optimum.fun))
     return best

@@ -86,20 +86,20 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
     """
     normal = normal_form(plant)
     problem = problem_of(normal)
-    found = evaluated(problem, gamma)
-    if isinstance(found, Fails) or _inaccuracy(found, _ERROR_MAX, math.inf):
+    solved = evaluated(problem, gamma)
+    if isinstance(solved, Fails) or _inaccuracy(solved, _ERROR_MAX, math.inf):
         least = gamma_min(plant)
         if gamma < least:
-            condition = found.condition if isinstance(found, Fails) else "by rounding"
+            condition = solved.condition if isinstance(solved, Fails) else "by rounding"
             raise InfeasibleDesign(
                 f"gamma = {gamma:.9g}",
                 f"gamma_min is {least:.9g} ({condition})",
                 "take a larger gamma, or relax the weights",
             )
         gamma = max(factor * least for factor, _ in _VERIFIED if factor * least <= gamma)
-        found = evaluated(problem, gamma)
-    assert isinstance(found, Solved)
-    return _controllers(normal, gamma, found, plant.controls)
+        solved = evaluated(problem, gamma)
+    assert isinstance(solved, Solved)
+    return _controllers(normal, gamma, solved, plant.controls)
 
 
 def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> float:
@@ -132,17 +132,17 @@ def _doubt(
 ) -> DesignError | None:
     """Why it cannot be said that every gamma above ``gamma`` is feasible; None if it can."""
     for factor, level in _VERIFIED:
-        found = evaluated(problem, factor * gamma)
-        if isinstance(found, Fails):
-            return _hidden(found, factor * gamma)
-        inaccurate = _inaccuracy(found, _ERROR_MAX * _CERTAIN, _MOVED_MAX if factor > 1.0 else math.inf)
+        solved = evaluated(problem, factor * gamma)
+        if isinstance(solved, Fails):
+            return _hidden(solved, factor * gamma)
+        inaccurate = _inaccuracy(solved, _ERROR_MAX * _CERTAIN, _MOVED_MAX if factor > 1.0 else math.inf)
         if inaccurate:
             return inaccurate
-        if found.coupling * _CERTAIN < found.X.error + found.Y.error:
+        if solved.coupling * _CERTAIN < solved.X.error + solved.Y.error:
             return _hidden(Fails(COUPLING), factor * gamma)
         if factor == 1.0:
             continue
-        K = _controllers(normal, factor * gamma, found, plant.controls).controller
+        K = _controllers(normal, factor * gamma, solved, plant.controls).controller
         if not norm_is_below(closed_loop(plant, K), level * gamma):
             return NoSolution(
                 f"gamma_min near {gamma:.6g}",
@@ -165,10 +165,10 @@ def _least_feasible(problem: Problem, start: float, relative: float) -> float:
     """By the conditions alone, ``start`` being above condition (a)."""
     low, high, fails = problem.direct_gain, start, Fails(DIRECT_GAIN)
     for _ in range(_DOUBLINGS_MAX):
-        found = evaluated(problem, high, thorough=False)
-        if not isinstance(found, Fails):
+        solved = evaluated(problem, high, thorough=False)
+        if not isinstance(solved, Fails):
             break
-        low, high, fails = high, 2.0 * high, found
+        low, high, fails = high, 2.0 * high, solved
     else:
         raise InfeasibleDesign("a finite gamma", f"none up to {high:.3g}", "check the scaling of w and z")
     least = 1e-12 * high
@@ -177,10 +177,10 @@ def _least_feasible(problem: Problem, start: float, relative: float) -> float:
         if isinstance(lower, Fails):
             low, fails = 0.5 * high, lower
         else:
-            high, found = 0.5 * high, lower
+            high, solved = 0.5 * high, lower
             if high <= least:
                 return high
-    return _last_feasible(problem, (low, fails), (high, found), relative)
+    return _last_feasible(problem, (low, fails), (high, solved), relative)
 
 
 def _last_feasible(
@@ -192,11 +192,11 @@ def _last_feasible(
     steps of Anderson and Bjorck); where that is condition (a), the very limit. Where no distance is known, or
     three steps have not quartered the interval, that is halved.
     """
-    (low, fails), (high, found) = infeasible, feasible
+    (low, fails), (high, solved) = infeasible, feasible
     width, tries, weight = high - low, 0, 1.0
     last: bool | None = None
     while high - low > relative * high:
-        below, above = fails.distance, fails.before(found)
+        below, above = fails.distance, fails.before(solved)
         step = _BESIDE * relative * high
         middle = math.sqrt(low * high)
         if fails.condition is DIRECT_GAIN and last:
@@ -210,7 +210,7 @@ def _last_feasible(
         if isinstance(new, Fails):
             low, fails, ratio = middle, new, new.distance / (below or math.inf)
         else:
-            high, found, ratio = middle, new, fails.before(new) / above if above < math.inf else 0.0
+            high, solved, ratio = middle, new, fails.before(new) / above if above < math.inf else 0.0
         is_feasible = high == middle
         weight = weight * max(1.0 - ratio, _KEPT_MIN) if is_feasible is last else 1.0
         last, tries = is_feasible, tries + 1
@@ -219,11 +219,11 @@ def _last_feasible(
     return high
 
 
-def _inaccuracy(found: Solved, error_max: float, moved_max: float) -> SingularPlant | None:
+def _inaccuracy(solved: Solved, error_max: float, moved_max: float) -> SingularPlant | None:
     """What to say where rounding leaves X or Y without true digits."""
     for solution, name, assumption, end in (
-        (found.X, "X", "A2 or A3", "control a larger direct weight, D12"),
-        (found.Y, "Y", "A2 or A4", "measurement a larger direct disturbance, D21"),
+        (solved.X, "X", "A2 or A3", "control a larger direct weight, D12"),
+        (solved.Y, "Y", "A2 or A4", "measurement a larger direct disturbance, D21"),
     ):
         if solution.error > error_max or solution.moved > moved_max:
             return SingularPlant(
@@ -244,18 +244,18 @@ def verified_norm(plant: GeneralisedPlant, controller: StateSpace) -> float:
     return hinf_norm(closed_loop(plant, controller)).gain
 
 
-def _controllers(normal: NormalPlant, gamma: float, found: Solved, controls: int) -> Synthesis:
+def _controllers(normal: NormalPlant, gamma: float, solved: Solved, controls: int) -> Synthesis:
     """M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     m1, p1 = normal.B1.shape[1], len(normal.C1)
     D11_hat, D12_hat, D21_hat = _direct_gains(normal.D11, gamma, m2, p2)
-    F12, F2 = found.F[m1 - p2 : m1], found.F[m1:]
-    L12, L2 = found.L[:, p1 - m2 : p1], found.L[:, p1:]
-    Z = inverse(np.eye(len(normal.A)) - found.Y.X @ found.X.X / gamma**2)
+    F12, F2 = solved.F[m1 - p2 : m1], solved.F[m1:]
+    L12, L2 = solved.L[:, p1 - m2 : p1], solved.L[:, p1:]
+    Z = inverse(np.eye(len(normal.A)) - solved.Y.X @ solved.X.X / gamma**2)
     back, ahead = normal.C2 + F12, Z @ (normal.B2 + L12)
     B1_hat = ahead @ D11_hat - Z @ L2
     C1_hat = F2 - D11_hat @ back
-    A_hat = normal.A + normal.B1 @ found.F[:m1] + normal.B2 @ F2 - B1_hat @ back
+    A_hat = normal.A + normal.B1 @ solved.F[:m1] + normal.B2 @ F2 - B1_hat @ back
     rate = normal.rate_rad_s
     B_hat = np.hstack([B1_hat @ normal.right, ahead @ D12_hat])
     C_hat = np.vstack([normal.left @ C1_hat, -D21_hat @ back])
@@ -272,10 +272,10 @@ def _controllers(normal: NormalPlant, gamma: float, found: Solved, controls: int
         gamma=gamma,
         controller=generator.part(slice(0, m2), slice(0, p2)),
         generator=generator,
-        X=np.asarray(found.X.X, dtype=float),
-        Y=np.asarray(found.Y.X, dtype=float),
-        state_feedback_modes=found.X.closed_loop * rate,
-        observer_modes=found.Y.closed_loop * rate,
+        X=np.asarray(solved.X.X, dtype=float),
+        Y=np.asarray(solved.Y.X, dtype=float),
+        state_feedback_modes=solved.X.closed_loop * rate,
+        observer_modes=solved.Y.closed_loop * rate,
         controls=controls,
     )
 

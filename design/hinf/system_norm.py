@@ -98,8 +98,8 @@ def _refined(system: StateSpace, peak: Peak) -> Peak:
         return -float(largest_gain(system, np.array([math.exp(log_omega)]))[0])
 
     bounds = (math.log(omega) - width, min(math.log(omega) + width, last))
-    found = scipy.optimize.minimize_scalar(depth, bounds=bounds, method="bounded", options={"xatol": 1e-9})
-    return Peak(-found.fun, math.exp(found.x)) if -found.fun > peak.gain else peak
+    optimum = scipy.optimize.minimize_scalar(depth, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+    return Peak(-optimum.fun, math.exp(optimum.x)) if -optimum.fun > peak.gain else peak
 
 
 def _crossings(system: StateSpace, level: float) -> Array:

@@ -181,7 +181,7 @@ def simulate_drive(motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, step
     states, start = [], np.zeros(total)
     for low, high, grid in ((0.0, LOAD_AT_S, before), (LOAD_AT_S, DURATION_S, after)):
         end = np.nextafter(high, 0.0) if high == LOAD_AT_S else high
-        found = scipy.integrate.solve_ivp(
+        solution = scipy.integrate.solve_ivp(
             slopes,
             (low, end),
             start,
@@ -191,8 +191,8 @@ def simulate_drive(motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, step
             atol=1e-9,
             max_step=2e-4,
         )
-        states.append(found.y[:, : len(grid)])
-        start = found.y[:, -1]
+        states.append(solution.y[:, : len(grid)])
+        start = solution.y[:, -1]
     y = np.hstack(states)
     torque = (
         motor.torque_factor

@@ -124,10 +124,10 @@ def largest_delays(model: SpeedModel, gamma: float) -> dict[str, Any]:
     }
     return {
         "gamma": gamma,
-        **{f"{name}_delay_s": found and found.delay_s for name, found in others.items()},
+        **{f"{name}_delay_s": largest and largest.delay_s for name, largest in others.items()},
         "exact_delay_s": full.delay_s,
         "gain": full.K.tolist(),
-        **{f"{name}_gain": found and found.K.tolist() for name, found in others.items()},
+        **{f"{name}_gain": largest and largest.K.tolist() for name, largest in others.items()},
     }
 
 
@@ -175,14 +175,14 @@ def _load_step() -> DelayResponse:
 
 def case1() -> dict[str, Any]:
     """Fig. 5. "After approximate 0.15 s, the speed tracking error is almost zero"."""
-    found = start_up()
-    error = found.x[:, 1] / SPEED_RAD_S
+    response = start_up()
+    error = response.x[:, 1] / SPEED_RAD_S
     return {
         "published": {"error_almost_zero_at_s": 0.15},
-        "error_at_0_15_s_percent": 100.0 * float(np.interp(0.15, found.time_s, error)),
+        "error_at_0_15_s_percent": 100.0 * float(np.interp(0.15, response.time_s, error)),
         "overshoot_percent": -100.0 * float(error.min()),
-        "overshoot_at_s": float(found.time_s[np.argmin(error)]),
-        **_settling(found.time_s, error, "settling"),
+        "overshoot_at_s": float(response.time_s[np.argmin(error)]),
+        **_settling(response.time_s, error, "settling"),
     }
 
 
@@ -228,12 +228,12 @@ def case3() -> dict[str, Any]:
 
     ``floor``: what no controller can go below that acts after 64 ms, longer than the load lasts.
     """
-    found = load_pulse()
+    response = load_pulse()
     step = _load_step()
-    error = np.abs(found.x[:, 1])
+    error = np.abs(response.x[:, 1])
     # the summit is a corner between two of the instants
     peak = max(float(error.max()), abs(float(np.interp(LOAD_ON_S, step.time_s, step.x[:, 1]))))
-    after = found.time_s >= LOAD_ON_S
+    after = response.time_s >= LOAD_ON_S
     floor = LOAD_NM * peak_floor_rad_s(MOTOR, min(DELAY_S, LOAD_ON_S))
     share = 100.0 / SPEED_RAD_S
     as_published = gain_for_error(1.0, 1.0, SPEED_RAD_S, Units.PUBLISHED)
@@ -247,7 +247,7 @@ def case3() -> dict[str, Any]:
         "floor_percent": floor * share,
         "floor_percent_if_rad_s_were_rpm": floor / as_published,
         "first_reaction_after_load_is_gone_s": DELAY_S - LOAD_ON_S,
-        **_settling(found.time_s[after] - LOAD_ON_S, error[after] / SPEED_RAD_S, "recovery"),
+        **_settling(response.time_s[after] - LOAD_ON_S, error[after] / SPEED_RAD_S, "recovery"),
     }
 
 
@@ -257,11 +257,11 @@ def _loop() -> DelayLoop:
 
 def _settling(time_s: Array, share: Array, name: str) -> dict[str, float]:
     """When |share| stays within each band from then on."""
-    found = {}
+    times_s = {}
     for band in _BANDS:
         outside = np.flatnonzero(np.abs(share) > band)
-        found[f"{name}_{100 * band:g}_percent_s"] = float(time_s[outside[-1]]) if len(outside) else 0.0
-    return found
+        times_s[f"{name}_{100 * band:g}_percent_s"] = float(time_s[outside[-1]]) if len(outside) else 0.0
+    return times_s
 
 
 DISAGREEMENTS: Sequence[str] = (

@@ -57,8 +57,8 @@ def delivery_node_count(network: SampledNetwork) -> int:
 def families(network: SampledNetwork) -> list[Family]:
     """Every step that the network admits."""
     if network.strategy is Strategy.ARRIVAL:
-        found = [_arrivals(network, node) for node in range(node_count(network))]
-        return list(itertools.chain.from_iterable(found))
+        by_node = [_arrivals(network, node) for node in range(node_count(network))]
+        return list(itertools.chain.from_iterable(by_node))
     comes = (Window(network.behind, network.offset_s, network.offset_s),)
     nodes = node_count(network)
     return [Family(node, 0, comes) for node in range(nodes)] + [

@@ -116,20 +116,22 @@ def analyse_loop(loop: SwitchedLoop, remembering: Sequence[bool] = (False, True)
     return SampledAnalysis(loop, regular, gains, slowest, worst, decay_proof, gain_proof, why)
 
 
-def with_peak(found: SampledAnalysis) -> SampledAnalysis:
+def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
     """The same with the largest error after a load step, of u = K x."""
-    assert isinstance(found.loop, HeldLoop)
-    if found.refuted:
-        return replace(found, peak_found=math.inf)
-    reached = worst_peak(found.loop).peak
+    assert isinstance(analysis.loop, HeldLoop)
+    if analysis.refuted:
+        return replace(analysis, peak_found=math.inf)
+    reached = worst_peak(analysis.loop).peak
     bound = None
-    if found.decay_certified_per_s:
-        patterns = [found.worst.pattern, found.slowest, *found.regular]
+    if analysis.decay_certified_per_s:
+        patterns = [analysis.worst.pattern, analysis.slowest, *analysis.regular]
         with suppress(NoSolution):
-            bound = certify_peak(found.loop, patterns, found.gain_found, found.decay_certified_per_s, reached)
+            bound = certify_peak(
+                analysis.loop, patterns, analysis.gain_found, analysis.decay_certified_per_s, reached
+            )
     if bound is None:
-        return replace(found, peak_found=reached)
-    return replace(found, peak_found=max(reached, bound.reached), peak_certified=bound.certified)
+        return replace(analysis, peak_found=reached)
+    return replace(analysis, peak_found=max(reached, bound.reached), peak_certified=bound.certified)
 
 
 def regular_patterns(loop: SwitchedLoop) -> list[Pattern]:

@@ -71,7 +71,7 @@ def constant_bandwidth_range(
 
 def _grown(nominal: BandwidthRange, figures: Callable[[float, float], Figures | None]) -> BandwidthRange:
     """``figures``: for every bandwidth between two."""
-    found = nominal
+    grown = nominal
     for factor in (1.0 / _SLICE, _SLICE):
         end_hz = nominal.min_hz
         while nominal.min_hz / _WIDEST < end_hz * factor < nominal.min_hz * _WIDEST:
@@ -79,14 +79,14 @@ def _grown(nominal: BandwidthRange, figures: Callable[[float, float], Figures | 
             if certified is None or certified[0] > _ALLOWED * nominal.gain:
                 break
             end_hz *= factor
-            decays = [each for each in (found.decay_per_s, certified[1]) if each is not None]
-            found = BandwidthRange(
-                min(found.min_hz, end_hz),
-                max(found.max_hz, end_hz),
-                max(found.gain, certified[0]),
+            decays = [each for each in (grown.decay_per_s, certified[1]) if each is not None]
+            grown = BandwidthRange(
+                min(grown.min_hz, end_hz),
+                max(grown.max_hz, end_hz),
+                max(grown.gain, certified[0]),
                 min(decays, default=None),
             )
-    return found
+    return grown
 
 
 def _sampled(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> Figures | None:

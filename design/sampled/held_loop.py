@@ -206,16 +206,16 @@ class HeldLoop(SwitchedLoop):
     def differences(self, backs: Sequence[int]) -> Array:
         n = len(self.model.A)
         before = np.eye(self.kept)[n]
-        found = []
+        rows = []
         for back in backs:
             value = np.zeros(self.kept)
             if back == 0:
                 value[:n] = self.K
             else:
                 value[n + back] = 1.0
-            found.append(value - before)
+            rows.append(value - before)
             before = value
-        return np.array(found).reshape(len(backs), self.kept)
+        return np.array(rows).reshape(len(backs), self.kept)
 
     @property
     def sampling(self) -> Array:

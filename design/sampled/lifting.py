@@ -91,17 +91,17 @@ def discrete_norm(system: DiscreteSystem, tolerance: float = NORM_TOLERANCE) -> 
     if len(poles) and np.max(np.abs(poles)) >= 1.0:
         return math.inf
     angles = np.union1d(np.linspace(0.0, math.pi, 25), np.abs(np.angle(poles[np.abs(poles) > 0.1])))
-    found = _climb(system, angles)
+    norm = _climb(system, angles)
     for _ in range(30):
-        above = _angles_at(system, found * (1.0 + tolerance))
+        above = _angles_at(system, norm * (1.0 + tolerance))
         if len(above) == 0:
-            return found * (1.0 + 0.5 * tolerance)
+            return norm * (1.0 + 0.5 * tolerance)
         middles = 0.5 * (above[1:] + above[:-1])
-        higher = max(found, _climb(system, np.union1d(above, middles)))
-        if higher <= found * (1.0 + 0.1 * tolerance):
-            return found * (1.0 + tolerance)
-        found = higher
-    raise NoSolution("norm of the lifted loop", "the search did not end", f"last value {found:.9g}")
+        higher = max(norm, _climb(system, np.union1d(above, middles)))
+        if higher <= norm * (1.0 + 0.1 * tolerance):
+            return norm * (1.0 + tolerance)
+        norm = higher
+    raise NoSolution("norm of the lifted loop", "the search did not end", f"last value {norm:.9g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

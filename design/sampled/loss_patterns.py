@@ -165,12 +165,12 @@ def _own_product(maps: ValueMap, chains: Sequence[Chain]) -> ValueMap:
 
 def _split(steps: Sequence[PeriodStep]) -> list[tuple[PeriodStep, ...]]:
     """Periods without a delivery and one with, as often as there is one."""
-    found: list[list[PeriodStep]] = [[]]
+    runs: list[list[PeriodStep]] = [[]]
     for step in steps:
-        found[-1].append(step)
+        runs[-1].append(step)
         if step.switches:
-            found.append([])
-    return [tuple(each) for each in found if each]
+            runs.append([])
+    return [tuple(each) for each in runs if each]
 
 
 def slowest_pattern(loop: SwitchedLoop) -> Pattern:
@@ -199,10 +199,10 @@ def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = 
     ``changed_max``: deliveries up to which the best pattern is changed delivery by delivery.
     """
     gains = pattern_gains(loop, known)
-    found = WorstGain(known[int(np.argmax(gains))], float(np.max(gains)))
-    if math.isinf(found.gain):
-        return found
-    contest = _Contest(loop, found.gain)
+    worst = WorstGain(known[int(np.argmax(gains))], float(np.max(gains)))
+    if math.isinf(worst.gain):
+        return worst
+    contest = _Contest(loop, worst.gain)
     contest.enter(alternating(contest.letters, contest.maps))
     contest.enter_beam()
     for _ in range(_ROUNDS):
@@ -212,8 +212,8 @@ def worst_gain(loop: SwitchedLoop, known: Sequence[Pattern], changed_max: int = 
             break
     if contest.best:
         pattern = pattern_of(loop, _steps(contest.letters, contest.best))
-        found = max(found, WorstGain(pattern, pattern_gain(loop, pattern)), key=lambda each: each.gain)
-    return found
+        worst = max(worst, WorstGain(pattern, pattern_gain(loop, pattern)), key=lambda each: each.gain)
+    return worst
 
 
 class _Contest:
@@ -256,17 +256,17 @@ def _often(total: ValueMap, doublings: int = _DOUBLINGS) -> ValueMap:
     """Each repeated two to the power ``doublings`` times, or until its beginning is forgotten."""
     names = ("Phi", "W", "Q", "bounded")
     flat = total.reshaped((-1,))
-    found = {name: getattr(flat, name).copy() for name in names}
+    repeated = {name: getattr(flat, name).copy() for name in names}
     left = np.arange(total.bounded.size)
     for _ in range(doublings):
         part = flat.then(flat)
         for name in names:
-            found[name][left] = getattr(part, name)
+            repeated[name][left] = getattr(part, name)
         moving = np.abs(part.Phi).max(axis=(-2, -1), initial=0.0) > _FORGOTTEN
         flat, left = part[moving], left[moving]
         if not len(left):
             break
-    return ValueMap(**found).reshaped(total.bounded.shape)
+    return ValueMap(**repeated).reshaped(total.bounded.shape)
 
 
 def _nearness(total: ValueMap) -> Array:

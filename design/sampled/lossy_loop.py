@@ -69,7 +69,7 @@ def _ordered(period: Period, order: Sequence[int]) -> Period:
 
 def with_entry(J: Array, row: Array) -> Array:
     """J of xi with one more entry at its end, which becomes ``row`` (size + 1,) times xi."""
-    found = np.zeros((len(J) + 1, len(J) + 1))
-    found[:-1, :-1] = J
-    found[-1] = row
-    return found
+    larger = np.zeros((len(J) + 1, len(J) + 1))
+    larger[:-1, :-1] = J
+    larger[-1] = row
+    return larger

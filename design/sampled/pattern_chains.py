@@ -134,20 +134,20 @@ def _longer(letters: Sequence[Letter], chains: Sequence[Chain]) -> list[Chain]:
 
 def changed(letters: Sequence[Letter], maps: Total, chain: Chain) -> Entries[Total]:
     """``chain`` with a letter more, less, or another, as far as it stays a closed walk."""
-    found: list[tuple[Chain, int, int, int]] = []
+    variants: list[tuple[Chain, int, int, int]] = []
     length, none = len(chain), len(letters)
     for place in range(length):
         tried = [(chain[:place] + chain[place + 1 :], place, none, place + 1)]
         for number in range(len(letters)):
             tried.append(((*chain[:place], number, *chain[place:]), place, number, place))
             tried.append(((*chain[:place], number, *chain[place + 1 :]), place, number, place + 1))
-        found += [each for each in tried if each[0] and each[0] != chain and _is_closed(letters, each[0])]
-    if not found:
+        variants += [each for each in tried if each[0] and each[0] != chain and _is_closed(letters, each[0])]
+    if not variants:
         return [], maps[:0]
     before = product_of(maps, [chain[:place] or (none,) for place in range(length + 1)])
     after = product_of(maps, [chain[place:] or (none,) for place in range(length + 1)])
-    firsts, middles, lasts = (np.array([each[part] for each in found]) for part in (1, 2, 3))
-    return [each[0] for each in found], before[firsts].then(maps[middles]).then(after[lasts])
+    firsts, middles, lasts = (np.array([each[part] for each in variants]) for part in (1, 2, 3))
+    return [each[0] for each in variants], before[firsts].then(maps[middles]).then(after[lasts])
 
 
 def _is_closed(letters: Sequence[Letter], chain: Chain) -> bool:

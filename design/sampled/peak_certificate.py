@@ -83,7 +83,7 @@ class _Norm:
 
 
 def certify_peak(
-    loop: HeldLoop, patterns: Sequence[Pattern], gain: float, decay_per_s: float, found: float
+    loop: HeldLoop, patterns: Sequence[Pattern], gain: float, decay_per_s: float, peak_found: float
 ) -> PeakBound | None:
     """The least bound that is found; None if no quadratic functions are.
 
@@ -95,20 +95,20 @@ def certify_peak(
         for part in _DECAY_PARTS:
             norm = _norm(loop, L, way, part * decay_per_s)
             if norm is not None:
-                return _bound(loop, L, norm, found, way)
+                return _bound(loop, L, norm, peak_found, way)
     return None
 
 
-def _bound(loop: HeldLoop, L: Array, norm: _Norm, found: float, way: bool) -> PeakBound:
+def _bound(loop: HeldLoop, L: Array, norm: _Norm, peak_found: float, way: bool) -> PeakBound:
     """By finer and finer balls, until the sets grow too large."""
     best: PeakBound | None = None
     for share in _SHARES:
-        tube = _Tube(loop, L, norm, found, share, way)
+        tube = _Tube(loop, L, norm, peak_found, share, way)
         if best is None:
-            best = PeakBound(tube.bound_without_hull(), found)
+            best = PeakBound(tube.bound_without_hull(), peak_found)
         closed = tube.close()
-        found = tube.reached
-        best = PeakBound(min(best.certified, tube.bound()) if closed else best.certified, found)
+        peak_found = tube.reached
+        best = PeakBound(min(best.certified, tube.bound()) if closed else best.certified, peak_found)
         if not closed:
             break
     assert best is not None
@@ -168,9 +168,9 @@ def _problem(
 def _starts(loop: HeldLoop, parts: int) -> Array:
     """(parts + 1, kept): at the first sample, the load having begun so much before, up to a period."""
     times = np.linspace(0.0, loop.network.period_s, parts + 1)
-    found = np.zeros((parts + 1, loop.kept))
-    found[:, : len(loop.model.A)] = responses(loop, times)[2]
-    return found
+    starts = np.zeros((parts + 1, loop.kept))
+    starts[:, : len(loop.model.A)] = responses(loop, times)[2]
+    return starts
 
 
 def _loaded(
@@ -294,9 +294,9 @@ class _Tube:
                 continue
             hull.add(turned)
             taken.append(states[place])
-        found = np.array(taken).reshape(-1, states.shape[1])
-        self._states[node] = np.vstack([self._states[node], found])
-        return found
+        inside = np.array(taken).reshape(-1, states.shape[1])
+        self._states[node] = np.vstack([self._states[node], inside])
+        return inside
 
     def _spread_of(self, edge: LoadedSteps) -> float:
         """What a state of size 1 may add to the error at any instant of the period."""

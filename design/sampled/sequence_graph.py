@@ -62,13 +62,13 @@ def edges_of(
     count = node_count(loop.network)
     if not remembering:
         return count, plain
-    found = []
+    edges = []
     for edge in plain:
         for memory in range(count):
             kept = edge.source if edge.corners.family.windows else memory
             source, target = edge.source + count * memory, edge.target + count * kept
-            found.append(replace(edge, source=source, target=target))
-    return _reachable(count * count, found)
+            edges.append(replace(edge, source=source, target=target))
+    return _reachable(count * count, edges)
 
 
 def between_deliveries(edges: list[Edge]) -> tuple[int, list[Edge]]:

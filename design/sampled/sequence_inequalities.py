@@ -148,12 +148,12 @@ class Inequalities:
         basis = unknowns.basis(name)
         diagonal = np.einsum("ki,ekl,li->ei", columns, basis, columns)
         k = len(self.L)
-        found = np.zeros((len(basis) + 1, k, k))
+        bounds = np.zeros((len(basis) + 1, k, k))
         for difference, bends, outputs in self.excess[place]:
             square = np.outer(difference, difference)
-            found[:-1] += (n * (diagonal @ bends[corner] ** 2))[:, None, None] * square
-            found[-1] += outputs[corner] * square
-        return found
+            bounds[:-1] += (n * (diagonal @ bends[corner] ** 2))[:, None, None] * square
+            bounds[-1] += outputs[corner] * square
+        return bounds
 
 
 def corner_inequality(
@@ -170,20 +170,20 @@ def corner_inequality(
     first = math.sqrt(spread) * _root(before.W) if disturbed and edge.before else np.zeros((k, 0))
     second = _root(maps.W[corner]) if disturbed else np.zeros((k, 0))
     m = k + first.shape[1] + second.shape[1]
-    found = MatrixInequality.zero(unknowns, m)
-    found.add(unknowns, source, math.sqrt(1.0 / (growth**edge.periods * spread)) * np.eye(m)[:, :k])
-    found.constant[:k, :k] -= before.Q / spread
-    found.coefficients[-1, k:, k:] += np.eye(m - k)
+    inequality = MatrixInequality.zero(unknowns, m)
+    inequality.add(unknowns, source, math.sqrt(1.0 / (growth**edge.periods * spread)) * np.eye(m)[:, :k])
+    inequality.constant[:k, :k] -= before.Q / spread
+    inequality.coefficients[-1, k:, k:] += np.eye(m - k)
     # xi when the corner's period begins, of [xi, d]; d may have either sign
     begun = np.hstack([before.Phi, first])
     own = len(begun.T)
     between = begun.T @ (system.between_linear(unknowns, target, place, corner) / spread) @ begun
     part = unknowns.slice_of(target)
-    found.coefficients[part, :own, :own] -= between[:-1]
-    found.constant[:own, :own] -= begun.T @ maps.Q[corner] @ begun + between[-1]
+    inequality.coefficients[part, :own, :own] -= between[:-1]
+    inequality.constant[:own, :own] -= begun.T @ maps.Q[corner] @ begun + between[-1]
     ended = np.hstack([maps.Phi[corner] @ begun, second])
-    found.coefficients[part] -= ended.T @ unknowns.basis(target) @ ended
-    return found
+    inequality.coefficients[part] -= ended.T @ unknowns.basis(target) @ ended
+    return inequality
 
 
 def _root(W: Array) -> Array:
@@ -228,14 +228,14 @@ def _broken(
     system: Inequalities, P: Sequence[Array], growth: float, squared: float, count: int | None
 ) -> dict[int, list[int]]:
     """The worst corners that do not hold, by edge, of ``count`` or of all."""
-    found = {}
+    broken = {}
     for place, edge in enumerate(system.edges):
         stride = 1 if count is None else max(1, len(edge.corners.times_s) // count)
         slack = system.slack(P, place, growth, squared, slice(None, None, stride))
         bad = np.flatnonzero(slack < MARGIN)
         if len(bad):
-            found[place] = (stride * bad[np.argsort(slack[bad])[:_ADDED]]).tolist()
-    return found
+            broken[place] = (stride * bad[np.argsort(slack[bad])[:_ADDED]]).tolist()
+    return broken
 
 
 def proved(system: Inequalities, P: Sequence[Array], growth: float) -> float:

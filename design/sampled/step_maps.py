@@ -221,7 +221,7 @@ def _chain_maps(
     unique = sorted({max(0.0, each.length_s) for chain in chains for each in chain if isinstance(each, Flow)})
     flow = embedded_flows(loop, np.array(unique), gains)
     k = loop.kept
-    found = []
+    maps = []
     for first, *rest in chains:
         total: ValueMap | None = None
         assert isinstance(first, Jump)
@@ -234,5 +234,5 @@ def _chain_maps(
             total = own.after_jump(first.J) if total is None else total.then(own)
         assert total is not None
         parts = (total.Phi[..., :k, :k], total.W[..., :k, :k], total.Q[..., :k, :k])
-        found.append(ValueMap(*parts, total.bounded))
-    return found
+        maps.append(ValueMap(*parts, total.bounded))
+    return maps

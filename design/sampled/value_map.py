@@ -133,10 +133,10 @@ def flows(F: Array, E: Array, C: Array, gains: ArrayLike, lengths_s: Array) -> V
     inverse = np.linalg.inv(G22)
     W, Q = G12 @ inverse, -inverse @ G21
     bounded = np.ones(whole.shape[:-2], dtype=bool)
-    found = ValueMap(_t(inverse), 0.5 * (W + _t(W)), 0.5 * (Q + _t(Q)), bounded)
+    flow = ValueMap(_t(inverse), 0.5 * (W + _t(W)), 0.5 * (Q + _t(Q)), bounded)
     for _ in range(halvings):
-        found = found.then(found)
-    return found
+        flow = flow.then(flow)
+    return flow
 
 
 def _t(matrix: Array) -> Array:

@@ -71,15 +71,15 @@ def truncated(full: Conditioned, error_size: float) -> list[Conditioned]:
     R = _factor(full.A, B)
     S = _factor(full.A.T, full.C[:, None])
     U, sigma, Vt = np.linalg.svd(S.T @ R)
-    found = []
+    shorter = []
     for order in range(2, full.order + 1):
         if sigma[order - 1] <= 1e-12 * sigma[0]:
             break
         root = np.sqrt(sigma[:order])
         V, W = R @ Vt[:order].T / root, S @ U[:, :order] / root
         part = Conditioned(W.T @ full.A @ V, W.T @ full.B, W.T @ full.L, full.C @ V, full.D, full.period_s)
-        found.append(modal(part)._steady())
-    return found
+        shorter.append(modal(part)._steady())
+    return shorter
 
 
 def _factor(A: Array, B: Array) -> Array:

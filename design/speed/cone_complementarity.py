@@ -74,12 +74,12 @@ def largest_ccl_delay(model: SpeedModel, gamma: float, iterations_max: int = ITE
     step = _FIRST_STEP
     while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
-        found, point, used = _complement(model, tried_s, gamma, point, iterations_max)
+        gain, point, used = _complement(model, tried_s, gamma, point, iterations_max)
         programmes += used
-        if found is None:
+        if gain is None:
             step /= 4.0
             continue
-        K = found
+        K = gain
         delay_s = max(tried_s, certified_delay_within(model, K, gamma))
     # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
@@ -141,20 +141,20 @@ def _complement(
 def _first_delay(model: SpeedModel, gamma: float) -> float:
     """Step 2: the largest delay, s, to a per cent, with a feasible set for S = X."""
     delay_s = 1.0 / abs(float(model.A[0, 0]))
-    found: float | None = None
+    first_s: float | None = None
     low, high = 0.0, math.inf
     for _ in range(60):
         if _with_equal(model, delay_s, gamma) is not None:
-            found = low = delay_s
+            first_s = low = delay_s
         else:
             high = delay_s
         if high - low < 0.01 * high:
             break
         delay_s = 2.0 * low if math.isinf(high) else (0.5 * high if low == 0.0 else 0.5 * (low + high))
-    if found is None:
+    if first_s is None:
         what = f"Algorithm 4.2 for {gamma:g} rad/s per N m"
         raise NoSolution(what, "no feasible set with S = X at any delay")
-    return found
+    return first_s
 
 
 def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Array] | None:
@@ -220,14 +220,14 @@ def _pair(unknowns: Unknowns, first: str, between: str | None, second: str, n: i
     """[first, between; between, second], the identity between them if ``between`` is None."""
     rows = np.eye(2 * n)
     top, bottom = rows[:, :n], rows[:, n:]
-    found = MatrixInequality.zero(unknowns, 2 * n)
-    found.add(unknowns, first, top)
-    found.add(unknowns, second, bottom)
+    inequality = MatrixInequality.zero(unknowns, 2 * n)
+    inequality.add(unknowns, first, top)
+    inequality.add(unknowns, second, bottom)
     if between is None:
-        found.constant += top @ bottom.T + bottom @ top.T
+        inequality.constant += top @ bottom.T + bottom @ top.T
     else:
-        found.add(unknowns, between, top, bottom.T)
-    return found
+        inequality.add(unknowns, between, top, bottom.T)
+    return inequality
 
 
 def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixInequality:
@@ -238,20 +238,20 @@ def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixIne
     one, two, three, five = (rows[:, start : start + n] for start in (0, n, 2 * n, 3 * n + 1))
     d, z = rows[:, 3 * n], rows[:, 4 * n + 1]
     B = plant.B[:, None]
-    found = MatrixInequality.zero(unknowns, m)
+    inequality = MatrixInequality.zero(unknowns, m)
     # - (A X + X A') and - X A', - X C'
-    found.add(unknowns, "X", -one, plant.A.T @ one.T + plant.A.T @ five.T + np.outer(plant.C, z))
+    inequality.add(unknowns, "X", -one, plant.A.T @ one.T + plant.A.T @ five.T + np.outer(plant.C, z))
     # - (Y + Y'), and Y with the second and third columns
-    found.add(unknowns, "Y", -one, one.T - two.T - three.T)
+    inequality.add(unknowns, "Y", -one, one.T - two.T - three.T)
     # W~ stands transposed in row one, plain in rows two and three
-    found.add(unknowns, "W", two, two.T + three.T - one.T)
-    found.add(unknowns, "F", -(one + five) @ B, two.T)
+    inequality.add(unknowns, "W", two, two.T + three.T - one.T)
+    inequality.add(unknowns, "F", -(one + five) @ B, two.T)
     for name, rows_of, sign in (("Q", one, -1.0), ("Q", two, 1.0), (M, three, 1.0), (S, five, 1.0)):
         part = unknowns.slice_of(name)
-        found.coefficients[part] += sign * (rows_of @ unknowns.basis(name) @ rows_of.T)
+        inequality.coefficients[part] += sign * (rows_of @ unknowns.basis(name) @ rows_of.T)
     drive = one @ plant.E + five @ plant.E
-    found.constant += np.outer(d, d) + np.outer(z, z) - np.outer(drive, d) - np.outer(d, drive)
-    return found
+    inequality.constant += np.outer(d, d) + np.outer(z, z) - np.outer(drive, d) - np.outer(d, drive)
+    return inequality
 
 
 def _linearised_trace(unknowns: Unknowns, point: dict[str, Array]) -> Array:

@@ -117,11 +117,11 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
 
     def full(point: Array) -> HinfDesign | None:
         try:
-            found = design_controller(problem, weights(point))
-            whole = conditioned(found.K, unit)
+            controller = design_controller(problem, weights(point))
+            whole = conditioned(controller.K, unit)
         except (DesignError, np.linalg.LinAlgError):
             return None
-        return HinfDesign(request, problem, weights(point), found, whole)
+        return HinfDesign(request, problem, weights(point), controller, whole)
 
     best: HinfDesign | None = None
 
@@ -161,9 +161,9 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
 def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
     """With the fewest states that cost nothing."""
     for fewer in truncated(made.controller, unit):
-        found = replace(made, controller=fewer)
-        if found.loop().spectral_radius() < 1.0 and found.cost <= made.cost + _ORDER_PRICE:
-            return found
+        reduced = replace(made, controller=fewer)
+        if reduced.loop().spectral_radius() < 1.0 and reduced.cost <= made.cost + _ORDER_PRICE:
+            return reduced
     return made
 
 

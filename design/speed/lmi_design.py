@@ -57,13 +57,15 @@ def largest_certified_delay(
     ``gamma``: rad/s per N m. ``starts``: gains to begin at, if some are known to be near; else the
     exact optima. Raises NoSolution if no start is certified at any delay.
     """
-    found: list[tuple[float, Array]] = []
+    candidates: list[tuple[float, Array]] = []
     for start in starts or _starts(model, gamma, feedback):
         # the exact optimum often has its gain at rest on the bound, where nothing is left to certify
         for K in (start, 1.03 * start, 1.2 * start):
-            found.append((certified_delay_within(model, K, gamma, order), K))
-    found = sorted(found, key=lambda each: -each[0])[:_CLIMBED]
-    reached = [_climb(model, K, delay_s, gamma, feedback, order) for delay_s, K in found if delay_s > 0.0]
+            candidates.append((certified_delay_within(model, K, gamma, order), K))
+    candidates = sorted(candidates, key=lambda each: -each[0])[:_CLIMBED]
+    reached = [
+        _climb(model, K, delay_s, gamma, feedback, order) for delay_s, K in candidates if delay_s > 0.0
+    ]
     if not reached:
         what = f"certified feedback for {gamma:g} rad/s per N m"
         raise NoSolution(what, "no start is certified at any delay")
@@ -293,10 +295,10 @@ def _proved(model: SpeedModel, K: Array, delay_s: float, gamma: float, order: in
     """The certificate at the delay found, or a hair below it where rounding asks for that."""
     for share in (1.0, 1.0 - 1e-7, 1.0 - 1e-6, 1.0 - 1e-5, 1.0 - 1e-4):
         try:
-            found = certified_gain(model, model.loop(K, delay_s * share), order)
+            proof = certified_gain(model, model.loop(K, delay_s * share), order)
         except NoSolution:
             continue
-        if found.gain <= gamma * (1.0 + 1e-7):
-            return CertifiedDesign(K, delay_s * share, found)
+        if proof.gain <= gamma * (1.0 + 1e-7):
+            return CertifiedDesign(K, delay_s * share, proof)
     what = f"certificate of the gain {gamma:g} at {delay_s * 1e3:g} ms"
     raise NoSolution(what, "the optimum fails its check")

@@ -30,12 +30,12 @@ Attempt = Callable[[int], SampledAnalysis]
 
 def with_losses(attempt: Attempt, losses_max: int) -> list[SampledAnalysis]:
     """What comes of ``losses_max`` in a row and of ever fewer, until one is certified: that is the last."""
-    found: list[SampledAnalysis] = []
+    attempts: list[SampledAnalysis] = []
     for losses in range(losses_max, -1, -1):
-        found.append(attempt(losses))
-        if found[-1].certified:
+        attempts.append(attempt(losses))
+        if attempts[-1].certified:
             break
-    return found
+    return attempts
 
 
 def hinf_losses(made: HinfDesign, losses_max: int) -> SampledAnalysis:
@@ -67,9 +67,9 @@ def lossy_hinf(loop: HinfLoop, losses_max: int) -> LossyLoop:
 def predictor_losses(made: PredictorDesign, losses_max: int) -> SampledAnalysis:
     """Through at most so many losses in a row; what is found is found with the gains of the quiet filter."""
     loop = lossy_predictor(made, losses_max)
-    found = analyse_loop(loop, (False,))
-    gains = [losses_gain(made, losses_of(pattern)) for pattern in (found.worst.pattern, *found.regular)]
-    return replace(found, worst=replace(found.worst, gain=max(gains)))
+    analysis = analyse_loop(loop, (False,))
+    gains = [losses_gain(made, losses_of(pattern)) for pattern in (analysis.worst.pattern, *analysis.regular)]
+    return replace(analysis, worst=replace(analysis.worst, gain=max(gains)))
 
 
 def lossy_predictor(made: PredictorDesign, losses_max: int) -> LossyLoop:

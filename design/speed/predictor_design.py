@@ -138,10 +138,10 @@ def design_predictor(request: PredictorRequest) -> PredictorDesign:
         return _with_walks(request, np.asarray(F))
 
     def cost(poles: Array) -> float:
-        found = design(poles)
-        if found is None:
+        made = design(poles)
+        if made is None:
             return _WORST
-        own, less, more = (found.ratio(inertia) for inertia in INERTIAS)
+        own, less, more = (made.ratio(inertia) for inertia in INERTIAS)
         return max(own + _ALLOWED, less, more) + _TIE * own
 
     starts = [np.log([share / around_s, 1.2 * request.current_rate_rad_s]) for share in (0.9, 0.3)]
@@ -149,15 +149,15 @@ def design_predictor(request: PredictorRequest) -> PredictorDesign:
     best = scipy.optimize.minimize(
         cost, start, method="Nelder-Mead", options={"maxiter": 40, "xatol": 2e-2, "fatol": 1e-3}
     )
-    found = design(best.x)
-    if found is None:
+    made = design(best.x)
+    if made is None:
         raise InfeasibleDesign(
             f"a delay margin of {1e3 * request.delay_margin_s:g} ms and a torque noise of "
             f"{request.command_noise_nm:g} N m",
             "no predictor that was tried keeps both",
             "allow more noise of the torque, or shorten the delay",
         )
-    return found
+    return made
 
 
 def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
@@ -216,34 +216,34 @@ _SETTLED = 300
 """Rounds after which the covariance repeats itself."""
 
 
-def predictor_robustness(found: PredictorDesign, losses_max: int) -> PredictorRobustness:
+def predictor_robustness(made: PredictorDesign, losses_max: int) -> PredictorRobustness:
     """The figures; ``losses_max``: samples lost in a row that are looked at."""
-    request, prediction = found.request, found.prediction
+    request, prediction = made.request, made.prediction
     kalman = request.kalman
-    L = kalman.observer(found.walks.quiet)
+    L = kalman.observer(made.walks.quiet)
     own = PredictorLoop(prediction)
 
     def gain(inertia: float = 1.0, current: float = 1.0) -> float:
         loop = PredictorLoop(prediction, request.plant.changed(inertia, current))
         return loop.gain(loop.chain(L))
 
-    filters = [kalman.observer(walk) for walk in (found.walks.quiet, found.walks.bold)]
+    filters = [kalman.observer(walk) for walk in (made.walks.quiet, made.walks.bold)]
 
     def stable(share: float) -> bool:
         loop = PredictorLoop(prediction, request.plant.changed(current=share))
         return all(map(loop.is_stable, filters))
 
     return PredictorRobustness(
-        peak_over_floor=found.ratio(),
-        peak_over_floor_inertia_less=found.ratio(0.7),
-        peak_over_floor_inertia_more=found.ratio(1.3),
-        peak_over_floor_lost=found.ratio(lost=LOST),
+        peak_over_floor=made.ratio(),
+        peak_over_floor_inertia_less=made.ratio(0.7),
+        peak_over_floor_inertia_more=made.ratio(1.3),
+        peak_over_floor_lost=made.ratio(lost=LOST),
         gain=gain(),
         gain_inertia_less=gain(inertia=0.7),
         gain_inertia_more=gain(inertia=1.3),
         gain_current_loop_slower=gain(current=0.5),
         bandwidths=stable_bandwidths(stable),
-        gains_found=tuple(losses_gain(found, [lost]) for lost in range(1, losses_max + 1)),
+        gains_found=tuple(losses_gain(made, [lost]) for lost in range(1, losses_max + 1)),
         margins=own.margins(L),
         delay_margin_s=min(delay_margin_s(prediction, gains) for gains in filters),
         command_noise_nm=own.torque_noise_nm(L, request.speed_noise_rad_s),

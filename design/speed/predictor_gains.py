@@ -110,22 +110,22 @@ class GainBoxes:
         kalman, walks, count = self._kalman, self._walks, len(histories)
         quiet, bold = kalman.settled(walks.quiet), kalman.settled(walks.bold)
         starts = (quiet, self._largest, bold, self._largest)
-        found = _Between(*(np.repeat(start[None], count, axis=0) for start in starts))
+        boxes = _Between(*(np.repeat(start[None], count, axis=0) for start in starts))
         for column in histories.T:
             for letter in np.unique(column):
                 rows = np.flatnonzero(column == letter)
-                prior = self._prior(found.part(rows), int(letter) // 2)
-                found.put(rows, self._corrected(prior, bool(letter % 2)))
-        return found
+                prior = self._prior(boxes.part(rows), int(letter) // 2)
+                boxes.put(rows, self._corrected(prior, bool(letter % 2)))
+        return boxes
 
     def _widths(self, outcomes: _Between) -> Array:
         """(N,): how much each leaves open of the next gain of the load, or of the speed, relative."""
         prior = self._prior(outcomes, 0)
-        found = np.zeros(len(prior.low))
+        widths = np.zeros(len(prior.low))
         for low, high in ((prior.low, prior.high), (prior.bold_low, prior.bold_high)):
             for u in np.eye(3):
-                found = np.maximum(found, _reach(high - low, u) / np.abs(low @ READ @ u))
-        return found
+                widths = np.maximum(widths, _reach(high - low, u) / np.abs(low @ READ @ u))
+        return widths
 
     def _prior(self, given: _Between, lost: int) -> _Between:
         """Before the sample that comes after so many losses."""

@@ -59,14 +59,14 @@ def least_gain(
     ``integral_time_s``: K2/K3 of a model with integral, by default :meth:`SpeedModel.integral_time_s`.
     Raises NoSolution if no start leads to a stable loop.
     """
-    found = []
+    candidates = []
     for K in _starts(model, delay_s, feedback, integral_time_s or model.integral_time_s(delay_s)):
         design = _refine(model, K, delay_s, None, feedback)
         if design is not None:
-            found.append(design)
-    if not found:
+            candidates.append(design)
+    if not candidates:
         raise NoSolution(f"feedback for a delay of {delay_s * 1e3:g} ms", "no stable loop was found")
-    return min(found, key=lambda design: design.gain)
+    return min(candidates, key=lambda design: design.gain)
 
 
 def largest_delay(
@@ -83,15 +83,15 @@ def largest_delay(
     if model.has_integral and integral_time_s is None:
         plain = largest_delay(model.without_integral, gamma, Feedback.SPEED)
         integral_time_s = model.integral_time_s(plain.delay_s)
-    found = []
+    candidates = []
     for K in _delay_starts(model, gamma, integral_time_s or math.inf, feedback):
         design = _refine(model, K, _delay_within(model, K, gamma), gamma, feedback)
         if design is not None:
-            found.append(design)
-    if not found:
+            candidates.append(design)
+    if not candidates:
         what = f"{feedback.value} feedback for a gain of {gamma:g} rad/s per N m"
         raise NoSolution(what, "no start keeps it even without delay")
-    return max(found, key=lambda design: design.delay_s)
+    return max(candidates, key=lambda design: design.delay_s)
 
 
 def _delay_starts(model: SpeedModel, gamma: float, integral_time_s: float, feedback: Feedback) -> list[Array]:
@@ -166,10 +166,10 @@ def _starts(model: SpeedModel, delay_s: float, feedback: Feedback, integral_time
                 best = (gain, K)
     if math.isinf(best[0]):
         return []
-    found = [best[1]]
+    starts = [best[1]]
     if feedback is Feedback.FULL:
-        found += [K for K1 in _K1_STARTS if is_stable(model.loop(K := _with_current(best[1], K1), delay_s))]
-    return found
+        starts += [K for K1 in _K1_STARTS if is_stable(model.loop(K := _with_current(best[1], K1), delay_s))]
+    return starts
 
 
 def _natural_gain(model: SpeedModel) -> float:
@@ -209,10 +209,10 @@ def _refine(
     """The best that :func:`_refine_once` reaches, begun again from where it ended until it gains no more."""
     best: SpeedDesign | None = None
     for _ in range(_RESTARTS):
-        found = _refine_once(model, K, delay_s, gamma, feedback)
-        if found is None or (best is not None and not _better(found, best, gamma, 1e-7)):
+        refined = _refine_once(model, K, delay_s, gamma, feedback)
+        if refined is None or (best is not None and not _better(refined, best, gamma, 1e-7)):
             break
-        best = found
+        best = refined
         K, delay_s = best.K, best.delay_s
     return best
 
@@ -238,8 +238,8 @@ def _refine_once(
             # too far for what these frequencies know
             radius, x = 0.5 * radius, centre
             continue
-        found = peaks(loop, share=0.5)
-        worst = max(peak.gain for peak in found)
+        tops = peaks(loop, share=0.5)
+        worst = max(peak.gain for peak in tops)
         design = _measured(model, programme, x, gamma, worst)
         if design is not None and (best is None or _better(design, best, gamma)):
             best = design
@@ -247,7 +247,7 @@ def _refine_once(
             if np.max(np.abs(x - centre)) < 0.9 * radius:
                 break
             centre = x
-        frequencies = np.union1d(frequencies, [peak.frequency_rad_s for peak in found])
+        frequencies = np.union1d(frequencies, [peak.frequency_rad_s for peak in tops])
     if best is None:
         return None
     norm = hinf_norm(model.loop(best.K, best.delay_s))

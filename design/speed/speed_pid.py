@@ -95,8 +95,8 @@ def pid_by_rule(
     w_c = float(np.exp(scipy.optimize.brentq(phase_left, grid[k], grid[k + 1])))
     L = shape(w_c)
     Kp = 1.0 / float(np.abs(L(np.array([w_c]))[0]))
-    found = margins_of(lambda omega: Kp * L(omega), _LOWEST_RAD_S, 10.0 * highest)
-    return SpeedPid(Kp, Kp * w_c / ratio, Kp * Td, Tf, w_c, tau, found)
+    margins = margins_of(lambda omega: Kp * L(omega), _LOWEST_RAD_S, 10.0 * highest)
+    return SpeedPid(Kp, Kp * w_c / ratio, Kp * Td, Tf, w_c, tau, margins)
 
 
 def _imaginary(omega: Array) -> ComplexArray:

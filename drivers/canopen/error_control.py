@@ -100,13 +100,13 @@ class ErrorControl:
 
     def lapses(self) -> list[str]:
         """Where the node does not watch the host any more as it was told to, in words."""
-        found = []
+        texts = []
         for index, sub, code, value in self._host_watch:
             held = self._objects.read_if_there(index, sub, code)
             if held != value:
                 holds = "is gone" if held is None else f"holds {held:X}h"
-                found.append(f"{object_name(index, sub)} {holds}, {value:X}h was written")
-        return found
+                texts.append(f"{object_name(index, sub)} {holds}, {value:X}h was written")
+        return texts
 
     def end(self) -> str:
         """Have nobody watch anybody, so that the node takes no leave for a loss.
@@ -195,12 +195,12 @@ class ErrorControl:
         if guarded:
             by = "life guarding (100Ch, 100Dh)" if len(self._host_watch) > 1 else "its heartbeat (1016h)"
             return [f"1016h or 1017h is missing: the host is watched by {by}, the drive by node guarding"]
-        found = []
+        texts = []
         if not self._host_watch:
-            found.append("1016h is missing or not taken: the drive does not notice that the host is gone")
+            texts.append("1016h is missing or not taken: the drive does not notice that the host is gone")
         if not self.told:
-            found.append("1017h is missing: the host does not notice that the drive is gone")
-        return found
+            texts.append("1017h is missing: the host does not notice that the drive is gone")
+        return texts
 
 
 def consumer_entry(objects: RemoteObjects) -> int:

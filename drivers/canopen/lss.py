@@ -105,16 +105,16 @@ class LssMaster:
         self.to_waiting()
         wait = self._patience()
         branches = [] if wait is None else [_EVERYWHERE]
-        found = 0
+        answers = 0
         try:
-            while wait is not None and branches and found < limit:
+            while wait is not None and branches and answers < limit:
                 branch = branches.pop()
                 address = self._descend(branch, wait)
                 if address is None:
                     continue
                 self._verify(address)
                 yield address
-                found += 1
+                answers += 1
                 if self._patience() is None:
                     return
                 branches += _beside(branch, address)

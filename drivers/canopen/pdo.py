@@ -231,11 +231,11 @@ def write_plan(objects: RemoteObjects, plan: PdoPlan) -> list[str]:
 
 def verify_plan(objects: RemoteObjects, plan: PdoPlan) -> None:
     """Raises SettingRefused, naming every difference, unless the drive holds the plan."""
-    found = [text for pdo in plan for text in differences(objects, pdo)]
-    if found:
+    texts = [text for pdo in plan for text in differences(objects, pdo)]
+    if texts:
         raise SettingRefused(
             f"node {objects.node_id} does not hold the PDO plan",
-            "; ".join(found),
+            "; ".join(texts),
             "give a PDO plan that this drive's fixed mapping can serve",
         )
 
@@ -245,37 +245,37 @@ def differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     cob_id = objects.read_if_there(pdo.communication_index, 1)
     if cob_id is None:
         return [f"{pdo.name} does not exist"]
-    found = []
+    texts = []
     if cob_id & NOT_VALID:
-        found.append(f"{pdo.name} is switched off")
+        texts.append(f"{pdo.name} is switched off")
     if cob_id & _COB_ID != pdo.cob_id:
-        found.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
+        texts.append(f"{pdo.name} has identifier {cob_id & _COB_ID:03X}h instead of {pdo.cob_id:03X}h")
     kind = objects.read_if_there(pdo.communication_index, 2, "B")
     if kind not in (None, pdo.transmission_type):
-        found.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
-    found += _timer_differences(objects, pdo)
+        texts.append(f"{pdo.name} has transmission type {kind} instead of {pdo.transmission_type}")
+    texts += _timer_differences(objects, pdo)
     held = _held_mapping(objects, pdo.mapping_index)
     wanted = [entry.mapping_word for entry in pdo.entries]
     if held != wanted:
-        found.append(f"{pdo.name} maps {mapping_text(held) or 'nothing'} instead of {mapping_text(wanted)}")
-    return found
+        texts.append(f"{pdo.name} maps {mapping_text(held) or 'nothing'} instead of {mapping_text(wanted)}")
+    return texts
 
 
 def _timer_differences(objects: RemoteObjects, pdo: PdoMap) -> list[str]:
     """Without its inhibit time a PDO works all the same; one that is to be repeated needs its event timer."""
-    found = []
+    texts = []
     if pdo.inhibit_time_100us:
         inhibit = objects.read_if_there(pdo.communication_index, 3, "H")
         if inhibit not in (None, pdo.inhibit_time_100us):
-            found.append(
+            texts.append(
                 f"{pdo.name} has an inhibit time of {inhibit} x 100 us instead of {pdo.inhibit_time_100us}"
             )
     if pdo.event_timer_ms:
         timer = objects.read_if_there(pdo.communication_index, 5, "H")
         if timer != pdo.event_timer_ms:
             held = "no event timer" if timer is None else f"an event timer of {timer} ms"
-            found.append(f"{pdo.name} has {held} instead of {pdo.event_timer_ms} ms")
-    return found
+            texts.append(f"{pdo.name} has {held} instead of {pdo.event_timer_ms} ms")
+    return texts
 
 
 def _held_mapping(objects: RemoteObjects, mapping_index: int) -> list[int]:

@@ -108,15 +108,15 @@ class PdoCapability:
 
     def flexible_object(self, key: Key, direction: PdoDirection) -> MappedObject | None:
         """The object, if a PDO whose mapping can be written may carry it."""
-        found = self.objects.get(key)
-        if found is None or not found.code:
+        entry = self.objects.get(key)
+        if entry is None or not entry.code:
             return None
-        may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
+        may = entry.transmittable if direction is PdoDirection.TRANSMIT else entry.receivable
         flexible = [slot for slot in self.of(direction) if slot.mapping_writable]
         mapped_by_default = any(key in slot.keys for slot in flexible)
-        if not mapped_by_default and not (may and (found.mappable or not self.flags_tell)):
+        if not mapped_by_default and not (may and (entry.mappable or not self.flags_tell)):
             return None
-        return found if flexible else None
+        return entry if flexible else None
 
 
 def capability_of_drive(objects: RemoteObjects, wanted: Mapping[tuple[int, int], str]) -> PdoCapability:

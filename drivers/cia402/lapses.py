@@ -14,15 +14,15 @@ def lapses(drive: ServoDrive, heartbeat_ms: int) -> list[str]:
     """
     if drive.plan is None:
         raise RuntimeError(f"{drive.name} was not configured")
-    found = []
+    texts = []
     if drive.error_control.told:
         state = _told_state(drive, Duration(2 * heartbeat_ms * NS_PER_MS))
         if state is not NmtState.OPERATIONAL:
-            found.append(f"its NMT state is {'not told' if state is None else state.name}")
-    found += drive.error_control.lapses()
+            texts.append(f"its NMT state is {'not told' if state is None else state.name}")
+    texts += drive.error_control.lapses()
     for pdo in drive.plan:
-        found += differences(drive.objects, pdo)
-    return found
+        texts += differences(drive.objects, pdo)
+    return texts
 
 
 def _told_state(drive: ServoDrive, patience: Duration) -> NmtState | None:

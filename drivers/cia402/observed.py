@@ -46,14 +46,14 @@ def with_observed(plan: PdoPlan, node_id: int, observed: Observed) -> PdoPlan | 
 
 
 def _packed(entries: Iterable[PdoEntry]) -> list[tuple[PdoEntry, ...]]:
-    found: list[tuple[PdoEntry, ...]] = []
+    pdos: list[tuple[PdoEntry, ...]] = []
     for entry in entries:
-        last = found[-1] if found else ()
-        if not found or sum(each.bits for each in last) + entry.bits > _BITS_MAX:
-            found.append((entry,))
+        last = pdos[-1] if pdos else ()
+        if not pdos or sum(each.bits for each in last) + entry.bits > _BITS_MAX:
+            pdos.append((entry,))
         else:
-            found[-1] = (*last, entry)
-    return found
+            pdos[-1] = (*last, entry)
+    return pdos
 
 
 def map_observed(objects: RemoteObjects, plan: PdoPlan, observed: Observed) -> tuple[PdoPlan, list[str]]:

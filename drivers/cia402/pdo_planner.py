@@ -152,12 +152,12 @@ def features_of(plan: PdoPlan) -> Features:
 def _torque(capability: PdoCapability, notes: list[str]) -> Key | None:
     """What stands for the torque, if anything does."""
     able = (key for key in (TORQUE, CURRENT) if capability.can_carry(key, PdoDirection.TRANSMIT))
-    found = next(able, None)
-    if found is None:
+    first = next(able, None)
+    if first is None:
         notes.append("neither 6077h nor 6078h can be mapped: readings carry no torque")
-    elif found == CURRENT:
+    elif first == CURRENT:
         notes.append("6077h cannot be mapped: torque is taken from the current 6078h")
-    return found
+    return first
 
 
 def _serves(slot: PdoSlot, group: Group) -> bool:
@@ -296,8 +296,8 @@ class _Planner:
     def _code(self, key: Key, slot: PdoSlot) -> str:
         """``struct`` character of an object in a PDO with a fixed mapping; empty if it has none."""
         word = next(word for word in slot.mapping if key_of(word) == key)
-        found = self._capability.objects.get(key)
-        return found.code if found is not None and found.bits == word & 0xFF else ""
+        entry = self._capability.objects.get(key)
+        return entry.code if entry is not None and entry.bits == word & 0xFF else ""
 
     def _entries(self, slot: PdoSlot) -> list[PdoEntry]:
         made = []
@@ -312,19 +312,19 @@ class _Planner:
     def _lack(self, key: Key, direction: PdoDirection) -> str:
         """Why no PDO can carry an object."""
         name = object_name(*key)
-        found = self._capability.objects.get(key)
+        entry = self._capability.objects.get(key)
         slots = self._capability.of(direction)
         kind = f"{direction.letter}PDO"
         if not slots:
             return f"{name}: there is no {kind}"
-        if found is None:
+        if entry is None:
             return f"{name} is not in the dictionary"
         if not any(slot.mapping_writable for slot in slots):
             return f"{name}: the {kind}s have fixed mappings without it"
-        if not found.code:
-            return f"{name} has {found.bits} bits, which is no whole number of octets that is known here"
-        may = found.transmittable if direction is PdoDirection.TRANSMIT else found.receivable
-        if found.mappable and may:
+        if not entry.code:
+            return f"{name} has {entry.bits} bits, which is no whole number of octets that is known here"
+        may = entry.transmittable if direction is PdoDirection.TRANSMIT else entry.receivable
+        if entry.mappable and may:
             return f"{name}: the {kind}s have no room left for it"
         return f"{name} cannot be mapped into a {kind}"
 

@@ -134,14 +134,14 @@ def status_timer_ms(heartbeat_timeout_ms: int) -> int:
 
 def limits_of(features: Features, *, torque_mode: bool) -> list[str]:
     """What is lost where a feature is not used, in words."""
-    found = []
+    limits = []
     if not features.stamp:
-        found.append("no 1013h beside 606Ch: readings are attributed to SYNCs by their order")
+        limits.append("no 1013h beside 606Ch: readings are attributed to SYNCs by their order")
     if not features.demand and torque_mode:
-        found.append("no 6074h beside the position: which command acts is not measured")
+        limits.append("no 6074h beside the position: which command acts is not measured")
     if not features.status_on_change:
-        found.append("6041h is not told on change: it is told with the SYNC")
-    return found
+        limits.append("6041h is not told on change: it is told with the SYNC")
+    return limits
 
 
 _CONTROLWORD = PdoEntry(Object.CONTROLWORD, 0, "H")

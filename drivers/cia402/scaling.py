@@ -127,11 +127,11 @@ def scaling_from(values: ObjectValues, override: ScaleOverride | None = None) ->
     def choose(
         name: str, overridden: float | None, derive: Callable[[], tuple[float, str] | None], remedy: str
     ) -> float:
-        found = (overridden, "override") if overridden is not None else derive()
-        if found is None or not (math.isfinite(found[0]) and found[0] > 0.0):
+        chosen = (overridden, "override") if overridden is not None else derive()
+        if chosen is None or not (math.isfinite(chosen[0]) and chosen[0] > 0.0):
             raise UnitNotTold(f"the drive does not tell its {name} unit", "", remedy, unit=name)
-        sources[name] = found[1]
-        return found[0]
+        sources[name] = chosen[1]
+        return chosen[0]
 
     rated = choose("torque", given.rated_torque_nm, lambda: _rated_torque(values), "give its rated torque")
     position = choose("position", given.position_rad, lambda: _position(values), "give rad per position unit")

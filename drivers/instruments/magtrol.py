@@ -65,12 +65,12 @@ class Dialect(NamedTuple):
 
     def read(self, line: bytes) -> DataString | None:
         """The data string in ``line``, which has lost its end; None for anything else."""
-        found = _READING.fullmatch(line.strip())
-        if found is None or not any(digit in found[2] for digit in b"0123456789"):
+        match = _READING.fullmatch(line.strip())
+        if match is None or not any(digit in match[2] for digit in b"0123456789"):
             return None
-        sign = {b"R": 1.0, b"L": -1.0, b"A": 1.0}[found[3]] * (1.0 if self.clockwise_is_positive else -1.0)
-        torque_nm = float(found[2]) * TORQUE_UNITS_NM[self.unit]
-        return DataString(torque_nm, sign * int(found[1]) * RAD_S_PER_RPM, found[3] == b"A")
+        sign = {b"R": 1.0, b"L": -1.0, b"A": 1.0}[match[3]] * (1.0 if self.clockwise_is_positive else -1.0)
+        torque_nm = float(match[2]) * TORQUE_UNITS_NM[self.unit]
+        return DataString(torque_nm, sign * int(match[1]) * RAD_S_PER_RPM, match[3] == b"A")
 
 
 def dialect(kind: str, channel: int = 1, unit: str = "N.m", clockwise_is_positive: bool = True) -> Dialect:

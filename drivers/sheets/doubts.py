@@ -17,11 +17,11 @@ _FIRST_OBJECT = 0x1000
 
 def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[str, ...]:
     """Default mappings that cannot be, and objects whose sub-index 0 is not their highest sub-index."""
-    found = [doubt for slot in capability.slots for doubt in _of_mapping(slot, capability)]
+    all_doubts = [doubt for slot in capability.slots for doubt in _of_mapping(slot, capability)]
     counts = [doubt for index, entry in dictionary.items() if (doubt := _of_count(index, entry))]
     if counts:
-        found.append(f"sub-index 0 is not the highest sub-index: {_some(counts)}")
-    return tuple(found)
+        all_doubts.append(f"sub-index 0 is not the highest sub-index: {_some(counts)}")
+    return tuple(all_doubts)
 
 
 def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:

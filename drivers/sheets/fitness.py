@@ -288,40 +288,40 @@ def _obstacles(
     modes: tuple[Mode, ...],
     usable: tuple[ModeFitness, ...],
 ) -> tuple[str, ...]:
-    found = []
+    texts = []
     if identity.profile not in (None, 0, DRIVE_PROFILE):
-        found.append(other_profile(identity.device_type or 0))
+        texts.append(other_profile(identity.device_type or 0))
     missing = [index for index in (Object.CONTROLWORD, Object.STATUSWORD) if index not in dictionary]
     if missing:
         names = " and ".join(object_name(index, 0) for index in missing)
-        found.append(f"{names} missing: it has no CiA 402 state machine")
-        return tuple(found)
+        texts.append(f"{names} missing: it has no CiA 402 state machine")
+        return tuple(texts)
     if Object.MODES_OF_OPERATION not in dictionary:
-        found.append("6060h:00 missing: its mode cannot be chosen")
+        texts.append("6060h:00 missing: its mode cannot be chosen")
     if not usable:
         has = ", ".join(mode.title for mode in modes) or "none"
-        found.append(f"it has no mode for torque, velocity or position set-points (modes: {has})")
+        texts.append(f"it has no mode for torque, velocity or position set-points (modes: {has})")
     elif not any(mode.plan is not None for mode in usable):
-        found += [f"no PDO plan for {mode.mode.title}: {mode.reason}" for mode in usable]
-    return tuple(found)
+        texts += [f"no PDO plan for {mode.mode.title}: {mode.reason}" for mode in usable]
+    return tuple(texts)
 
 
 def _remarks(
     dictionary: od.ObjectDictionary, profile: int | None, usable: tuple[ModeFitness, ...]
 ) -> tuple[str, ...]:
-    found = []
+    texts = []
     if profile in (None, 0):
-        found.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
+        texts.append("1000h gives no device profile: that it is a servo drive is concluded from its objects")
     served = [mode.mode for mode in usable if mode.plan is not None]
     if served and not any(mode in _TORQUE_MODES for mode in served):
-        found.append(f"no torque mode; {run_words(served)}")
+        texts.append(f"no torque mode; {run_words(served)}")
     guarded = 0x100C in dictionary and 0x100D in dictionary
     if 0x1016 not in dictionary:
-        found.append(
+        texts.append(
             "without 1016h the drive watches its host by life guarding (100Ch, 100Dh)"
             if guarded
             else "without 1016h, 100Ch and 100Dh nothing stops the drive when the host is gone"
         )
     if _axes(dictionary) > 1:
-        found.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
-    return tuple(found)
+        texts.append(f"it has {_axes(dictionary)} axes; the bench uses the first")
+    return tuple(texts)

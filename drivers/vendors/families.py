@@ -75,10 +75,10 @@ class DriveFamily:
 @cache
 def known_families() -> tuple[DriveFamily, ...]:
     """All files of this folder, by name."""
-    found = sorted(files(__package__).iterdir(), key=lambda path: path.name)
+    entries = sorted(files(__package__).iterdir(), key=lambda path: path.name)
     return tuple(
         read_family(path.read_text(encoding="utf-8"), path.name)
-        for path in found
+        for path in entries
         if path.name.endswith(".toml")
     )
 

@@ -167,13 +167,13 @@ def open_bus(spec: BusSpec, bitrate_bit_s: int, source: str = "--bus", *, for_li
 
 def socketcan_links(root: Path = _NETWORK_LINKS) -> list[Adapter]:
     """CAN network interfaces, up or not."""
-    found = []
+    links = []
     for link in sorted(root.iterdir()) if root.is_dir() else []:
         if _attribute(link, "type") == _ARPHRD_CAN:
             up = _is_up(link)
             state = "up" if up else f"down; {link_up_command(link.name)}"
-            found.append(Adapter(f"{SOCKETCAN}:{link.name}", f"SocketCAN interface, {state}", up))
-    return found
+            links.append(Adapter(f"{SOCKETCAN}:{link.name}", f"SocketCAN interface, {state}", up))
+    return links
 
 
 def link_up_command(channel: str, bitrate_bit_s: int = 1_000_000) -> str:

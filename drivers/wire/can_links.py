@@ -42,11 +42,11 @@ def can_links(root: Path = _SYSFS, described: str | None = None) -> list[CanLink
     if described is None:
         described = _ask_ip()
     told = {link.name: link for link in parse_links(described)}
-    found = []
+    links = []
     for adapter in socketcan_links(root):
         name = adapter.spec.removeprefix(f"{SOCKETCAN}:")
-        found.append(told.pop(name, CanLink(name, adapter.usable, "", None, "")))
-    return sorted([*found, *told.values()])
+        links.append(told.pop(name, CanLink(name, adapter.usable, "", None, "")))
+    return sorted([*links, *told.values()])
 
 
 def parse_links(text: str) -> list[CanLink]:

@@ -36,11 +36,11 @@ class SerialPort(NamedTuple):
 
 def serial_adapters() -> list[SerialPort]:
     """The USB serial ports, by name."""
-    found = []
+    adapters = []
     for port in sorted(list_ports.comports(), key=lambda port: str(port.device)):
         if port.vid is None or port.pid is None:
             continue
-        found.append(
+        adapters.append(
             SerialPort(
                 port.device,
                 port.description if port.description not in (None, "n/a") else "",
@@ -50,4 +50,4 @@ def serial_adapters() -> list[SerialPort]:
                 os.access(port.device, os.R_OK | os.W_OK),
             )
         )
-    return found
+    return adapters

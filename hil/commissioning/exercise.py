@@ -158,8 +158,8 @@ def _told_or(torque_nm: float, commanded_nm: float) -> float:
     return commanded_nm if math.isnan(torque_nm) else torque_nm
 
 
-def _exceeded(what: str, found: float, limit: float, unit: str) -> LimitExceeded:
-    return LimitExceeded(f"{what}: {found:.4g} {unit} is beyond the limit of {limit:.4g} {unit}")
+def _exceeded(what: str, value: float, limit: float, unit: str) -> LimitExceeded:
+    return LimitExceeded(f"{what}: {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}")
 
 
 def torque_limits(limits: MotionLimits, period_s: float, guard_speed: bool) -> TorqueLimits:

@@ -35,26 +35,26 @@ def write_files(session: Session) -> None:
     """Write what can be written."""
     out = session.request.out
     texts: dict[str, str] = {}
-    found = session.found
-    if found.identity is not None and found.told is not None:
+    findings = session.found
+    if findings.identity is not None and findings.told is not None:
         texts[COMMISSIONED_FILE] = _headed("The drive as commissioning found it.", drive_tables(session))
-    if found.mechanics is not None:
+    if findings.mechanics is not None:
         texts[MOTOR_FILE] = _motor_text(session)
-    if found.network is not None:
+    if findings.network is not None:
         texts[NETWORK_FILE] = (
-            f"# What the bus does to readings and commands, measured.\n\n{network_text(found.network)}"
+            f"# What the bus does to readings and commands, measured.\n\n{network_text(findings.network)}"
         )
     journal = session.network.journal
     if journal is not None and journal.contents.changes:
         texts[DCF_FILE] = dcf_text(
-            found.settings,
+            findings.settings,
             {**_mandatory(session), **journal.contents.originals()},
             session.dictionary,
             session.request.node,
             session.request.bitrate_bit_s,
-            found.identity,
+            findings.identity,
         )
-    if found.controller and MOTOR_FILE in texts:
+    if findings.controller and MOTOR_FILE in texts:
         texts[BENCH_FILE] = _headed(
             "A bench for this drive, with the suggested controller and limits.", _bench_tables(session)
         )
@@ -90,8 +90,8 @@ def set_objects(session: Session) -> dict[ObjectKey, bytes]:
 
 def drive_tables(session: Session) -> dict[str, Any]:
     """``drive.toml``."""
-    found = session.found
-    identity, override = found.identity, found.override
+    findings = session.found
+    identity, override = findings.identity, findings.override
     assert identity is not None
     tables: dict[str, Any] = {
         "drive": {
@@ -110,14 +110,14 @@ def drive_tables(session: Session) -> dict[str, Any]:
     }
     if override.torque_sign < 0.0 or override.velocity_sign < 0.0:
         tables["signs"] = {"torque": int(override.torque_sign), "velocity": int(override.velocity_sign)}
-    if found.quick_stop_option is not QuickStopOption.QUICK_STOP_RAMP:
-        tables["stop"] = {"option": int(found.quick_stop_option)}
-    if found.current_bandwidth_hz is not None:
-        tables["current_loop"] = {"order": 1, "bandwidth_hz": found.current_bandwidth_hz}
-    own_ramp = found.quick_stop_rad_s2 is not None
+    if findings.quick_stop_option is not QuickStopOption.QUICK_STOP_RAMP:
+        tables["stop"] = {"option": int(findings.quick_stop_option)}
+    if findings.current_bandwidth_hz is not None:
+        tables["current_loop"] = {"order": 1, "bandwidth_hz": findings.current_bandwidth_hz}
+    own_ramp = findings.quick_stop_rad_s2 is not None
     objects = [
         {"index": key.index, "sub": key.sub, "bytes": value.hex()}
-        for key, value in found.settings.items()
+        for key, value in findings.settings.items()
         if key.index in _SETTINGS or (key.index == Object.QUICK_STOP_DECELERATION and own_ramp)
     ]
     if objects:
@@ -125,29 +125,29 @@ def drive_tables(session: Session) -> dict[str, Any]:
     limits = suggestion(session)
     if limits:
         tables["limits"] = limits
-    if found.controller:
-        tables["controller"] = found.controller
+    if findings.controller:
+        tables["controller"] = findings.controller
     return tables
 
 
 def _motor_text(session: Session) -> str:
     """``motor.toml``: measured where it can be, off the nameplate where not, else a stand-in that says so."""
-    found, plate = session.found, session.request.nameplate
+    findings, plate = session.found, session.request.nameplate
     mechanics = session.mechanics
     rated_nm = session.drive.rated_torque_nm
     rating = plate.rating
     guesses = []
-    pole_pairs = int(found.value("pole_pairs") or 1)
-    constant = found.torque_constant_nm_a or found.value("torque_constant_nm_a")
+    pole_pairs = int(findings.value("pole_pairs") or 1)
+    constant = findings.torque_constant_nm_a or findings.value("torque_constant_nm_a")
     if constant is None:
         constant = 1.0
         guesses.append("the flux is that of 1 N m per A rms")
-    lag_s = 1e-6 * (found.torque_lag_us or 500.0)
-    resistance = found.value("resistance_ohm") or 1.0
-    inductance = found.value("inductance_q_h") or resistance * lag_s
-    if not {"resistance_ohm", "inductance_q_h"} <= found.stated.keys():
+    lag_s = 1e-6 * (findings.torque_lag_us or 500.0)
+    resistance = findings.value("resistance_ohm") or 1.0
+    inductance = findings.value("inductance_q_h") or resistance * lag_s
+    if not {"resistance_ohm", "inductance_q_h"} <= findings.stated.keys():
         guesses.append("resistance and inductance are stand-ins with the measured lag of the torque")
-    if "pole_pairs" not in found.stated:
+    if "pole_pairs" not in findings.stated:
         guesses.append("the number of pole pairs is not known")
     speed_rpm = rating.speed_rpm or 2.0 * session.limits.speed_rad_s * RPM_PER_RAD_S
     current_a = rated_nm / constant
@@ -161,7 +161,7 @@ def _motor_text(session: Session) -> str:
         "motor": {
             "name": plate.motor.name,
             "resistance_ohm": resistance,
-            "inductance_d_h": found.value("inductance_d_h") or inductance,
+            "inductance_d_h": findings.value("inductance_d_h") or inductance,
             "inductance_q_h": inductance,
             "flux_linkage_wb": flux,
             "pole_pairs": pole_pairs,
@@ -180,20 +180,20 @@ def _motor_text(session: Session) -> str:
         },
     }
     measured = (
-        "Inertia, friction and torque constant" if found.torque_constant_nm_a else "Inertia and friction"
+        "Inertia, friction and torque constant" if findings.torque_constant_nm_a else "Inertia and friction"
     )
     notes = [f"{measured} are measured; they include the load on the shaft."]
-    notes += _by_word(found)
+    notes += _by_word(findings)
     notes += [f"Not known: {guess}." for guess in guesses]
     return _headed(" ".join(notes), tables)
 
 
-def _by_word(found: Findings) -> list[str]:
+def _by_word(findings: Findings) -> list[str]:
     """What stands there by somebody's word alone."""
     words = {"resistance": "resistance_ohm", "inductance": "inductance_q_h", "pole pairs": "pole_pairs"}
-    if found.torque_constant_nm_a is None:
+    if findings.torque_constant_nm_a is None:
         words["torque constant"] = "torque_constant_nm_a"
-    stated = {name: found.stated[key] for name, key in words.items() if key in found.stated}
+    stated = {name: findings.stated[key] for name, key in words.items() if key in findings.stated}
     told = {name: each.by for name, each in stated.items() if each.told}
     named = [name for name in stated if name not in told]
     notes = [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
@@ -201,7 +201,7 @@ def _by_word(found: Findings) -> list[str]:
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:
-    found = session.found
+    findings = session.found
     limits = suggestion(session)
     rpm = float(round(0.4 * session.limits.speed_rad_s * RPM_PER_RAD_S))
     drive: dict[str, Any] = {
@@ -210,13 +210,13 @@ def _bench_tables(session: Session) -> dict[str, Any]:
         "commissioned": COMMISSIONED_FILE,
         **_heartbeats(session),
         "limits": limits,
-        "controller": found.controller,
+        "controller": findings.controller,
     }
     return {
         "bench": {"name": "commissioned", "duration_s": 3.0},
         "bus": {"spec": session.request.bus, "bitrate_bit_s": session.request.bitrate_bit_s},
         "host": _heartbeats(session),
-        "loop": {"period_us": round(found.period / 1000)},
+        "loop": {"period_us": round(findings.period / 1000)},
         "drive": {"axis1": drive},
         "reference": {
             "axis1": [

@@ -116,15 +116,15 @@ def identify_mechanics(
     if np.any(scale == 0.0):
         raise NotIdentifiable("the motion excites too little")
     matrix = matrix / scale
-    found, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=1e-9)
+    solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=1e-9)
     if rank < len(columns):
         raise NotIdentifiable("friction and inertia cannot be told apart in this motion")
-    residual = right - matrix @ found
+    residual = right - matrix @ solution
     inverse = np.linalg.inv(matrix.T @ matrix)
     covariance = _covariance(matrix, residual, [len(part) for part in parts])
-    covariance += _unseen(stacked, found[0] / scale[0], torque_unit_nm, inverse @ matrix.T)
+    covariance += _unseen(stacked, solution[0] / scale[0], torque_unit_nm, inverse @ matrix.T)
     values, errors = np.zeros(_TORQUE), np.zeros(_TORQUE)
-    values[columns] = found / scale
+    values[columns] = solution / scale
     errors[columns] = COVERAGE_FACTOR * np.sqrt(np.diag(covariance)) / scale
     return Mechanics(
         inertia_kg_m2=float(values[_INERTIA]),

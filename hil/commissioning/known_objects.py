@@ -49,15 +49,15 @@ def dump(
 
     Without a data sheet: the objects of CiA 301 and CiA 402 that drives have.
     """
-    found: Dump = {}
+    held: Dump = {}
     for number, (index, sub) in enumerate(_listed(dictionary) if dictionary else _usual(network, node)):
         try:
-            found[index, sub] = network.upload(node, index, sub)
+            held[index, sub] = network.upload(node, index, sub)
         except TransferAborted:
             continue
         if number % 16 == 0:
             idle()
-    return found
+    return held
 
 
 def _listed(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:
@@ -92,11 +92,11 @@ def _usual(network: CanopenNetwork, node: int) -> Iterator[tuple[int, int]]:
             yield index, sub
 
 
-def differing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
+def differing(held_objects: Dump, dictionary: ObjectDictionary) -> list[str]:
     """Settings that differ from the data sheet's defaults, in words."""
     lines = []
     for variable in variables(dictionary):
-        held = found.get((variable.index, variable.subindex))
+        held = held_objects.get((variable.index, variable.subindex))
         default = variable.default
         if held is None or not isinstance(default, int) or variable.access_type in ("ro", "const"):
             continue
@@ -111,12 +111,12 @@ def differing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
     return lines
 
 
-def missing(found: Dump, dictionary: ObjectDictionary) -> list[str]:
+def missing(held: Dump, dictionary: ObjectDictionary) -> list[str]:
     """Objects of the data sheet that the drive did not let be read."""
     return [
         f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}"
         for variable in variables(dictionary)
         if variable.access_type != _WRITE_ONLY
         and variable.data_type != _DOMAIN
-        and (variable.index, variable.subindex) not in found
+        and (variable.index, variable.subindex) not in held
     ]

@@ -34,7 +34,7 @@ def _figure(path: Path, rows: int, height: float, **options: Any) -> Iterator[li
     figure.savefig(path, dpi=110)
 
 
-def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics) -> None:
+def draw_mechanics(path: Path, recordings: Sequence[Recording], mechanics: Mechanics) -> None:
     """Speed over time, and the torque that the fit leaves for friction over speed."""
     with _figure(path, 2, 7.0) as (above, below):
         begin = 0.0
@@ -47,25 +47,25 @@ def draw_mechanics(path: Path, recordings: Sequence[Recording], found: Mechanics
             speed = recording.speed
             acceleration = np.gradient(speed, recording.time)
             kernel = np.ones(25) / 25.0
-            friction = np.convolve(recording.torque - found.inertia_kg_m2 * acceleration, kernel, "same")
+            friction = np.convolve(recording.torque - mechanics.inertia_kg_m2 * acceleration, kernel, "same")
             below.plot(speed * RPM_PER_RAD_S, friction, ".", color=_GREY, markersize=1.5, alpha=0.5)
             top = max(top, float(np.abs(speed).max()))
         speeds = np.linspace(-top, top, 401)
-        line = [found.friction_nm(float(speed)) + found.offset_nm for speed in speeds]
+        line = [mechanics.friction_nm(float(speed)) + mechanics.offset_nm for speed in speeds]
         below.plot(speeds * RPM_PER_RAD_S, line, color=_RED, linewidth=1.5, label="identified friction")
         peak = 3.0 * max(abs(value) for value in line) + 1e-12
         below.set(xlabel="speed, r/min", ylabel="torque less inertia, N m", ylim=(-peak, peak))
         below.legend(frameon=False)
 
 
-def draw_angle(path: Path, found: TorqueByAngle) -> None:
+def draw_angle(path: Path, by_angle: TorqueByAngle) -> None:
     """Torque that inertia and friction leave, over the angle, each way."""
     with _figure(path, 1, 4.5) as (ax,):
-        degrees = np.degrees(found.angle_rad)
-        ax.plot(degrees, found.forward_nm, color=_BLUE, linewidth=1.2, label="forwards")
-        ax.plot(degrees, found.backward_nm, color=_RED, linewidth=1.2, label="backwards")
+        degrees = np.degrees(by_angle.angle_rad)
+        ax.plot(degrees, by_angle.forward_nm, color=_BLUE, linewidth=1.2, label="forwards")
+        ax.plot(degrees, by_angle.backward_nm, color=_RED, linewidth=1.2, label="backwards")
         ax.set(xlabel="angle of the shaft, degrees", ylabel="torque less inertia and friction, N m")
-        ax.set(xlim=(0.0, 360.0), title=f"standard error of a point {found.error_nm:.2g} N m")
+        ax.set(xlim=(0.0, 360.0), title=f"standard error of a point {by_angle.error_nm:.2g} N m")
         ax.legend(frameon=False)
 
 
@@ -79,20 +79,24 @@ def draw_current(path: Path, current: Array, torque: Array, slope: float, offset
         ax.legend(frameon=False)
 
 
-def draw_response(path: Path, found: FrequencyResponse, model: NDArray[np.complexfloating[Any, Any]]) -> None:
+def draw_response(
+    path: Path, response: FrequencyResponse, model: NDArray[np.complexfloating[Any, Any]]
+) -> None:
     """Magnitude, phase and coherence of torque to speed, beside the identified inertia and friction."""
-    frequency = found.frequency_hz
+    frequency = response.frequency_hz
     with _figure(path, 3, 9.0, sharex=True) as (magnitude, phase, coherence):
-        magnitude.loglog(frequency, np.abs(found.response), "o", color=_BLUE, markersize=3, label="measured")
+        magnitude.loglog(
+            frequency, np.abs(response.response), "o", color=_BLUE, markersize=3, label="measured"
+        )
         magnitude.loglog(frequency, np.abs(model), color=_RED, linewidth=1.2, label="1/(J s + B)")
         magnitude.set(ylabel="speed / torque, rad/s per N m")
         magnitude.legend(frameon=False)
         phase.semilogx(
-            frequency, np.degrees(np.unwrap(np.angle(found.response))), "o", color=_BLUE, markersize=3
+            frequency, np.degrees(np.unwrap(np.angle(response.response))), "o", color=_BLUE, markersize=3
         )
         phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(model))), color=_RED, linewidth=1.2)
         phase.set(ylabel="phase, degrees")
-        coherence.semilogx(frequency, found.coherence, "o", color=_BLUE, markersize=3)
+        coherence.semilogx(frequency, response.coherence, "o", color=_BLUE, markersize=3)
         coherence.set(ylabel="coherence", xlabel="frequency, Hz", ylim=(0.0, 1.05))
 
 

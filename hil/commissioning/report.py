@@ -94,14 +94,14 @@ def header_of(request: CommissionRequest, result: Commissioned) -> dict[str, Any
     }
 
 
-def _stated(found: Findings) -> str | dict[str, str]:
+def _stated(findings: Findings) -> str | dict[str, str]:
     """Whose word stands for what nothing measures."""
-    if not any(each.told for each in found.stated.values()):
+    if not any(each.told for each in findings.stated.values()):
         return "resistance, inductance, pole pairs: by the nameplate, or as said at the motor"
     return {
         QUANTITIES[name].title: f"{each.value:.4g} {QUANTITIES[name].unit}, {each.by}".replace(" ,", ",")
-        for name, each in found.stated.items()
-        if name != "torque_constant_nm_a" or found.torque_constant_nm_a is None
+        for name, each in findings.stated.items()
+        if name != "torque_constant_nm_a" or findings.torque_constant_nm_a is None
     }
 
 
@@ -128,7 +128,7 @@ def _in_words(value: Any) -> str:
 
 def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
     """The same for programs."""
-    restoration, found = result.restoration, result.findings
+    restoration, findings = result.restoration, result.findings
     return {
         "header": header_of(request, result),
         "bus": request.bus,
@@ -139,8 +139,8 @@ def as_json(request: CommissionRequest, result: Commissioned) -> dict[str, Any]:
         "restored": None if restoration is None else restoration.complete,
         "not_restored": [] if restoration is None else restoration.failures,
         "written": [
-            {"object": str(key), "before": found.originals.get(key, b"").hex(), "set": value.hex()}
-            for key, value in sorted(found.settings.items(), key=lambda item: str(item[0]))
+            {"object": str(key), "before": findings.originals.get(key, b"").hex(), "set": value.hex()}
+            for key, value in sorted(findings.settings.items(), key=lambda item: str(item[0]))
         ],
         "undo": request.restore_command,
         "steps": [
@@ -173,8 +173,8 @@ def _summary(records: Sequence[StepRecord]) -> list[str]:
 
 
 def _faults(records: Sequence[StepRecord]) -> list[str]:
-    found = [f"- {fault}" for record in records for fault in record.outcome.faults] or ["None was found."]
-    return ["## Faults in the drive's settings", "", *found, ""]
+    faults = [f"- {fault}" for record in records for fault in record.outcome.faults] or ["None was found."]
+    return ["## Faults in the drive's settings", "", *faults, ""]
 
 
 def _missing(records: Sequence[StepRecord]) -> list[str]:

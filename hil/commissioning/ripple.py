@@ -39,7 +39,7 @@ class TorqueByAngle(NamedTuple):
         return None if np.isnan(both).any() else float(np.ptp(both)) / 2.0
 
 
-def torque_by_angle(recordings: Sequence[Recording], found: Mechanics) -> TorqueByAngle:
+def torque_by_angle(recordings: Sequence[Recording], mechanics: Mechanics) -> TorqueByAngle:
     """What is left of the torque, by angle: of the samples slow enough for their acceleration to be told."""
     angles, torques, directions = [], [], []
     for recording in recordings:
@@ -50,8 +50,12 @@ def torque_by_angle(recordings: Sequence[Recording], found: Mechanics) -> Torque
         step = float(np.median(np.diff(recording.time)))
         slow = (np.abs(speed) * _SMOOTHED * step < _REACH_RAD) & (np.abs(speed) * _SMOOTHED * step > 0.01)
         sign = np.sign(speed)
-        friction = found.viscous_friction_nm_s * speed + found.coulomb_friction_nm * sign + found.offset_nm
-        left = recording.torque - found.inertia_kg_m2 * acceleration - friction
+        friction = (
+            mechanics.viscous_friction_nm_s * speed
+            + mechanics.coulomb_friction_nm * sign
+            + mechanics.offset_nm
+        )
+        left = recording.torque - mechanics.inertia_kg_m2 * acceleration - friction
         angles.append(np.mod(recording.position, 2.0 * np.pi)[slow])
         torques.append(left[slow])
         directions.append(sign[slow])

@@ -123,10 +123,10 @@ class Session:
         if control.read_state() in FAULTY and codes and codes[-1] == _HOST_LOST:
             self.drive.reset_fault(self.deadline(ENABLE_LIMIT_S))
             self.dialog.tell(f"    the fault {_HOST_LOST:04X}h, of a host that was not heard, is reset")
-        found = lapses(self.drive, self.request.heartbeat_ms)
-        if found or self.disturbed:
-            if found:
-                self.dialog.tell(f"    the drive is set up again: {'; '.join(found)}")
+        faults = lapses(self.drive, self.request.heartbeat_ms)
+        if faults or self.disturbed:
+            if faults:
+                self.dialog.tell(f"    the drive is set up again: {'; '.join(faults)}")
             self.configure()
         self.disturbed = False
 
@@ -236,9 +236,9 @@ class Session:
         mode = mode or self.motion_mode()
         if mode is None:
             raise StepFailed("the drive has no mode in which the bench could move it")
-        request, found = self.request, self.found
+        request, findings = self.request, self.found
         settings = DriveSettings(
-            sync_period_ns=found.period,
+            sync_period_ns=findings.period,
             plan=plan,
             capability=self.capability,
             mode=mode,
@@ -250,16 +250,16 @@ class Session:
             unwatched=request.unwatched,
             torque_max_nm=self.limits.torque_nm,
             speed_max_rad_s=self.limits.speed_rad_s * 1.3,
-            quick_stop_deceleration_rad_s2=found.quick_stop_rad_s2,
-            quick_stop_option=found.quick_stop_option,
-            scale=found.override,
+            quick_stop_deceleration_rad_s2=findings.quick_stop_rad_s2,
+            quick_stop_option=findings.quick_stop_option,
+            scale=findings.override,
         )
         notes = self.drive.configure(settings)
-        found.plan = self.drive.plan
+        findings.plan = self.drive.plan
         first, self.configured = not self.configured, True
         if first and self.unwatched:
             return self.configure(mode, plan)  # with the limits of such a drive
-        self._port = DrivePort(self.drive, mode, found.period / NS_PER_S)
+        self._port = DrivePort(self.drive, mode, findings.period / NS_PER_S)
         self.guard.arm({}, own_sync=True)
         return notes
 
@@ -387,7 +387,7 @@ def held_s(session: Session) -> float | None:
     """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
     if session.torque_mode() is None:
         return None
-    found = session.found
-    if found.reading_delay_us is not None and found.effect_delay_us is not None:
-        return 1e-6 * (found.reading_delay_us + found.effect_delay_us)
+    findings = session.found
+    if findings.reading_delay_us is not None and findings.effect_delay_us is not None:
+        return 1e-6 * (findings.reading_delay_us + findings.effect_delay_us)
     return _FRAMES_TO_ACT * session.timing().command_latency / NS_PER_S

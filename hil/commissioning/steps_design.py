@@ -61,14 +61,14 @@ class Suggest(Step):
         return f"design a PI speed controller for {_MARGIN:g} times the measured delay{delay}"
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        mechanics, found = session.mechanics, session.found
+        mechanics, findings = session.mechanics, session.found
         designed_s = _MARGIN * total_delay_s(session)
-        lag_s = max(1e-5, 1e-6 * (found.torque_lag_us or 100.0))
+        lag_s = max(1e-5, 1e-6 * (findings.torque_lag_us or 100.0))
         viscous = max(mechanics.viscous_friction_nm_s, 1e-9)
         # With one N m per ampere the gains come out in N m.
         model = speed_model(_shaft(mechanics.inertia_kg_m2, viscous, lag_s), integral=True)
         # The gain goes with the inverse of the delay: where noise forbids it, a longer one is designed for.
-        quiet = _NOISE_TORQUE * session.drive.rated_torque_nm / max(found.speed_noise_rad_s, 1e-12)
+        quiet = _NOISE_TORQUE * session.drive.rated_torque_nm / max(findings.speed_noise_rad_s, 1e-12)
         delay_s = max(designed_s, _GAIN_DELAY * mechanics.inertia_kg_m2 / quiet)
         if delay_s > designed_s:
             outcome.say(
@@ -80,7 +80,7 @@ class Suggest(Step):
         except DesignError as error:
             raise StepFailed("no controller was found", str(error)) from error
         proportional, integral = rounded(-float(design.K[1])), rounded(-float(design.K[2]))
-        found.controller = {
+        findings.controller = {
             "kind": "pid",
             "proportional_nm_s_rad": proportional,
             "integral_nm_rad": integral,
@@ -134,12 +134,12 @@ def _shaft(inertia: float, viscous: float, lag_s: float) -> PmsmParameters:
 
 def _period_us(session: Session) -> int:
     """The shortest that bus and delays allow: readings are in before the command has to go."""
-    found = session.found
-    assert found.plan is not None
-    needed_us = _ROOM * ((found.reading_delay_us or 0.0) + 0.5 * (found.effect_delay_us or 0.0))
+    findings = session.found
+    assert findings.plan is not None
+    needed_us = _ROOM * ((findings.reading_delay_us or 0.0) + 0.5 * (findings.effect_delay_us or 0.0))
     for period_us in (500, *PERIODS_US):
         period = Duration(period_us * NS_PER_US)
-        load = bus_load_percent_max([found.plan], period, session.request.bitrate_bit_s)
+        load = bus_load_percent_max([findings.plan], period, session.request.bitrate_bit_s)
         if load <= _LOAD_MAX_PERCENT and period_us >= needed_us:
             return period_us
     return PERIODS_US[-1]

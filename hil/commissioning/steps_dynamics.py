@@ -286,8 +286,8 @@ def _keep_readings(
 
 def total_delay_s(session: Session) -> float:
     """From a sample to the middle of the time for which a torque that rests on it acts, s."""
-    found = session.found
-    reading = found.reading_delay_us or 0.0
-    effect = found.effect_delay_us or 0.0
-    hold: Duration = found.period
+    findings = session.found
+    reading = findings.reading_delay_us or 0.0
+    effect = findings.effect_delay_us or 0.0
+    hold: Duration = findings.period
     return (reading + effect) * 1e-6 + 0.5 * hold / NS_PER_S

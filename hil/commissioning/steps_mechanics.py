@@ -89,7 +89,7 @@ class MechanicsStep(Step):
         refuse_losses(sum(each.lost for each in recordings), sum(each.cycles for each in recordings))
         try:
             window_s = max(_WINDOW_S, _WINDOW_PERIODS * session.found.period / NS_PER_S)
-            found = session.meanwhile(
+            mechanics = session.meanwhile(
                 identify_mechanics,
                 motions(recordings),
                 window_s,
@@ -100,17 +100,17 @@ class MechanicsStep(Step):
             )
         except NotIdentifiable as error:
             raise StepFailed("inertia and friction cannot be told from this motion", str(error)) from error
-        if session.torque_mode() is None and found.inertia_kg_m2 < 0.0:
-            found = _turned_round(session, found, outcome)
+        if session.torque_mode() is None and mechanics.inertia_kg_m2 < 0.0:
+            mechanics = _turned_round(session, mechanics, outcome)
         if not tells_torque(session):
-            found = _by_command(session, found, outcome)
-        _judge(found, outcome)
-        session.found.mechanics = found
+            mechanics = _by_command(session, mechanics, outcome)
+        _judge(mechanics, outcome)
+        session.found.mechanics = mechanics
         session.found.speed_noise_rad_s = noise = _speed_noise(recordings)
         outcome.figures["speed_noise_rad_s"] = noise
         outcome.say(f"the velocity 606Ch scatters by {noise:.3g} rad/s rms")
-        session.picture(outcome, "mechanics", draw_mechanics, recordings, found)
-        by_angle = torque_by_angle(recordings, found)
+        session.picture(outcome, "mechanics", draw_mechanics, recordings, mechanics)
+        by_angle = torque_by_angle(recordings, mechanics)
         ripple_nm = by_angle.ripple_nm
         outcome.figures["torque_ripple_nm"] = ripple_nm
         if ripple_nm is not None:
@@ -218,17 +218,17 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
     return recordings
 
 
-def _turned_round(session: Session, found: Mechanics, outcome: StepOutcome) -> Mechanics:
+def _turned_round(session: Session, mechanics: Mechanics, outcome: StepOutcome) -> Mechanics:
     """Torque against motion shows only here in a drive that is never given a torque."""
     session.overridden(torque_sign=-session.found.override.torque_sign)
     session.configure()
     outcome.faults.append("polarity: torque 6077h counts against the position; the bench turns its sign")
     return replace(
-        found,
-        inertia_kg_m2=-found.inertia_kg_m2,
-        viscous_friction_nm_s=-found.viscous_friction_nm_s,
-        coulomb_friction_nm=-found.coulomb_friction_nm,
-        offset_nm=-found.offset_nm,
+        mechanics,
+        inertia_kg_m2=-mechanics.inertia_kg_m2,
+        viscous_friction_nm_s=-mechanics.viscous_friction_nm_s,
+        coulomb_friction_nm=-mechanics.coulomb_friction_nm,
+        offset_nm=-mechanics.offset_nm,
     )
 
 
@@ -241,23 +241,23 @@ def tells_torque(session: Session) -> bool:
     )
 
 
-def _by_command(session: Session, found: Mechanics, outcome: StepOutcome) -> Mechanics:
+def _by_command(session: Session, mechanics: Mechanics, outcome: StepOutcome) -> Mechanics:
     """With the uncertainty of a torque that nobody measured; the motion tells the command's delay."""
     outcome.figures["by_command"] = True
     outcome.say(
         "the drive tells no torque (6077h, 6078h): the commanded one is taken, in units of 6076h, with "
         f"{100.0 * COVERAGE_FACTOR * _COMMANDED:g} % (k = 2) for what the drive makes of it"
     )
-    session.found.command_to_torque_s = (held_s(session) or 0.0) + found.torque_shift_s
+    session.found.command_to_torque_s = (held_s(session) or 0.0) + mechanics.torque_shift_s
 
     def wider(error: float, value: float) -> float:
         return math.hypot(error, COVERAGE_FACTOR * _COMMANDED * value)
 
     return replace(
-        found,
-        inertia_error=wider(found.inertia_error, found.inertia_kg_m2),
-        viscous_error=wider(found.viscous_error, found.viscous_friction_nm_s),
-        coulomb_error=wider(found.coulomb_error, found.coulomb_friction_nm),
+        mechanics,
+        inertia_error=wider(mechanics.inertia_error, mechanics.inertia_kg_m2),
+        viscous_error=wider(mechanics.viscous_error, mechanics.viscous_friction_nm_s),
+        coulomb_error=wider(mechanics.coulomb_error, mechanics.coulomb_friction_nm),
     )
 
 
@@ -265,23 +265,28 @@ def _between(low: float, high: float) -> Callable[[float], bool]:
     return lambda time: low <= time < high
 
 
-def _judge(found: Mechanics, outcome: StepOutcome) -> None:
+def _judge(mechanics: Mechanics, outcome: StepOutcome) -> None:
     outcome.figures = {
-        **asdict(found),
+        **asdict(mechanics),
         "coverage_factor": COVERAGE_FACTOR,
         "by_command": outcome.figures.get("by_command", False),
     }
-    outcome.measured("inertia", found.inertia_kg_m2, "kg m^2", found.inertia_error)
-    outcome.measured("viscous friction", found.viscous_friction_nm_s, "N m s/rad", found.viscous_error)
-    outcome.measured("Coulomb friction", found.coulomb_friction_nm, "N m", found.coulomb_error)
-    outcome.say(f"inertia {found.inertia_kg_m2:.5g} kg m^2 +- {found.inertia_error:.2g} (k = 2)")
-    outcome.say(
-        f"viscous friction {found.viscous_friction_nm_s:.4g} N m s/rad +- {found.viscous_error:.2g} (k = 2)"
+    outcome.measured("inertia", mechanics.inertia_kg_m2, "kg m^2", mechanics.inertia_error)
+    outcome.measured(
+        "viscous friction", mechanics.viscous_friction_nm_s, "N m s/rad", mechanics.viscous_error
     )
-    outcome.say(f"Coulomb friction {found.coulomb_friction_nm:.4g} N m +- {found.coulomb_error:.2g} (k = 2)")
-    outcome.say(f"torque offset {found.offset_nm:.3g} N m; {found.equations} equations")
+    outcome.measured("Coulomb friction", mechanics.coulomb_friction_nm, "N m", mechanics.coulomb_error)
+    outcome.say(f"inertia {mechanics.inertia_kg_m2:.5g} kg m^2 +- {mechanics.inertia_error:.2g} (k = 2)")
+    outcome.say(
+        f"viscous friction {mechanics.viscous_friction_nm_s:.4g} N m s/rad "
+        f"+- {mechanics.viscous_error:.2g} (k = 2)"
+    )
+    outcome.say(
+        f"Coulomb friction {mechanics.coulomb_friction_nm:.4g} N m +- {mechanics.coulomb_error:.2g} (k = 2)"
+    )
+    outcome.say(f"torque offset {mechanics.offset_nm:.3g} N m; {mechanics.equations} equations")
     bound = _UNCERTAIN + (COVERAGE_FACTOR * _COMMANDED if outcome.figures["by_command"] else 0.0)
-    if found.inertia_kg_m2 <= 0.0 or found.inertia_error > bound * found.inertia_kg_m2:
+    if mechanics.inertia_kg_m2 <= 0.0 or mechanics.inertia_error > bound * mechanics.inertia_kg_m2:
         raise StepFailed(
             "the inertia is not to be trusted", "; ".join(outcome.lines), "is the load coupled softly?"
         )

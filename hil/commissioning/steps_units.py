@@ -306,9 +306,9 @@ class Turn(Step):
 
     def _judge(self, session: Session, ratio: float, outcome: StepOutcome) -> None:
         """Position by the turn, and velocity by the position."""
-        found = session.found
+        findings = session.found
         told = session.told
-        assert found.velocity_ratio is not None
+        assert findings.velocity_ratio is not None
         position = told.position_rad
         if abs(ratio - 1.0) > _RATIO_TOLERANCE:
             ratio = plain_ratio(ratio)
@@ -319,9 +319,9 @@ class Turn(Step):
             )
             outcome.figures["position_fault"] = ratio
         # What the velocity unit is by the true position.
-        factor = position / told.position_rad / found.velocity_ratio.value
-        if abs(factor - 1.0) > _tolerance(found.velocity_ratio):
-            factor = plain_ratio(factor, _tolerance(found.velocity_ratio))
+        factor = position / told.position_rad / findings.velocity_ratio.value
+        if abs(factor - 1.0) > _tolerance(findings.velocity_ratio):
+            factor = plain_ratio(factor, _tolerance(findings.velocity_ratio))
             velocity = told.velocity_rad_s * factor
             outcome.faults.append(
                 f"velocity unit: {told.sources.get('velocity')} makes {told.velocity_rad_s:.6g} rad/s of it, "
@@ -332,9 +332,9 @@ class Turn(Step):
             velocity = told.velocity_rad_s
         session.overridden(position_rad=position, velocity_rad_s=velocity)
         outcome.figures |= {"position_rad": position, "velocity_rad_s": velocity}
-        if found.rough is not None:  # by the old position unit
-            inertia = found.rough.inertia_kg_m2 / (position / told.position_rad)
-            found.rough = replace(found.rough, inertia_kg_m2=inertia)
+        if findings.rough is not None:  # by the old position unit
+            inertia = findings.rough.inertia_kg_m2 / (position / told.position_rad)
+            findings.rough = replace(findings.rough, inertia_kg_m2=inertia)
 
 
 def _tolerance(ratio: SpeedRatio) -> float:

@@ -81,13 +81,13 @@ def own_code_at(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Kinds that an installed package has under the entry point group :data:`ENTRY_POINTS` are classes, too;
     none is imported for that.
     """
-    found = dict(tables)
-    if "object" not in found and (shipped := shipped_kinds().get(str(found.get("kind")))) is not None:
-        found |= {"kind": "python", "object": shipped}
-    name = found.get("object")
+    own = dict(tables)
+    if "object" not in own and (shipped := shipped_kinds().get(str(own.get("kind")))) is not None:
+        own |= {"kind": "python", "object": shipped}
+    name = own.get("object")
     if isinstance(name, str) and ".py:" in name:
-        found["object"] = str(folder / name)
-    return found
+        own["object"] = str(folder / name)
+    return own
 
 
 @cache

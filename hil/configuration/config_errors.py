@@ -54,9 +54,9 @@ def translate(
 ) -> list[BadInput]:
     """The faults of ``raw``, read from ``source``, as found by ``model``."""
     details = [item for item in error.errors(include_url=False) if item["type"] != DEFAULT_NOT_MADE]
-    found = [_translate_one(detail, source, raw, model) for detail in details]
-    meant = {key for item in found if (key := _meant_key(item))}
-    return [item for item in found if not (item.value is MISSING and item.key in meant)]
+    errors = [_translate_one(detail, source, raw, model) for detail in details]
+    meant = {key for item in errors if (key := _meant_key(item))}
+    return [item for item in errors if not (item.value is MISSING and item.key in meant)]
 
 
 def _meant_key(item: BadInput) -> str | None:
@@ -175,10 +175,10 @@ def models_at(path: Location, raw: Mapping[str, Any], model: type[BaseModel]) ->
     for step in path:
         node = _child(node, step)
         steps = [
-            found
+            inner
             for candidate in candidates
             if isinstance(step, str) and step in candidate.model_fields
-            for found in models_in(candidate.model_fields[step].annotation)
+            for inner in models_in(candidate.model_fields[step].annotation)
         ]
         candidates = _of_kind(steps or candidates, node)
     return candidates
@@ -201,7 +201,7 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     """Every model inside an annotation such as ``dict[str, tuple[A | B, ...]]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [found for part in getattr(annotation, "__args__", ()) for found in models_in(part)]
+    return [model for part in getattr(annotation, "__args__", ()) for model in models_in(part)]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -60,8 +60,8 @@ def closed_loop(motor: PmsmParameters, controller: CurrentController) -> tuple[S
     from design.hinf.mixed_sensitivity import axis_plant
     from design.statespace import series
 
-    plant, found = axis_plant(motor.resistance_ohm, motor.inductance_q_h), controller.continuous()
-    return complementary(plant, found), margins(series(plant, found)).phase_margin_rad_s
+    plant, designed = axis_plant(motor.resistance_ohm, motor.inductance_q_h), controller.continuous()
+    return complementary(plant, designed), margins(series(plant, designed)).phase_margin_rad_s
 
 
 def certified_loop(wanted: MadeFor) -> CurrentLoop | None:

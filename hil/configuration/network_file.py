@@ -160,15 +160,15 @@ def load_network(path: Path, option: str = "--network") -> Network:
             "a network file, as a run leaves it in its recording: network.toml",
             f"hil run {path} --record DIR makes one",
         )
-    found = validated(NetworkFile, tables, str(path)).network
-    if found.histogram and len(found.histogram.edges_us) != len(found.histogram.counts) + 1:
+    network = validated(NetworkFile, tables, str(path)).network
+    if network.histogram and len(network.histogram.edges_us) != len(network.histogram.counts) + 1:
         raise BadInput(
             str(path),
             "network.histogram.edges_us",
-            f"{len(found.histogram.edges_us)} edges",
-            f"one more than the {len(found.histogram.counts)} counts",
+            f"{len(network.histogram.edges_us)} edges",
+            f"one more than the {len(network.histogram.counts)} counts",
         )
-    return found
+    return network
 
 
 def commands_unknown(network: Network, source: str) -> BadInput | None:

@@ -61,8 +61,8 @@ class ObservedObject(Section):
     @field_validator("object")
     @classmethod
     def _is_object(cls, text: str) -> str:
-        found = _OBJECT.fullmatch(text)
-        if found is None or int(found[2] or 0) > 0xFF:
+        match = _OBJECT.fullmatch(text)
+        if match is None or int(match[2] or 0) > 0xFF:
             raise ValueError('an object ("6078"), or with its sub-index ("2101:1")')
         return text.upper()
 

@@ -33,13 +33,13 @@ class PlantFile(Section):
 def load_plant(path: Path) -> GeneralisedPlant:
     """The plant in the file at ``path``. Raises BadInput or BadInputs."""
     tables = _tables(path, NamedBy("PLANT.toml", "", str(path)))
-    found = validated(PlantFile, tables, str(path))
+    file = validated(PlantFile, tables, str(path))
     for name in "ABCD":
-        if len({len(row) for row in getattr(found, name)}) > 1:
+        if len({len(row) for row in getattr(file, name)}) > 1:
             raise BadInput(str(path), name, "rows of different lengths", "rows of one length")
     try:
-        system = state_space(found.A, found.B, found.C, found.D)
-        return GeneralisedPlant(system, found.controls, found.measurements)
+        system = state_space(file.A, file.B, file.C, file.D)
+        return GeneralisedPlant(system, file.controls, file.measurements)
     except ValueError as error:
         raise BadInput(
             str(path), "", str(error), "matrices that fit: A (n, n), B (n, m), C (p, n), D (p, m)"

@@ -101,11 +101,11 @@ def _read(path: Path) -> Any:
 
 def _numbers(table: Any, name: str, path: Path) -> NDArray[np.float64]:
     try:
-        found: NDArray[np.float64] = np.array(table[name].cast("float64").to_numpy(), np.float64)
+        numbers: NDArray[np.float64] = np.array(table[name].cast("float64").to_numpy(), np.float64)
     except ValueError as error:  # which pyarrow's own are derived from
         raise BadInput(str(path), name, str(error).splitlines()[0], "numbers") from None
-    wrong = np.flatnonzero(~np.isfinite(found))
+    wrong = np.flatnonzero(~np.isfinite(numbers))
     if wrong.size:
         place = int(wrong[0])
-        raise BadInput(str(path), f"{name}[{place}]", float(found[place]), "a finite number in every row")
-    return found
+        raise BadInput(str(path), f"{name}[{place}]", float(numbers[place]), "a finite number in every row")
+    return numbers

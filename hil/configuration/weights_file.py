@@ -98,11 +98,11 @@ class WeightsFile(Section):
 
 def load_weights(path: Path) -> Weights:
     """The weights in the file at ``path``. Raises BadInput or BadInputs."""
-    found = load_file(WeightsFile, path, "weights file", NamedBy("--weights", "", str(path)))
+    file = load_file(WeightsFile, path, "weights file", NamedBy("--weights", "", str(path)))
     made = []
     for name in ("error", "control", "output"):
         try:
-            made.append(getattr(found, name).weight())
+            made.append(getattr(file, name).weight())
         except ValueError as error:
             raise WeightRefused(str(path), name, str(error)) from None
     return Weights(*made)

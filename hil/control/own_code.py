@@ -187,11 +187,11 @@ class _Guard:
         finally:
             _WATCHDOG.end()
 
-    def refuse(self, method: str, found: object, expected: str) -> None:
+    def refuse(self, method: str, answer: object, expected: str) -> None:
         """Raises OwnCodeFailed: what ``method`` returned is of no use."""
         code = getattr(type(self._inner), method).__code__
         place = f"{Path(code.co_filename).name}:{code.co_firstlineno} in {method}"
-        raise OwnCodeFailed(f"{self._what} failed: {place} returned {found!r}, expected {expected}")
+        raise OwnCodeFailed(f"{self._what} failed: {place} returned {answer!r}, expected {expected}")
 
     def _line_of(self, error: BaseException) -> str:
         """The innermost line of the object's own file, else the innermost of all."""
@@ -278,10 +278,10 @@ class _GuardedCompensator(Compensator):
 
     def estimate(self, context: Context) -> StateEstimate:
         with self._guard.watching():
-            found = self._inner.estimate(context)
-        if not isinstance(found, StateEstimate):
-            self._guard.refuse("estimate", found, "a StateEstimate")
-        return found
+            estimate = self._inner.estimate(context)
+        if not isinstance(estimate, StateEstimate):
+            self._guard.refuse("estimate", estimate, "a StateEstimate")
+        return estimate
 
 
 def guarded_controller(name: str, parameters: Mapping[str, Any], setup: Setup) -> Controller:

@@ -298,13 +298,13 @@ def observed_drives(config: BenchConfig) -> dict[str, ObservedDrive]:
 def recording_notes(config: BenchConfig, bus: str) -> dict[str, str]:
     """What is shown beside the verdict; ``bus``: of the run. What differs by axis is told of each."""
     drives = {axis: config.drive[axis] for axis in config.axes}
-    found: dict[str, dict[str, str]] = {
+    notes: dict[str, dict[str, str]] = {
         "motor": {axis: drive.motor.motor.name for axis, drive in drives.items()},
         "controller": {axis: drive.controller.kind for axis, drive in drives.items()},
         "compensator": {axis: drive.compensator.kind for axis, drive in drives.items()},
         "current loops": {axis: _current_loops(drive) for axis, drive in drives.items()},
     }
-    return {"bus": bus, **{key: _by_axis(told) for key, told in found.items() if any(told.values())}}
+    return {"bus": bus, **{key: _by_axis(told) for key, told in notes.items() if any(told.values())}}
 
 
 def _current_loops(drive: DriveConfig) -> str:

@@ -40,17 +40,17 @@ class Conclusion:
     @property
     def outcome(self) -> RunOutcome:
         """All that was gathered."""
-        found = self._outcome
+        outcome = self._outcome
         if not self._explained:
-            found = _cut_short(found, "it ended by a defect of this program", VerdictKind.DEFECT)
-        return replace(found, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
+            outcome = _cut_short(outcome, "it ended by a defect of this program", VerdictKind.DEFECT)
+        return replace(outcome, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
-    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **found: Any) -> None:
+    def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **notes: Any) -> None:
         """The loop ended as a loop does; ``found``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
         """
-        self._outcome = replace(self._outcome, **found)
+        self._outcome = replace(self._outcome, **notes)
         late = loop.ended_at - loop.last_due_at - settings.period
         if loop.interrupted:
             self._outcome = _cut_short(self._outcome, interrupted_by, VerdictKind.INTERRUPTED)
@@ -133,8 +133,8 @@ class Conclusion:
             when = f" at {elapsed / NS_PER_S:.3f} s"
         self._emergencies.append(f"{drive.name}: {emergency.told(*drive.control.make)}{when}")
 
-    def _note(self, name: str, **found: Any) -> None:
-        self._ends[name] = replace(self._ends[name], **found)
+    def _note(self, name: str, **notes: Any) -> None:
+        self._ends[name] = replace(self._ends[name], **notes)
 
 
 class NamedEmergency(NamedTuple):

@@ -93,20 +93,20 @@ def static_faults(
     ``replaced``: axes whose controller is not the bench's. ``simulated``: the bench makes its drives itself.
     """
     held = certified_axes(config, replaced)
-    found: list[BadInput] = []
+    faults: list[BadInput] = []
     if held:
         unknown = [commands_unknown(network, source) for source, network in networks.items()]
-        found += [fault for fault in unknown if fault is not None]
+        faults += [fault for fault in unknown if fault is not None]
     for axis, wanted in held.items():
-        found += [
+        faults += [
             BadInput(config.source, *fault, REMEDY) for fault in _axis_faults(config, axis, wanted, simulated)
         ]
         for source, network in networks.items():
-            found += [
+            faults += [
                 BadInput(source, *fault, REMEDY)
                 for fault in _network_faults(network, wanted, config.loop.period)
             ]
-    return found
+    return faults
 
 
 _Fault = tuple[str, object, str]
@@ -115,11 +115,11 @@ _Fault = tuple[str, object, str]
 def _axis_faults(config: BenchConfig, axis: str, wanted: MadeFor, simulated: bool) -> list[_Fault]:
     """Where bench and drive of an axis are other than what its controller was made for."""
     key = f"drive.{axis}.controller.made_for"
-    found = _bench_faults(config, config.drive[axis], wanted, key)
+    faults = _bench_faults(config, config.drive[axis], wanted, key)
     loop = current_loop_of(config, axis, simulated=simulated)
     if loop is not None and (outside := loop_fault(wanted, loop, key)) is not None:
-        found.append(outside)
-    return found
+        faults.append(outside)
+    return faults
 
 
 def _bench_faults(config: BenchConfig, drive: DriveConfig, wanted: MadeFor, key: str) -> list[_Fault]:

@@ -38,7 +38,7 @@ def refuse_taken(
         return
     heard = _heard(link, clock, wanted)
     network = CanopenNetwork(link, clock)
-    taken = [found for node in wanted if (found := _who_is(network, node, heard.get(node, ""))) is not None]
+    taken = [who for node in wanted if (who := _who_is(network, node, heard.get(node, ""))) is not None]
     if not taken:
         return
     there = "; ".join(taken)

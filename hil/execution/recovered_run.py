@@ -36,14 +36,14 @@ def refuse_whole(folder: Path) -> None:
 
 def _stamp_offset(records: Path) -> Duration | None:
     """Of the stamps in frames.log from the bench clock, by the head of the records; None: it says nothing."""
-    found = read_metadata(records) if records.exists() else {}
-    return Duration(int(found[FIRST_CYCLE_EPOCH]) - int(found[FIRST_CYCLE])) if found else None
+    metadata = read_metadata(records) if records.exists() else {}
+    return Duration(int(metadata[FIRST_CYCLE_EPOCH]) - int(metadata[FIRST_CYCLE])) if metadata else None
 
 
 def _started_at(records: Path) -> Instant:
     """Start of the recording on the bench clock, by the head of the records; 0 if it says nothing."""
-    found = read_metadata(records) if records.exists() else {}
-    return Instant(int(found[BENCH_START]) + int(found[FIRST_CYCLE])) if found else Instant(0)
+    metadata = read_metadata(records) if records.exists() else {}
+    return Instant(int(metadata[BENCH_START]) + int(metadata[FIRST_CYCLE])) if metadata else Instant(0)
 
 
 def recover_run(config: BenchConfig, folder: Path) -> Summary:

@@ -83,16 +83,16 @@ def _at_rate(controller: CurrentController | None, rate_hz: int) -> StateSpace |
 
 def drive_parameters(current_control: Sequence[Path]) -> DriveParameters:
     """Of the drives of ``hil simulate``, with the current controllers in these files. Raises BadInput."""
-    found: dict[str, StateSpace | None] = {"q": None, "d": None}
+    controllers: dict[str, StateSpace | None] = {"q": None, "d": None}
     rate_hz = DriveParameters().inner_rate_hz
     for path in current_control:
         controller = read_current_controller(path, NamedBy("--current-control", "", str(path)))
-        if found[controller.axis] is not None:
+        if controllers[controller.axis] is not None:
             raise BadInput(
                 "--current-control", "", str(path), f"one controller for the {controller.axis} axis at most"
             )
-        found[controller.axis] = _at_rate(controller, rate_hz)
-    return DriveParameters(controller_q=found["q"], controller_d=found["d"])
+        controllers[controller.axis] = _at_rate(controller, rate_hz)
+    return DriveParameters(controller_q=controllers["q"], controller_d=controllers["d"])
 
 
 def simulate(

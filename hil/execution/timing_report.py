@@ -35,24 +35,24 @@ def distrust(axes: Sequence[Axis], period: Duration) -> tuple[str, ...]:
 
 
 def _doubts(health: Health, period: Duration) -> list[str]:
-    found = []
+    doubts = []
     if health.below_transit:
-        found.append(f"{health.below_transit} readings came sooner than their frame takes on the wire")
+        doubts.append(f"{health.below_transit} readings came sooner than their frame takes on the wire")
     if health.before_sync:
-        found.append(f"{health.before_sync} readings came before their SYNC")
+        doubts.append(f"{health.before_sync} readings came before their SYNC")
     if health.two_stamps:
-        found.append(f"{health.two_stamps} SYNCs have two different stamps")
+        doubts.append(f"{health.two_stamps} SYNCs have two different stamps")
     if health.error_ns_max > period // 2:
         error_us = health.error_ns_max / NS_PER_US
-        found.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
-    return found
+        doubts.append(f"a sampling instant is known to {error_us:.0f} us only, more than half a period")
+    return doubts
 
 
 def _axis_report(axis: Axis) -> Report:
     parts = axis.parts
     clock = parts.by_stamp.clock
     stamped, ordered = parts.by_stamp.health, parts.by_order.health
-    found: Report = {
+    report: Report = {
         "placed": stamped.placed + ordered.placed,
         "by_order": ordered.placed,
         "uncertain": axis.uncertain,
@@ -62,11 +62,11 @@ def _axis_report(axis: Axis) -> Report:
         "clock_steps": stamped.steps,
     }
     if clock.ready:
-        found["clock"] = {
+        report["clock"] = {
             "offset_us": clock.offset_ns / NS_PER_US,
             "error_us": clock.error_ns / NS_PER_US,
             "drift_ppm": clock.drift_ppm,
             "drift_error_ppm": clock.drift_error_ppm,
         }
-    found["commands_unexplained"] = parts.commands.unexplained
-    return found
+    report["commands_unexplained"] = parts.commands.unexplained
+    return report

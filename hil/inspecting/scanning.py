@@ -216,10 +216,10 @@ def _detect(spec: BusSpec, say: Callable[[str], None]) -> int:
         expected = "a bit rate, because this adapter cannot listen without taking part"
         raise BadInput("--bitrate", "", MISSING, expected, "--bitrate 500000, or what the bus runs at")
     say("listening for the bit rate")
-    found = detect_bitrate(spec, MonotonicClock())
-    if found.bitrate_bit_s is not None:
-        return found.bitrate_bit_s
-    if found.silent:
+    bitrate = detect_bitrate(spec, MonotonicClock())
+    if bitrate.bitrate_bit_s is not None:
+        return bitrate.bitrate_bit_s
+    if bitrate.silent:
         raise NoAnswer(
             f"the bit rate of {spec} cannot be heard",
             "nothing is being sent on the bus",
@@ -228,6 +228,6 @@ def _detect(spec: BusSpec, say: Callable[[str], None]) -> int:
     raise NoAnswer(
         f"the bit rate of {spec} was not found",
         "errors and no whole frames at each rate that the adapter has: "
-        + ", ".join(str(trial.bitrate_bit_s) for trial in found.trials),
+        + ", ".join(str(trial.bitrate_bit_s) for trial in bitrate.trials),
         "check termination and wiring, or say what the bus runs at: --bitrate",
     )

@@ -17,11 +17,11 @@ ALWAYS = "Whatever is lacking, --bus simulated (simulated time) and --bus hub:NA
 def run_checks(machine: Machine | None = None) -> list[Capability]:
     """Each check once, in a fixed order. Nothing is changed, nothing is sent."""
     machine = machine or Machine()
-    found = [check(machine) for check in CHECKS]
+    checks = [check(machine) for check in CHECKS]
     return (
-        [replace(each, remedy=each.remedy.replace("sudo ", "")) for each in found]
+        [replace(each, remedy=each.remedy.replace("sudo ", "")) for each in checks]
         if machine.is_root
-        else found
+        else checks
     )
 
 

@@ -70,13 +70,15 @@ def vcan_interface(machine: Machine) -> Capability:
 def real_interfaces(machine: Machine) -> Capability:
     """The CAN interfaces of the kernel that are not virtual."""
     name, needed_for = "CAN interfaces", "--bus socketcan:can0"
-    found = {key: up for key, up in can_interfaces(machine).items() if not key.startswith(("vcan", "vxcan"))}
-    down = [key for key, up in found.items() if not up]
+    interfaces = {
+        key: up for key, up in can_interfaces(machine).items() if not key.startswith(("vcan", "vxcan"))
+    }
+    down = [key for key, up in interfaces.items() if not up]
     if down:
         remedy = f"sudo {link_up_command(down[0])}"
         return lacking(name, f"{', '.join(down)} down", needed_for, remedy)
-    if found:
-        return capable(name, f"{', '.join(found)} up", needed_for)
+    if interfaces:
+        return capable(name, f"{', '.join(interfaces)} up", needed_for)
     return lacking(name, "none", needed_for, "plug in an adapter that the kernel drives (lsusb, dmesg)")
 
 
@@ -97,9 +99,9 @@ def net_admin(machine: Machine) -> Capability:
 def adapters(_machine: Machine) -> Capability:
     """The adapters that python-can finds by itself, through the vendors' libraries."""
     name, needed_for = "python-can adapters", "--bus pcan:..., kvaser:..., gs_usb:..., ..."
-    found = detected_adapters()
-    if found:
-        return capable(name, ", ".join(found), needed_for)
+    detected = detected_adapters()
+    if detected:
+        return capable(name, ", ".join(detected), needed_for)
     remedy = "plug in the adapter and install its vendor's library, then hil doctor again"
     return lacking(name, "none found", needed_for, remedy)
 

@@ -68,9 +68,9 @@ def viewer(_machine: Machine) -> Capability:
     """Whether the Rerun viewer is installed beside the bench."""
     name, needed_for = "Rerun viewer", "hil run --view, and looking at a recording"
     beside = Path(sysconfig.get_path("scripts")) / "rerun"
-    found = str(beside) if beside.exists() else shutil.which("rerun")
-    if found:
-        return capable(name, found, needed_for)
+    path = str(beside) if beside.exists() else shutil.which("rerun")
+    if path:
+        return capable(name, path, needed_for)
     return lacking(name, "not found", needed_for, "pip install rerun-sdk")
 
 

@@ -110,17 +110,17 @@ class Measured:
 def stage_json(measured: Stage) -> Json:
     """A stage: us, with bounds at the confidence of :mod:`hil.measuring.bounds`."""
     times = measured.times
-    found, bars = delays_of(times), histogram_of(times)
-    if found is None or bars is None:
+    delays, bars = delays_of(times), histogram_of(times)
+    if delays is None or bars is None:
         return {"measured": False, "why": measured.basis}
     return {
         "measured": True,
         "basis": measured.basis,
         "samples": times.total,
-        "p50_us": found.p50,
-        "p99_us": found.p99,
-        "p999_us": found.p999,
-        "max_us": found.max,
+        "p50_us": delays.p50,
+        "p99_us": delays.p99,
+        "p999_us": delays.p999,
+        "max_us": delays.max,
         "p99_below_us": quantile_below_us(measured, 0.99),
         "p999_below_us": quantile_below_us(measured, 0.999),
         "share_within_max": share_within_largest(times.total),
@@ -140,7 +140,7 @@ def losses_json(losses: Losses) -> Json:
     """Losses on a way."""
     if losses.interval is None:
         return {"measured": False, "why": losses.why_none}
-    found: Json = {
+    figures: Json = {
         "measured": True,
         "known": losses.known,
         "lost": losses.lost,
@@ -149,9 +149,9 @@ def losses_json(losses: Losses) -> Json:
         "percent_interval": [100.0 * end for end in losses.interval],
     }
     if losses.model is None:
-        return found | {"model": None, "why": losses.why_none}
+        return figures | {"model": None, "why": losses.why_none}
     model = losses.model
-    return found | {
+    return figures | {
         "model": {
             "kind": "independent" if model.independent else "gilbert_elliott",
             "method": "maximum likelihood",

@@ -138,10 +138,10 @@ def fit(outcomes: Outcomes) -> LossModel:
     least = -2.0 * (lost * np.log(rate) + (known - lost) * np.log1p(-rate)) + penalty
     start = _markov_chain(outcomes)
     for free in (2, 3, 4):
-        found = _likeliest(runs, start, free)
-        if found is None:
+        fitted = _likeliest(runs, start, free)
+        if fitted is None:
             continue
-        parameters, intervals, log_likelihood = found
+        parameters, intervals, log_likelihood = fitted
         criterion = -2.0 * log_likelihood + free * penalty
         if criterion < least:
             least, best = criterion, LossModel(False, parameters, intervals)
@@ -236,11 +236,11 @@ def _likeliest(
     def cost(logits: NDArray[np.float64]) -> float:
         return -runs.log_likelihood(_parameters(logits))
 
-    found = minimize(cost, begin, method="BFGS", options={"gtol": _FLAT, "eps": 1e-4, "maxiter": 200})
-    at = np.asarray(found.x, dtype=float)
+    optimum = minimize(cost, begin, method="BFGS", options={"gtol": _FLAT, "eps": 1e-4, "maxiter": 200})
+    at = np.asarray(optimum.x, dtype=float)
     parameters = _parameters(at)
     if (
-        np.abs(found.jac).max() > 10 * _FLAT
+        np.abs(optimum.jac).max() > 10 * _FLAT
         or np.abs(at).max() > _NEAR
         or parameters.loss_bad <= parameters.loss_good
     ):
@@ -253,7 +253,7 @@ def _likeliest(
         name: Interval(float(expit(x - d)), float(expit(x + d)))
         for name, x, d in zip(Parameters._fields, at, half, strict=False)
     }
-    return parameters, intervals, -float(found.fun)
+    return parameters, intervals, -float(optimum.fun)
 
 
 def _parameters(logits: Sequence[float] | NDArray[np.float64]) -> Parameters:
@@ -264,14 +264,16 @@ def _curvature(cost: Callable[[NDArray[np.float64]], float], at: NDArray[np.floa
     """Second derivatives by central differences: (p, p)."""
     size = at.size
     steps = _STEP * np.eye(size)
-    found = np.empty((size, size))
+    curvature = np.empty((size, size))
     for i in range(size):
         for j in range(i, size):
             corners = [
                 cost(at + a * steps[i] + b * steps[j]) for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
             ]
-            found[i, j] = found[j, i] = (corners[0] - corners[1] - corners[2] + corners[3]) / (4 * _STEP**2)
-    return found
+            curvature[i, j] = curvature[j, i] = (corners[0] - corners[1] - corners[2] + corners[3]) / (
+                4 * _STEP**2
+            )
+    return curvature
 
 
 def _geometric_inflation(mean_length: float) -> float:

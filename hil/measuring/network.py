@@ -29,8 +29,8 @@ def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Ou
     meter = NetworkMeter(period_us, len(rows))
     for each in rows:
         meter.add(each)
-    found = meter.network()
-    if found is None:
+    network = meter.network()
+    if network is None:
         return None
     readings, commands = (losses_of(_joined(ways, key)) for key in ("readings", "commands"))
     assert readings.interval is not None
@@ -47,7 +47,7 @@ def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Ou
         reading_delay_share=share_within_largest(came),
         action_delay_share=share_within_largest(acted) if acted else None,
     )
-    return found.model_copy(
+    return network.model_copy(
         update={
             "command_histogram": histogram_of(effect),
             "reading_losses": chain_of(readings),
@@ -80,7 +80,7 @@ def fault_plan_text(measured: Measured) -> str:
         tables["burst"] += _bursts(drive)
     sync = measured.drives[0].losses["sync_before_bus"]
     tables["burst"] += _burst(sync, {"side": "host", "direction": "host_to_drive", "frames": ["sync"]})
-    return head + toml_text({name: found for name, found in tables.items() if found})
+    return head + toml_text({name: entries for name, entries in tables.items() if entries})
 
 
 def _delays(drive: MeasuredDrive, bitrate: int) -> Iterator[Table]:

@@ -203,13 +203,13 @@ def _held(network: CanopenNetwork, node: int, key: ObjectKey) -> bytes | None:
 
 
 def _differences(network: CanopenNetwork, node: int, originals: dict[ObjectKey, bytes]) -> list[str]:
-    found = []
+    differences = []
     for key, value in originals.items():
         held = _held(network, node, key)
         if held != value:
             holds = "cannot be read" if held is None else f"holds {held.hex()}"
-            found.append(f"{key} {holds} instead of {value.hex()}")
-    return found
+            differences.append(f"{key} {holds} instead of {value.hex()}")
+    return differences
 
 
 def await_answer(network: CanopenNetwork, node: int, limit: Duration) -> None:

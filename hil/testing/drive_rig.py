@@ -210,7 +210,7 @@ class DriveRig:
         """
         __tracebackhide__ = True
         seen = self.wire.controlwords(self.node, self._plan_written())
-        if [found.word for found in seen] != [*words]:
+        if [command.word for command in seen] != [*words]:
             wanted = " ".join(f"{word:04X}h" for word in words) or "none"
             lines = [f"  {(at - self.wire.zero) / NS_PER_S:.6f} s {word:04X}h" for at, word in seen]
             raise AssertionError(
@@ -228,7 +228,7 @@ class DriveRig:
         return self.client.plan
 
     def _emergencies(self) -> str:
-        codes = [found.code for found in self.network.emergencies if found.node_id == self.node]
+        codes = [emergency.code for emergency in self.network.emergencies if emergency.node_id == self.node]
         told = ", ".join(f"{code:04X}h {error_text(code)}" for code in codes[-3:])
         return f"; EMCY: {told}" if told else ""
 

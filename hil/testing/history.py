@@ -100,13 +100,13 @@ class AxisHistory:
 
     def states(self) -> list[tuple[float, State | None]]:
         """When the drive's statusword began to tell another state, and which."""
-        found: list[tuple[float, State | None]] = []
+        changes: list[tuple[float, State | None]] = []
         for place in np.flatnonzero(self.sampled):
             word = int(self.statusword[place])
             state = None if word == NOTHING else state_of(word)
-            if not found or found[-1][1] is not state:
-                found.append((float(self.time_s[place]), state))
-        return found
+            if not changes or changes[-1][1] is not state:
+                changes.append((float(self.time_s[place]), state))
+        return changes
 
     def _change(self, place: int, reference: Floats) -> str:
         if reference[place]:

@@ -88,8 +88,8 @@ class Run:
         """Figures and verdict: what ``hil run --json`` prints."""
         if self._summary is not None:
             return self._summary
-        found = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
-        return from_plain(Summary, found)
+        summary = json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))
+        return from_plain(Summary, summary)
 
     @property
     def verdict(self) -> RunVerdict:
@@ -122,8 +122,8 @@ class Run:
         if name not in self.table.column_names:
             raise ValueError(f"column {name!r}: there are {', '.join(self.table.column_names)}")
         mine = self.table.column("axis").to_numpy() == self.config.axes.index(self._axis_name(axis))
-        found: NDArray[Any] = self.table.column(name).to_numpy()[mine]
-        return found
+        values: NDArray[Any] = self.table.column(name).to_numpy()[mine]
+        return values
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
@@ -140,10 +140,10 @@ class Run:
         """Every frame that the bench sent or received, from connecting to the drives to their release."""
         if isinstance(self._kept, Path):
             return read_wire(self._kept)
-        found = Wire()
+        frames = Wire()
         for frame in self._kept.frames():
-            found.take(*frame)
-        return found
+            frames.take(*frame)
+        return frames
 
     def axis(self, name: str | None = None) -> AxisHistory:
         """One axis, cycle by cycle; ``name`` may be left out if there is only one."""
@@ -154,8 +154,8 @@ class Run:
     @cached_property
     def _channels(self) -> dict[str, list[str]]:
         """By axis, what its controller tells of its own."""
-        found: dict[str, list[str]] = json.loads(self.table.schema.metadata[b"channels"])
-        return found
+        channels: dict[str, list[str]] = json.loads(self.table.schema.metadata[b"channels"])
+        return channels
 
     # ---- what may be claimed --------------------------------------------------------------------------
 
@@ -227,10 +227,11 @@ class Run:
         worst = int(error.argmax())
         where = f"{error[worst]:.4g} rad/s at {at_s[worst]:.3f} s"
         if percent is not None:
-            found = 100.0 * float(error[worst]) / self._scale(history)
-            if found > percent:
+            error_percent = 100.0 * float(error[worst]) / self._scale(history)
+            if error_percent > percent:
                 raise AssertionError(
-                    f"{history.name}: speed error {found:.3g} % ({where}), at most {percent:g} % asked for"
+                    f"{history.name}: speed error {error_percent:.3g} % ({where}), "
+                    f"at most {percent:g} % asked for"
                 )
         if rad_s is not None and error[worst] > rad_s:
             raise AssertionError(f"{history.name}: speed error {where}, at most {rad_s:g} rad/s asked for")
@@ -335,13 +336,13 @@ class Run:
     def _states(self, axis: str) -> list[tuple[float, str]]:
         """When the drive was seen in another state, by the events before and after the loop too."""
         track = f"{axis} {_TRACK}"
-        found = [
+        states = [
             (event["at_ns"] / NS_PER_S, str(event["state"]).lower())
             for event in self.events
             if event.get("track") == track
         ]
-        found += [(at_s, state.value) for at_s, state in self.axis(axis).states() if state is not None]
-        return sorted(found)
+        states += [(at_s, state.value) for at_s, state in self.axis(axis).states() if state is not None]
+        return sorted(states)
 
 
 def _stayed(history: AxisHistory, state: State) -> None:

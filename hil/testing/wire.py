@@ -75,11 +75,11 @@ def _compiled(pattern: str) -> re.Pattern[str]:
     """Raises ValueError for what is no pattern of a frame."""
     if pattern == ".*":
         return re.compile(r".*", re.DOTALL)
-    found = _PATTERN.fullmatch(pattern)
-    if found is None or (len(found["data"]) % 2 and found["data"] != "R"):
+    match = _PATTERN.fullmatch(pattern)
+    if match is None or (len(match["data"]) % 2 and match["data"] != "R"):
         raise ValueError(f"{pattern!r} is no pattern of a frame; write e.g. '201#0F00*' or '7..#05'")
-    text = f"{found['id']}#{found['data']}".upper().replace(".", "[0-9A-F]")
-    return re.compile(text + (".*" if found["rest"] else ""))
+    text = f"{match['id']}#{match['data']}".upper().replace(".", "[0-9A-F]")
+    return re.compile(text + (".*" if match["rest"] else ""))
 
 
 class Wire:
@@ -122,18 +122,18 @@ class Wire:
     def assert_seen(self, pattern: str, *, times: int | None = None, sent: bool | None = None) -> None:
         """A frame matches; ``times``: exactly so many do."""
         __tracebackhide__ = True
-        found = self.find(pattern, sent=sent)
-        if times is None and not found:
+        frames = self.find(pattern, sent=sent)
+        if times is None and not frames:
             raise AssertionError(f"no frame {pattern} among {len(self.frames)}{self._list(self.frames)}")
-        if times is not None and len(found) != times:
-            raise AssertionError(f"{len(found)} frames {pattern}, {times} expected{self._list(found)}")
+        if times is not None and len(frames) != times:
+            raise AssertionError(f"{len(frames)} frames {pattern}, {times} expected{self._list(frames)}")
 
     def assert_none(self, pattern: str, *, sent: bool | None = None) -> None:
         """No frame matches."""
         __tracebackhide__ = True
-        found = self.find(pattern, sent=sent)
-        if found:
-            raise AssertionError(f"{len(found)} frames {pattern}, none expected{self._list(found)}")
+        frames = self.find(pattern, sent=sent)
+        if frames:
+            raise AssertionError(f"{len(frames)} frames {pattern}, none expected{self._list(frames)}")
 
     def assert_sequence(self, *patterns: str, sent: bool | None = None) -> None:
         """Frames that match come in this order; others may be between them."""
@@ -156,9 +156,9 @@ class Wire:
         __tracebackhide__ = True
         sent = _accepts([rule.pattern for rule in intended if rule.sent is not False] + [*allow])
         received = _accepts([rule.pattern for rule in intended if rule.sent is not True] + [*allow])
-        found = [frame for frame in self.frames if not (sent if frame.sent else received)(frame.text)]
-        if found:
-            raise AssertionError(f"{len(found)} unintended of {len(self.frames)} frames{self._list(found)}")
+        frames = [frame for frame in self.frames if not (sent if frame.sent else received)(frame.text)]
+        if frames:
+            raise AssertionError(f"{len(frames)} unintended of {len(self.frames)} frames{self._list(frames)}")
 
     def controlwords(self, node: int, plan: PdoPlan) -> list[Controlword]:
         """Every controlword to a node, by the RPDOs of its plan or by SDO, those repeated in a row once."""
@@ -218,7 +218,7 @@ def read_wire(folder: Path) -> Wire:
     path = folder / FRAMES_FILE
     lines = path.read_text(encoding="ascii").splitlines()
     directions = (folder / DIRECTIONS_FILE).read_text(encoding="ascii").splitlines()
-    found = Wire(recording=folder)
+    wire = Wire(recording=folder)
     for line, direction in zip(lines, directions, strict=False):
         fields = _LINE.fullmatch(line)
         if fields is None:
@@ -229,8 +229,8 @@ def read_wire(folder: Path) -> Wire:
         frame = SeenFrame(
             at, direction == "T", int(identifier, 16), bytes.fromhex(data), extended, bool(remote)
         )
-        found.frames.append(frame)
-    return found
+        wire.frames.append(frame)
+    return wire
 
 
 def _accepts(patterns: Sequence[str]) -> Callable[[str], bool]:

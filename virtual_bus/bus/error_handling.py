@@ -125,10 +125,10 @@ class ErrorHandling(Handling):
         self._timeline.post(self._end_at, self._finish)
 
     def _controllers(self) -> dict[int, CanController]:
-        found = {port._rank: port.controller for port in self._segment._ports}
+        controllers = {port._rank: port.controller for port in self._segment._ports}
         if self._sender is not None:
-            found.setdefault(self._sender._rank, self._sender.controller)
-        return found
+            controllers.setdefault(self._sender._rank, self._sender.controller)
+        return controllers
 
     def _bits(self, bits: int) -> Duration:
         return bits_duration(bits, self._segment.bitrate_bit_s)

@@ -36,10 +36,10 @@ def runtime_directory() -> Path:
     try:
         with suppress(FileExistsError):  # raised for a file of that name only, which is refused below
             directory.mkdir(mode=0o700, exist_ok=True)
-        found = directory.lstat()
+        status = directory.lstat()
     except OSError as error:
         raise can.CanInitializationError(f"{directory} cannot be made: {error.strerror}") from error
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != user or status.st_mode & 0o077:
         raise can.CanInitializationError(
             f"{directory}: expected a directory of user {user} with mode 0700;"
             " remove it, or set XDG_RUNTIME_DIR"

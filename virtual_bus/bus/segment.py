@@ -89,11 +89,11 @@ class CanSegment(BusMedium):
 
     def port(self, name: str) -> Port:
         """The port of that name. Raises LookupError if there is none or more than one."""
-        found = [port for port in self._ports if port.name == name]
-        if len(found) != 1:
+        named = [port for port in self._ports if port.name == name]
+        if len(named) != 1:
             names = ", ".join(sorted(port.name for port in self._ports))
-            raise LookupError(f"{len(found)} ports of the name {name!r}; there are {names or 'none'}")
-        return found[0]
+            raise LookupError(f"{len(named)} ports of the name {name!r}; there are {names or 'none'}")
+        return named[0]
 
     def _handled(self) -> ErrorHandling:
         """The error handling, which is in charge from the first call on."""

@@ -87,10 +87,10 @@ class FileStore:
             text = read_text(self._path, "file of stored parameters")
         except NoSuchFile:
             return {}
-        found = parse_json(text, str(self._path), _EXPECTED)
-        if not isinstance(found, dict):
-            raise BadInput(str(self._path), "", found, _EXPECTED, _REMEDY)
-        return dict(self._parameter(name, value) for name, value in found.items())
+        stored = parse_json(text, str(self._path), _EXPECTED)
+        if not isinstance(stored, dict):
+            raise BadInput(str(self._path), "", stored, _EXPECTED, _REMEDY)
+        return dict(self._parameter(name, value) for name, value in stored.items())
 
     def _parameter(self, name: str, value: object) -> tuple[tuple[int, int], bytes]:
         match = _KEY.fullmatch(name)

@@ -24,14 +24,14 @@ def read_histogram(path: Path) -> tuple[list[Any], list[Any]]:
 
 
 def _from_json(path: Path, text: str) -> tuple[list[Any], list[Any]]:
-    found = parse_json(text, str(path), _EXPECTED, "file")
-    if isinstance(found, dict):
-        found = found.get("delay_histogram", found)
-    usable = isinstance(found, dict) and all(
-        isinstance(found.get(key), list) for key in ("edges_us", "counts")
+    tables = parse_json(text, str(path), _EXPECTED, "file")
+    if isinstance(tables, dict):
+        tables = tables.get("delay_histogram", tables)
+    usable = isinstance(tables, dict) and all(
+        isinstance(tables.get(key), list) for key in ("edges_us", "counts")
     )
     require(usable, "file", str(path), _EXPECTED)
-    return found["edges_us"], found["counts"]
+    return tables["edges_us"], tables["counts"]
 
 
 def _from_csv(path: Path, text: str) -> tuple[list[Any], list[Any]]:

@@ -40,15 +40,15 @@ def _drawn_bits(plan: FaultPlan, seed: int, link: str = "bus") -> BitOf | None:
     strikes: dict[str, NumberedStrike] = {}
 
     def route(direction: Direction, frame: Frame) -> list[NumberedStrike]:
-        found = []
+        routed = []
         for place, fault in faults:
             if fault.selects(direction, frame.can_id, frame.extended):
                 node = node_of(frame.can_id, frame.extended)
                 name = f"{link}/{direction.label}/{node}/{fault.kind}/{place}"
                 if name not in strikes:
                     strikes[name] = fault.at_work(UniformStream(seed, name))
-                found.append(strikes[name])
-        return found
+                routed.append(strikes[name])
+        return routed
 
     def bit_of(direction: Direction, frame: Frame, n: int, elapsed_ns: int) -> int | None:  # noqa: ARG001
         key = direction, _key(frame)

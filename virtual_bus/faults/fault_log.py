@@ -148,39 +148,39 @@ def entry_line(entry: FaultEntry) -> str:
         at_ns, delay_ns, _, _, can_id, n, _, link = entry
         return _DELAY_LINE % (at_ns, _LABELS[link], can_id, n, delay_ns)
     kind = LOG_KINDS[entry.code]
-    found: dict[str, Any] = {"kind": kind.name, "at_ns": entry.at_ns}
+    line: dict[str, Any] = {"kind": kind.name, "at_ns": entry.at_ns}
     if kind.at == "node":
-        found["node"] = entry.link
+        line["node"] = entry.link
     elif kind.at == "link":
-        found["direction"] = entry.direction.label
+        line["direction"] = entry.direction.label
         if entry.at_drive:
-            found |= {"side": "drive", "node": entry.at_drive}
+            line |= {"side": "drive", "node": entry.at_drive}
     if kind.tells == "frame":
-        found["can_id"] = entry.can_id & ~EXTENDED_FLAG
+        line["can_id"] = entry.can_id & ~EXTENDED_FLAG
         if entry.can_id & EXTENDED_FLAG:
-            found["extended"] = True
+            line["extended"] = True
     if kind.tells != "nothing":
-        found["n"] = entry.n
+        line["n"] = entry.n
     if entry.a != NONE or not any(number.optional for number in kind.numbers):
         for number, value in zip(kind.numbers, (entry.a, entry.b, entry.c), strict=False):
             if value != number.usual:
-                found[number.name] = number.words[value] if number.words else value
-    return json.dumps(found, separators=_COMPACT)
+                line[number.name] = number.words[value] if number.words else value
+    return json.dumps(line, separators=_COMPACT)
 
 
 def read_line(text: str, source: str, line: int) -> FaultEntry:
     """Inverse of :func:`entry_line`; ``line``: its number in the file ``source``. Raises BadInput."""
     place = f"line {line}"
-    found = parse_json(text, source, "a line of a recorded run's faults", place)
-    if not isinstance(found, dict) or found.get("kind") not in KIND_CODES:
-        value = found.get("kind") if isinstance(found, dict) else found
+    fields = parse_json(text, source, "a line of a recorded run's faults", place)
+    if not isinstance(fields, dict) or fields.get("kind") not in KIND_CODES:
+        value = fields.get("kind") if isinstance(fields, dict) else fields
         raise BadInput(
             source,
             place,
             type(value).__name__ if isinstance(value, dict | list) else value,
             f"an object whose kind is one of {', '.join(KINDS)}",
         )
-    return _Line(found, source, place).entry()
+    return _Line(fields, source, place).entry()
 
 
 class _Line:

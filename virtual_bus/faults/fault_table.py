@@ -122,13 +122,13 @@ class FaultTable(BaseModel):
             return Range(0, 0)
         require(least is not None, least_key, MISSING, A_NUMBER)
         require(most is not None, most_key, MISSING, A_NUMBER)
-        found, scale = Range(ns(least, unit), ns(most, unit)), NS_PER_UNIT[unit]
+        limits, scale = Range(ns(least, unit), ns(most, unit)), NS_PER_UNIT[unit]
         top = f"{high // scale} {unit}"
         expected = f"a {what} > 0, at most {top}" if low > 0 else f"a {what} from {low // scale} to {top}"
-        require(low <= found.min_ns <= high, least_key if fixed is None else key, least, expected)
+        require(low <= limits.min_ns <= high, least_key if fixed is None else key, least, expected)
         expected = f"a {what} from {least_key} = {least:g} to {top}"
-        require(found.min_ns <= found.max_ns <= high, most_key, most, expected)
-        return found
+        require(limits.min_ns <= limits.max_ns <= high, most_key, most, expected)
+        return limits
 
     def as_table(self) -> dict[str, Any]:
         """As a plan holds it, every default written out."""

@@ -37,8 +37,8 @@ class RecordedFaults:
     @property
     def node_kinds(self) -> tuple[str, ...]:
         """Which kinds befall nodes themselves, the host among them."""
-        found = {entry.kind for entry in self.entries}
-        return tuple(kind for kind in (*NODE_KINDS, *HOST_KINDS) if kind in found)
+        kinds = {entry.kind for entry in self.entries}
+        return tuple(kind for kind in (*NODE_KINDS, *HOST_KINDS) if kind in kinds)
 
     @property
     def drives_struck(self) -> frozenset[int]:

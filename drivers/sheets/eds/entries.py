@@ -105,9 +105,9 @@ class EntryReader:
         """CANFestival's editor defines a limited type in a section [A0], its base in [A0sub1]."""
         for name in (f"{code:X}sub1", section_name(code, 1)):
             section = self._defined.get(name.upper())
-            found = integer(section.text("DefaultValue")) if section is not None else None
-            if found is not None and found.value in types.KNOWN_TYPES:
-                return found.value
+            spelled = integer(section.text("DefaultValue")) if section is not None else None
+            if spelled is not None and spelled.value in types.KNOWN_TYPES:
+                return spelled.value
         return None
 
     def _limits(self, made: Entry, place: Place) -> None:
@@ -136,13 +136,13 @@ class EntryReader:
 
 def _type_number(section: EdsSection, option: Option) -> int | None:
     text = option.value.strip()
-    found = integer(text)
+    spelled = integer(text)
     if re.fullmatch(r"0\d{3}", text) and int(text) > 7:
         # Four digits with zeros in front are how type indices are written, and those are hexadecimal.
-        found = Spelled(int(text, 16), "hexadecimal without 0x")
-    if found is not None:
-        section.note_oddity(option, found)
-        return found.value
+        spelled = Spelled(int(text, 16), "hexadecimal without 0x")
+    if spelled is not None:
+        section.note_oddity(option, spelled)
+        return spelled.value
     named = types.type_by_name(text)
     if named is not None:
         section.mend(f"DataType is {text!r}", f"read as {types.type_name(named)}", option.line)

@@ -175,12 +175,12 @@ def _check_list(section: EdsSection, defined: set[int], listed: dict[int, str]) 
 
 def _listed_index(text: str, defined: set[int]) -> int | None:
     """An index; digits without 0x are hexadecimal if only so they name an object of the file."""
-    found = integer(text)
-    if found is None:
+    spelled = integer(text)
+    if spelled is None:
         return None
-    if text.strip().isdigit() and found.value not in defined and int(text, 16) in defined:
+    if text.strip().isdigit() and spelled.value not in defined and int(text, 16) in defined:
         return int(text, 16)
-    return found.value
+    return spelled.value
 
 
 def _number(section: EdsSection, name: str) -> int | None:

@@ -128,10 +128,10 @@ def formula(text: str) -> Formula | None:
     if len(compact) > LENGTH_MAX:
         return None
     parser = _Parser(_NODE_ID.sub(" N ", compact.strip("\"'")))
-    found = parser.expression()
-    if found is None or not parser.at_end():
+    parsed = parser.expression()
+    if parsed is None or not parser.at_end():
         return None
-    factor, base = found
+    factor, base = parsed
     oddity = parser.oddity
     if not oddity and not _STANDARD_FORMULA.fullmatch(compact):
         oddity = "not written as $NODEID+0x..."
@@ -206,10 +206,10 @@ class _Parser:
         return inner
 
     def _number(self, text: str) -> tuple[int, int] | None:
-        found = integer(text)
-        if found is None:
+        spelled = integer(text)
+        if spelled is None:
             return None
-        value, oddity = found
+        value, oddity = spelled
         if text.isdigit() and value % _FUNCTION_CODE and int(text, 16) % _FUNCTION_CODE == 0:
             value, oddity = int(text, 16), "hexadecimal without 0x"
         self.oddity = self.oddity or oddity

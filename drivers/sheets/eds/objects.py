@@ -199,19 +199,19 @@ class _Builder:
     def _apply_table(self, made: EdsObject, table: EdsSection, kind: str, data_type: int) -> None:
         listed = 0
         for option in table.options.values():
-            found = integer(option.name)
-            if found is None:
+            spelled = integer(option.name)
+            if spelled is None:
                 continue
             listed += 1
-            entry = made.entries.get(found.value)
-            if entry is None or not found.value:
+            entry = made.entries.get(spelled.value)
+            if entry is None or not spelled.value:
                 table.mend(f"entry {option.name} is beyond the object", "left out", option.line)
             elif kind == "name":
                 entry.name = option.value or entry.name
             elif kind == "denotation":
                 entry.denotation = option.value
             elif option.value:
-                place = Place(table, made.index, found.value, data_type)
+                place = Place(table, made.index, spelled.value, data_type)
                 value = read_value(option, place)
                 if self._configured:
                     entry.configured = value

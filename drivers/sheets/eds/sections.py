@@ -29,31 +29,31 @@ class EdsSection:
 
     def option(self, name: str) -> Option | None:
         """An option that has a value; None if it is absent or empty."""
-        found = self.options.get(name.lower())
-        return found if found is not None and found.value else None
+        entry = self.options.get(name.lower())
+        return entry if entry is not None and entry.value else None
 
     def text(self, name: str) -> str:
         """The value of an option; empty if there is none."""
-        found = self.options.get(name.lower())
-        return found.value if found is not None else ""
+        entry = self.options.get(name.lower())
+        return entry.value if entry is not None else ""
 
     def number(self, name: str) -> int | None:
         """A whole number in any spelling; None if it is absent, empty or none, which is noted."""
         option = self.options.get(name.lower())
         if option is None:
             return None
-        found = integer(option.value) if option.value else None
-        if found is None:
+        spelled = integer(option.value) if option.value else None
+        if spelled is None:
             told = f"{option.value[:60]!r}, no number" if option.value else "empty"
             self.mend(f"{name} is {told}", "left out", option.line)
             return None
-        self.note_oddity(option, found)
-        return found.value
+        self.note_oddity(option, spelled)
+        return spelled.value
 
-    def note_oddity(self, option: Option, found: Spelled) -> None:
+    def note_oddity(self, option: Option, spelled: Spelled) -> None:
         """Note an odd spelling of a number, if it is one."""
-        if found.oddity:
-            action = f"{found.oddity}: read as {found.value}"
+        if spelled.oddity:
+            action = f"{spelled.oddity}: read as {spelled.value}"
             self.mend(f"{option.name} is {option.value!r}", action, option.line)
 
     def mend(self, fault: str, action: str, line: int | None = None) -> None:

@@ -96,14 +96,14 @@ def _decoded(raw: list[bytes], log: RepairLog) -> list[str]:
 
 def _likeliest_code_page(lines: Iterable[bytes]) -> str:
     text = b"\n".join(_first(lines))
-    found: dict[str, float] = {}
+    letters: dict[str, float] = {}
     for codec in _CODE_PAGES:
         try:
-            found[codec] = _likelihood(text.decode(codec), codec)
+            letters[codec] = _likelihood(text.decode(codec), codec)
         except UnicodeDecodeError:
             continue
     # max() keeps the first of equals, which is the order of preference.
-    return max(found, key=lambda codec: found[codec])
+    return max(letters, key=lambda codec: letters[codec])
 
 
 def _first(lines: Iterable[bytes]) -> Iterator[bytes]:

@@ -83,13 +83,13 @@ def _real(option: Option, place: Place) -> Value:
             value = struct.unpack("<f" if bits == 32 else "<d", raw)[0]
             _note(option, place, f"taken for the bits of {value:g}")
             return Value(value, text=text)
-    found = real(text)
-    if found is None:
+    spelled = real(text)
+    if spelled is None:
         _note(option, place, f"left out, for {_no_number(option)}")
         return NOTHING
-    if found[1]:
-        _note(option, place, f"{found[1]}: read as {found[0]:g}")
-    return Value(found[0], text=text)
+    if spelled[1]:
+        _note(option, place, f"{spelled[1]}: read as {spelled[0]:g}")
+    return Value(spelled[0], text=text)
 
 
 def _no_number(option: Option) -> str:
@@ -98,33 +98,33 @@ def _no_number(option: Option) -> str:
 
 
 def _formula(option: Option, place: Place) -> Value:
-    found = formula(option.value)
-    if found is None:
+    parsed = formula(option.value)
+    if parsed is None:
         _note(option, place, "left out, for it is no formula of $NODEID")
         return NOTHING
-    read = _formula_text(found)
-    if found.oddity:
-        _note(option, place, f"{found.oddity}: read as {read}")
-    return Value(None, found, read)
+    read = _formula_text(parsed)
+    if parsed.oddity:
+        _note(option, place, f"{parsed.oddity}: read as {read}")
+    return Value(None, parsed, read)
 
 
-def _formula_text(found: Formula) -> str:
-    node = "$NODEID" if found.factor == 1 else f"{found.factor}*$NODEID"
-    return f"{node}+0x{found.base & 0xFFFF_FFFF:X}"
+def _formula_text(parsed: Formula) -> str:
+    node = "$NODEID" if parsed.factor == 1 else f"{parsed.factor}*$NODEID"
+    return f"{node}+0x{parsed.base & 0xFFFF_FFFF:X}"
 
 
 def _integer(option: Option, place: Place) -> Value:
-    found = _spelled(option.value, place)
-    if found is None:
+    spelled = _spelled(option.value, place)
+    if spelled is None:
         none = option.value.strip().lower() in _NO_NUMBER
         _note(option, place, "left out" if none else f"left out, for {_no_number(option)}")
         return NOTHING
-    value, oddity = fitted(found.value, place.data_type, option.value)
+    value, oddity = fitted(spelled.value, place.data_type, option.value)
     if value is None:
         name = types.type_name(place.data_type)
         _note(option, place, f"left out, for {name} does not hold it")
         return NOTHING
-    oddity = found.oddity or oddity
+    oddity = spelled.oddity or oddity
     if oddity:
         _note(option, place, f"{oddity}: read as {value}")
     return Value(value, text=option.value)
@@ -132,21 +132,21 @@ def _integer(option: Option, place: Place) -> Value:
 
 def _spelled(text: str, place: Place) -> Spelled | None:
     """A number; digits that make sense only as hexadecimal are taken for that."""
-    found = integer(text)
-    if found is None or not text.strip().isdigit():
-        return found
+    spelled = integer(text)
+    if spelled is None or not text.strip().isdigit():
+        return spelled
     digits = text.strip()
     wide = int(digits, 16)
     if types.is_mapping(place.index) and place.sub:
         hexadecimal = len(digits) == 8 and wide >> 16 >= 0x1000 and 1 <= wide & 0xFF <= 64
     elif place.index == _DEVICE_TYPE:
-        hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and found.value & 0xFFFF != _DRIVE_PROFILE
+        hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and spelled.value & 0xFFFF != _DRIVE_PROFILE
     elif (types.is_communication(place.index) and place.sub == 1) or place.index in types.COB_ID_OBJECTS:
         # Bits 11 to 29 of a COB-ID of 11 bits are 0.
         hexadecimal = len(digits) == 8 and wide & 0x3FFF_F800 == 0
     else:
         hexadecimal = False
-    return Spelled(wide, "hexadecimal without 0x") if hexadecimal else found
+    return Spelled(wide, "hexadecimal without 0x") if hexadecimal else spelled
 
 
 def fitted(value: int, data_type: int, text: str) -> tuple[int | None, str]:

@@ -179,19 +179,19 @@ class _Reader:
 
     def _object(self, local: str, attributes: dict[str, str]) -> None:
         of_sub = local == "CANopenSubObject"
-        found = _hexadecimal(
+        index = _hexadecimal(
             attributes.get("subIndex" if of_sub else "index", ""), 0xFF if of_sub else 0xFFFF
         )
         line = self.line_of()
-        if found is None:
+        if index is None:
             what = "a sub-object without a sub-index" if of_sub else "an object without an index"
             self._log.add("file", what, "left out", line)
             self._index = self._index if of_sub else 0
             return
         if not of_sub:
-            self._index = found
+            self._index = index
         if self._index:
-            self._objects.append(_Object(self._index, found if of_sub else None, line, attributes))
+            self._objects.append(_Object(self._index, index if of_sub else None, line, attributes))
 
     def _informed(self, local: str, attributes: dict[str, str]) -> None:
         """What stands in attributes of other elements."""

@@ -37,21 +37,21 @@ def robust_figures(
     motor: PmsmParameters, axis: str, design: AxisDesign, other: OtherAxis, speed_rad_s: float
 ) -> dict[str, Any]:
     """Over +-50 % of r and L: one axis exactly, both axes at a speed."""
-    found = axis_robustness(
+    robustness = axis_robustness(
         motor.resistance_ohm, axis_inductance_h(motor, axis), design.controller, design.weights
     )
     pair = other.pair(axis, design.controller)
     coupled = coupled_robustness(motor, *pair, speed_rad_s)
     worst = worst_motor(motor, *pair, speed_rad_s)
     return {
-        "stable": found.stable,
-        "real_mu_peak": found.real_mu_peak,
-        "worst_modulus_margin": found.worst_modulus_margin,
-        "modulus_margin_bound": 1.0 / found.sensitivity.bound,
-        "worst_weighted_sensitivity": finite(found.weighted.reached) if found.stable else None,
-        "weighted_sensitivity_bound": finite(found.weighted.bound) if found.stable else None,
-        "worst_resistance_ohm": found.weighted.resistance_ohm,
-        "worst_inductance_h": found.weighted.inductance_h,
+        "stable": robustness.stable,
+        "real_mu_peak": robustness.real_mu_peak,
+        "worst_modulus_margin": robustness.worst_modulus_margin,
+        "modulus_margin_bound": 1.0 / robustness.sensitivity.bound,
+        "worst_weighted_sensitivity": finite(robustness.weighted.reached) if robustness.stable else None,
+        "weighted_sensitivity_bound": finite(robustness.weighted.bound) if robustness.stable else None,
+        "worst_resistance_ohm": robustness.weighted.resistance_ohm,
+        "worst_inductance_h": robustness.weighted.inductance_h,
         "coupled": {
             "speed_rad_s": speed_rad_s,
             "certified": coupled.certified,
@@ -80,20 +80,20 @@ def sampled_design(
         controller = _tustin(request, design) if made is None else made
     except ValueError as error:
         raise BadInput("--sample-rate-hz", "", request.rate_hz, str(error)) from None
-    found = sampled_figures(design.plant, controller, request.delay_samples)
-    if found.spectral_radius >= 1.0:
+    sampled = sampled_figures(design.plant, controller, request.delay_samples)
+    if sampled.spectral_radius >= 1.0:
         raise BadInput(
             "--sample-rate-hz",
             "",
             request.rate_hz,
-            f"a rate at which the loop is stable; its spectral radius is {found.spectral_radius:.4f}",
+            f"a rate at which the loop is stable; its spectral radius is {sampled.spectral_radius:.4f}",
             "sample faster, shorten the delay, lower the crossing of w1, or design with --discrete",
         )
     figures: dict[str, Any] = {
         "rate_hz": request.rate_hz,
         "delay_samples": request.delay_samples,
         "method": "discrete" if request.discrete else "tustin",
-        **_loop_figures(found),
+        **_loop_figures(sampled),
         **discrete,
         "lowest_rate": _lowest_rate(request, design, other, speed_rad_s),
         "coupled": _coupled(request, beside.pair(request.axis, controller), speed_rad_s),
@@ -111,21 +111,23 @@ def _discrete(request: CurrentRequest, gamma: float, design: AxisDesign) -> tupl
     assert request.rate_hz is not None
     plant, weights, delay = design.plant, design.weights, request.delay_samples
     wanted = request.gamma if request.gamma is not None else (0.0 if request.gamma_factor else gamma)
-    found = discrete_design(plant, weights, wanted, request.gamma_factor or FACTOR, request.rate_hz, delay)
-    if request.gamma is not None and found.gamma > request.gamma:
+    synthesis = discrete_design(
+        plant, weights, wanted, request.gamma_factor or FACTOR, request.rate_hz, delay
+    )
+    if request.gamma is not None and synthesis.gamma > request.gamma:
         raise BadInput(
             "--gamma",
             "",
             request.gamma,
-            f"more than gamma_min = {found.gamma_min:.9g} of the plant sampled at {request.rate_hz:g} Hz",
+            f"more than gamma_min = {synthesis.gamma_min:.9g} of the plant sampled at {request.rate_hz:g} Hz",
             "sample faster, shorten the delay, or lower the crossing of w1",
         )
     rates = [request.rate_hz * factor for factor in RATE_FACTORS]
     table = zip(rates, gamma_min_over_rates(plant, weights, rates, delay), strict=True)
-    return found.controller, {
-        "gamma": found.gamma,
-        "gamma_min": found.gamma_min,
-        "closed_loop_norm": found.norm,
+    return synthesis.controller, {
+        "gamma": synthesis.gamma,
+        "gamma_min": synthesis.gamma_min,
+        "closed_loop_norm": synthesis.norm,
         "gamma_min_by_rate": [{"rate_hz": rate, "gamma_min": least} for rate, least in table],
         "continuous_sampled": _beside(request, design),
     }
@@ -139,17 +141,20 @@ def _beside(request: CurrentRequest, design: AxisDesign) -> dict[str, Any]:
         controller = _tustin(request, design)
     except ValueError:
         return {"spectral_radius": None}
-    found = sampled_figures(design.plant, controller, delay)
+    sampled = sampled_figures(design.plant, controller, delay)
     plant = discrete_plant(design.plant, design.weights, request.rate_hz, delay)
-    return {**_loop_figures(found), "closed_loop_norm": finite(verified_norm(plant, to_bilinear(controller)))}
-
-
-def _loop_figures(found: SampledFigures) -> dict[str, float | None]:
     return {
-        "phase_margin_deg": finite(found.margins.phase_margin_deg),
-        "gain_margin_db": finite(found.margins.gain_margin_db),
-        "modulus_margin": finite(found.margins.modulus_margin),
-        "spectral_radius": found.spectral_radius,
+        **_loop_figures(sampled),
+        "closed_loop_norm": finite(verified_norm(plant, to_bilinear(controller))),
+    }
+
+
+def _loop_figures(sampled: SampledFigures) -> dict[str, float | None]:
+    return {
+        "phase_margin_deg": finite(sampled.margins.phase_margin_deg),
+        "gain_margin_db": finite(sampled.margins.gain_margin_db),
+        "modulus_margin": finite(sampled.margins.modulus_margin),
+        "spectral_radius": sampled.spectral_radius,
     }
 
 
@@ -191,15 +196,15 @@ def _coupled(
     def radii(decoupling: Decoupling | None) -> list[float]:
         return [float(x) for x in spectral_radius(motor, *pair, speeds, decoupling, delay)]
 
-    found = {
+    figures = {
         "speed_rad_s": speeds.tolist(),
         "decoupled": radii(right),
         "not_decoupled": radii(None),
         "without_advance": radii(unturned),
     }
     if asked != right:
-        found["as_asked"] = radii(asked)
-    return {**found, "decoupling_factor": factor, "advance_periods": advance}
+        figures["as_asked"] = radii(asked)
+    return {**figures, "decoupling_factor": factor, "advance_periods": advance}
 
 
 def finite(value: float) -> float | None:

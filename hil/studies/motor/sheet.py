@@ -115,7 +115,7 @@ def _header(sheet: Sheet, entered: DataSheet) -> list[str]:
 
 
 def _errors(values: Mapping[str, float]) -> list[BadInput]:
-    found = [
+    errors = [
         BadInput(SOURCE, "", MISSING, f"{GROUPS[group].question.lower()}: {_options(group)}")
         for group in missing(values)
     ]
@@ -123,15 +123,17 @@ def _errors(values: Mapping[str, float]) -> list[BadInput]:
         if not (math.isfinite(value) and value > 0.0) and not (
             key in ("friction_nm", "viscous_nm_krpm") and value == 0.0
         ):
-            found.append(BadInput(SOURCE, option(key), value, "a number above zero"))
+            errors.append(BadInput(SOURCE, option(key), value, "a number above zero"))
     for group in GROUPS:
         given = [figure for figure in ways(group) if figure.key in values]
         if len(given) > 1 and group not in SEVERAL and not _same_poles(group, values):
             told = " and ".join(f"{option(figure.key)} {values[figure.key]:g}" for figure in given)
-            found.append(BadInput(SOURCE, GROUPS[group].question.lower(), told, "one of them"))
-    if not found and not float(_pole_number(values)).is_integer():
-        found.append(BadInput(SOURCE, "--poles", values.get("poles"), "an even number; pairs are half of it"))
-    return found
+            errors.append(BadInput(SOURCE, GROUPS[group].question.lower(), told, "one of them"))
+    if not errors and not float(_pole_number(values)).is_integer():
+        errors.append(
+            BadInput(SOURCE, "--poles", values.get("poles"), "an even number; pairs are half of it")
+        )
+    return errors
 
 
 def _same_poles(group: str, values: Mapping[str, float]) -> bool:

@@ -44,11 +44,11 @@ def draw_table(table: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> 
         axes[0].legend(fontsize=8)
 
 
-def draw_motor(found: Mapping[str, Any], path: Path) -> None:
+def draw_motor(figures: Mapping[str, Any], path: Path) -> None:
     """Table 2 for a motor of one's own."""
     with picture(path) as axis:
-        _plot_delays(axis, [row for row in found["rows"] if "impossible" not in row], found["speed_rpm"])
-        axis.set_title(f"{found['motor']}: load step of {found['load_nm']:.4g} N m")
+        _plot_delays(axis, [row for row in figures["rows"] if "impossible" not in row], figures["speed_rpm"])
+        axis.set_title(f"{figures['motor']}: load step of {figures['load_nm']:.4g} N m")
         axis.legend(fontsize=8)
 
 
@@ -117,14 +117,14 @@ def draw_strategies(analyses: Mapping[str, Sequence[Mapping[str, Any]]], path: P
 
 
 def draw_ling2012(
-    found: Mapping[str, Any],
+    figures: Mapping[str, Any],
     runs: Sequence[PaperRun],
     folder: Path,
 ) -> list[Path]:
     """Every picture into ``folder``; returns the files."""
-    strategies = {name: item["by_losses"] for name, item in found["strategies"].items()}
+    strategies = {name: item["by_losses"] for name, item in figures["strategies"].items()}
     files: dict[str, Callable[[Path], None]] = {
-        "table2.png": lambda path: draw_table(found["table2"], path),
+        "table2.png": lambda path: draw_table(figures["table2"], path),
         "fig05-start.png": lambda path: draw_start(runs, path),
         "fig06-pid.png": lambda path: draw_comparison(runs, path),
         "fig07-load.png": lambda path: draw_load(runs, path),
@@ -133,9 +133,9 @@ def draw_ling2012(
     return draw_all(folder, files)
 
 
-def _plot_continuous(axis: Any, found: DelayResponse) -> None:
-    error_percent = 100.0 * found.x[:, 1] / SPEED_RAD_S
-    axis.plot(found.time_s, error_percent, "k", label="continuous, constant delay of 64 ms")
+def _plot_continuous(axis: Any, response: DelayResponse) -> None:
+    error_percent = 100.0 * response.x[:, 1] / SPEED_RAD_S
+    axis.plot(response.time_s, error_percent, "k", label="continuous, constant delay of 64 ms")
 
 
 def _plot_errors(axis: Any, runs: Sequence[PaperRun], from_s: float) -> None:

@@ -38,14 +38,14 @@ _PROCESSES = 2
 def reproduce(runs: Path, tell: Callable[[str], None]) -> tuple[dict[str, Any], list[PaperRun]]:
     """The figures, and the recorded runs, which go into folders below ``runs``."""
     tell("Table 2: 11 rows by 4 methods in 2 conventions of units")
-    found: dict[str, Any] = {"table2": table2(), "published_design": published_design()}
+    figures: dict[str, Any] = {"table2": table2(), "published_design": published_design()}
     tell("the three strategies: certificates for every sequence")
-    found["strategies"] = strategies()
+    figures["strategies"] = strategies()
     recorded = run_cases(runs, tell)
     cases: dict[str, Callable[[], dict[str, Any]]] = {"case1": case1, "case2": case2, "case3": case3}
     for name, case in cases.items():
-        found[name] = case() | {"bench": {run.variant: run.figures for run in recorded if run.case == name}}
-    return found, recorded
+        figures[name] = case() | {"bench": {run.variant: run.figures for run in recorded if run.case == name}}
+    return figures, recorded
 
 
 def for_motor(motor: PmsmParameters) -> dict[str, Any]:

@@ -98,13 +98,15 @@ def _certified(
     # a functional of higher order contains those of lower ones: what they certify, it does
     for tried in [None] if order is None else range(order, -1, -1):
         try:
-            found = certified_gain_auto(model, loop) if tried is None else certified_gain(model, loop, tried)
+            certified = (
+                certified_gain_auto(model, loop) if tried is None else certified_gain(model, loop, tried)
+            )
         except NoSolution as error:
             failures.append(str(error))
             continue
-        proof = found.proof
-        status = "; ".join([*failures, f"{proof.status} at order {found.order}"])
-        return found, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
+        proof = certified.proof
+        status = "; ".join([*failures, f"{proof.status} at order {certified.order}"])
+        return certified, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
     return None, {"solver": SOLVER, "status": "; ".join(failures), "min_margin": None}
 
 
@@ -141,7 +143,7 @@ def _percent(
 
 def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, Any]:
     """The loop that really runs, over ``network``."""
-    found = with_peak(analyse_sampled(request.model, request.K, network))
+    analysis = with_peak(analyse_sampled(request.model, request.K, network))
     return {
         "strategy": network.strategy.value,
         "period_s": network.period_s,
@@ -149,38 +151,38 @@ def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, 
         "tau_max_s": network.delay_max_s,
         "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
         "age_max_s": network.age_max_s,
-        **sequence_figures(found, 100.0 * request.load_nm / request.speed_rad_s),
+        **sequence_figures(analysis, 100.0 * request.load_nm / request.speed_rad_s),
         "by_losses": [
             {"lost": lost, "decay_per_s": finite(pattern.decay_per_s), "gamma": finite(gain)}
-            for lost, (pattern, gain) in enumerate(zip(found.regular, found.gains, strict=True))
+            for lost, (pattern, gain) in enumerate(zip(analysis.regular, analysis.gains, strict=True))
         ],
     }
 
 
-def sequence_figures(found: SampledAnalysis, percent: float) -> dict[str, Any]:
+def sequence_figures(analysis: SampledAnalysis, percent: float) -> dict[str, Any]:
     """What holds under every sequence beside what was found under one.
 
     ``percent``: of the speed, for a gain of 1 rad/s per N m.
     """
-    gain, proofs = found.gain_certified, [found.gain_proof, found.decay_proof]
+    gain, proofs = analysis.gain_certified, [analysis.gain_proof, analysis.decay_proof]
     margins = [proof.min_margin for proof in proofs if proof is not None]
-    peak, bound = found.peak_found, found.peak_certified
+    peak, bound = analysis.peak_found, analysis.peak_certified
     return {
-        "certified": found.certified,
-        "refuted": found.refuted,
+        "certified": analysis.certified,
+        "refuted": analysis.refuted,
         "sequences": {
             "step_peak_rad_s": _bounds(bound, peak),
             "step_peak_percent": _bounds(None if bound is None else bound * percent, peak * percent),
-            "gain": _bounds(gain, found.gain_found),
-            "error_percent": _bounds(None if gain is None else gain * percent, found.gain_found * percent),
-            "decay_per_s": _bounds(found.decay_certified_per_s, found.decay_found_per_s),
-            "gain_pattern": _pattern(found.network, found.worst.pattern),
-            "decay_pattern": _pattern(found.network, found.slowest),
+            "gain": _bounds(gain, analysis.gain_found),
+            "error_percent": _bounds(None if gain is None else gain * percent, analysis.gain_found * percent),
+            "decay_per_s": _bounds(analysis.decay_certified_per_s, analysis.decay_found_per_s),
+            "gain_pattern": _pattern(analysis.network, analysis.worst.pattern),
+            "decay_pattern": _pattern(analysis.network, analysis.slowest),
         },
         "sequence_certificate": {
             "solver": SOLVER,
-            "status": found.without_certificate or "Solved",
-            "min_margin": min(margins) if found.certified else None,
+            "status": analysis.without_certificate or "Solved",
+            "min_margin": min(margins) if analysis.certified else None,
         },
     }
 
@@ -202,25 +204,25 @@ def _pattern(network: SampledNetwork, pattern: Pattern) -> list[dict[str, Any]]:
 
 def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
     """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
-    found = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
+    trials = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
     share = 100.0 / request.speed_rad_s
-    quantiles = {f"p{100 * q:g}": found.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
+    quantiles = {f"p{100 * q:g}": trials.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
     return {
         "runs": chance.runs,
         "seed": chance.seed,
         "duration_s": chance.duration_s,
         "loss_probability": chance.loss_probability,
         "load_nm": chance.load_nm,
-        "diverged": _estimate(found.diverged),
+        "diverged": _estimate(trials.diverged),
         "peak_rad_s": {name: _estimate(value) for name, value in quantiles.items()},
         "peak_percent": {name: _estimate(value, share) for name, value in quantiles.items()},
-        "largest_peak_rad_s": finite(float(np.max(found.peaks_rad_s))),
+        "largest_peak_rad_s": finite(float(np.max(trials.peaks_rad_s))),
     }
 
 
-def _estimate(found: Estimate, factor: float = 1.0) -> Mapping[str, float | None]:
+def _estimate(estimate: Estimate, factor: float = 1.0) -> Mapping[str, float | None]:
     return {
-        "value": finite(found.value * factor),
-        "low": finite(found.low * factor),
-        "high": finite(found.high * factor),
+        "value": finite(estimate.value * factor),
+        "low": finite(estimate.low * factor),
+        "high": finite(estimate.high * factor),
     }

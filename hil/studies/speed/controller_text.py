@@ -86,12 +86,12 @@ def write_controller(path: Path, result: DesignResult) -> None:
 
 def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
-    found = MadeFor(
+    made_for = MadeFor(
         delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6),
         plant=plant_of(result.request.motor),
         current_loop=_current_loop(result),
     )
-    return found if network is None else found.model_copy(update=_network(network))
+    return made_for if network is None else made_for.model_copy(update=_network(network))
 
 
 def _network(network: SampledNetwork) -> dict[str, object]:

@@ -18,42 +18,42 @@ def certified_of(attempts: Sequence[SampledAnalysis]) -> SampledAnalysis | None:
 
 def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
     """For JSON."""
-    found = certified_of(attempts)
+    certified = certified_of(attempts)
     missed = {
         f"{each.network.losses_max}_in_a_row": each.without_certificate
         for each in attempts
         if not each.certified
     }
     figures: dict[str, Any] = {"covers": _COVERS} | ({"not_certified": missed} if missed else {})
-    if found is None:
+    if certified is None:
         return figures | {"losses_in_a_row": None}
     return figures | {
-        "losses_in_a_row": found.network.losses_max,
-        "gain_certified": found.gain_certified,
-        "gain_found": found.gain_found,
-        "decay_certified_per_s": found.decay_certified_per_s,
-        "decay_found_per_s": found.decay_found_per_s,
+        "losses_in_a_row": certified.network.losses_max,
+        "gain_certified": certified.gain_certified,
+        "gain_found": certified.gain_found,
+        "decay_certified_per_s": certified.decay_certified_per_s,
+        "decay_found_per_s": certified.decay_found_per_s,
     }
 
 
 def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | None:
     """The table of a controller file."""
-    found = certified_of(attempts)
-    if found is None:
+    certified = certified_of(attempts)
+    if certified is None:
         return None
-    gain, decay = found.gain_proof, found.decay_proof
+    gain, decay = certified.gain_proof, certified.decay_proof
     assert gain is not None
     assert gain.gain is not None
     assert decay is not None
     assert decay.decay_per_s is not None
     return LossCertificate(
-        losses_in_a_row_max=found.network.losses_max,
+        losses_in_a_row_max=certified.network.losses_max,
         solver=gain.solver,
         sequences=SequenceProof(
             gain_certified=gain.gain,
-            gain_found=found.gain_found,
+            gain_found=certified.gain_found,
             decay_certified_per_s=decay.decay_per_s,
-            decay_found_per_s=found.decay_found_per_s,
+            decay_found_per_s=certified.decay_found_per_s,
             min_margin=min(gain.min_margin, decay.min_margin),
             gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),
             decay_matrices=tuple(np.asarray(matrix).tolist() for matrix in decay.P),

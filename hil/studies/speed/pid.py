@@ -49,25 +49,25 @@ def _current_loop(request: PidRequest) -> tuple[StateSpace, float]:
     return first_order_current_loop(bandwidth), bandwidth
 
 
-def pid_figures(found: SpeedPid) -> dict[str, Any]:
+def pid_figures(pid: SpeedPid) -> dict[str, Any]:
     """What ``--json`` prints."""
-    figures = asdict(found)
+    figures = asdict(pid)
     figures |= figures.pop("margins")
     return {key: value if math.isfinite(value) else None for key, value in figures.items()}
 
 
-def controller_text(request: PidRequest, found: SpeedPid) -> str:
+def controller_text(request: PidRequest, pid: SpeedPid) -> str:
     """A controller file for ``controller = ...`` of a bench; the friction is fed forward."""
     closed, crossover = _current_loop(request)
     table = {
         "kind": "pid",
-        "proportional_nm_s_rad": _digits(found.proportional_nm_s_rad),
-        "integral_nm_rad": _digits(found.integral_nm_rad),
-        "derivative_nm_s2_rad": _digits(found.derivative_nm_s2_rad),
-        "derivative_filter_s": found.derivative_filter_s,
+        "proportional_nm_s_rad": _digits(pid.proportional_nm_s_rad),
+        "integral_nm_rad": _digits(pid.integral_nm_rad),
+        "derivative_nm_s2_rad": _digits(pid.derivative_nm_s2_rad),
+        "derivative_filter_s": pid.derivative_filter_s,
         "feedforward_nm_s_rad": request.motor.viscous_friction_nm_s,
         "made_for": {
-            "crossover_rad_s": _digits(found.crossover_rad_s),
+            "crossover_rad_s": _digits(pid.crossover_rad_s),
             "current_loop": {
                 "order": closed.order,
                 "bandwidth_hz": _digits(crossover / math.tau),

@@ -82,8 +82,8 @@ def design_speed_predictor(
     command_noise_nm: float,
 ) -> PredictorResult:
     """The design. Raises InfeasibleDesign."""
-    found = as_written(design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm)))
-    return PredictorResult(drive, network, found, predictor_robustness(found, network.losses_max))
+    design = as_written(design_predictor(request_of(motor, drive, network, load_nm, command_noise_nm)))
+    return PredictorResult(drive, network, design, predictor_robustness(design, network.losses_max))
 
 
 def as_written(design: PredictorDesign) -> PredictorDesign:

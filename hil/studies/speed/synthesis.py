@@ -87,7 +87,7 @@ class DesignResult:
         request = self.request
         percent = percent_of_speed(self.gamma, request.load_nm, request.speed_rad_s)
         floor = peak_floor_rad_s(request.motor, self.delay_s)
-        found: dict[str, Any] = {
+        told: dict[str, Any] = {
             "feasible": True,
             "gain": self.K.tolist(),
             "current_bandwidth_hz": request.current_bandwidth_hz,
@@ -106,11 +106,11 @@ class DesignResult:
         }
         if self.sampled is not None and request.network is not None:
             share = 100.0 * request.load_nm / request.speed_rad_s
-            found["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
+            told["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
         if self.bandwidths is not None:
-            found["current_bandwidths"] = asdict(self.bandwidths)
-        found["robustness"] = _robustness(self)
-        return found
+            told["current_bandwidths"] = asdict(self.bandwidths)
+        told["robustness"] = _robustness(self)
+        return told
 
     def _certificate(self) -> dict[str, Any]:
         if self.certified is None:
@@ -137,22 +137,22 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
     held = None if request.network is None else HeldLoop(model, result.K, request.network)
     patterns = [] if sampled is None else [sampled.worst.pattern, sampled.slowest, *sampled.regular]
     loop = model.loop(result.K, result.delay_s)
-    found = speed_robustness(plant, request.motor, loop, held, patterns)
+    robustness = speed_robustness(plant, request.motor, loop, held, patterns)
 
     def changed(other: Changed) -> dict[str, float | None]:
         found_gain = None if other.gain_found is None else finite(other.gain_found)
         return {"gamma_exact": finite(other.gain), "gain_found": found_gain}
 
     return {
-        "peak_over_floor": finite(found.peak_over_floor),
-        "gain_margin_db": finite(found.margins.gain_margin_db),
-        "phase_margin_deg": finite(found.margins.phase_margin_deg),
-        "modulus_margin": finite(found.margins.modulus_margin),
-        "delay_margin_s": finite(found.delay_margin_s),
-        "inertia_70_percent": changed(found.inertia_less),
-        "inertia_130_percent": changed(found.inertia_more),
-        "current_bandwidth_50_percent": changed(found.current_loop_slower),
-        "noise_to_torque_nm_s_rad": finite(found.noise_nm_s_rad),
+        "peak_over_floor": finite(robustness.peak_over_floor),
+        "gain_margin_db": finite(robustness.margins.gain_margin_db),
+        "phase_margin_deg": finite(robustness.margins.phase_margin_deg),
+        "modulus_margin": finite(robustness.margins.modulus_margin),
+        "delay_margin_s": finite(robustness.delay_margin_s),
+        "inertia_70_percent": changed(robustness.inertia_less),
+        "inertia_130_percent": changed(robustness.inertia_more),
+        "current_bandwidth_50_percent": changed(robustness.current_loop_slower),
+        "noise_to_torque_nm_s_rad": finite(robustness.noise_nm_s_rad),
     }
 
 
@@ -169,7 +169,7 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
     if sampled is None:
         assert result.certified is not None
         nominal = BandwidthRange(bandwidth_hz, bandwidth_hz, result.certified.gain)
-        found = constant_bandwidth_range(model_at, result.K, result.delay_s, nominal)
+        bandwidths = constant_bandwidth_range(model_at, result.K, result.delay_s, nominal)
     elif sampled.gain_certified is None or sampled.decay_certified_per_s is None:
         return result
     else:
@@ -177,8 +177,8 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
             bandwidth_hz, bandwidth_hz, sampled.gain_certified, sampled.decay_certified_per_s
         )
         patterns = [sampled.worst.pattern, sampled.slowest, *sampled.regular]
-        found = bandwidth_range(model_at, result.K, sampled.network, patterns, nominal)
-    return replace(result, bandwidths=found)
+        bandwidths = bandwidth_range(model_at, result.K, sampled.network, patterns, nominal)
+    return replace(result, bandwidths=bandwidths)
 
 
 def _network_figures(network: SampledNetwork) -> dict[str, Any]:
@@ -240,8 +240,8 @@ class Unreachable(DesignError):
         }
 
     def __str__(self) -> str:
-        request, found = self.request, self.figures
-        demand, best, do = found["demand"], found["best"], found["would_do"]
+        request, figures = self.request, self.figures
+        demand, best, do = figures["demand"], figures["best"], figures["would_do"]
         ways = [f"a load step of at most {do['load_nm']:.4g} N m instead of {request.load_nm:g}"]
         if do["delay_s"] is not None:
             ways.append(f"a delay of at most {1e3 * do['delay_s']:.4g} ms")
@@ -289,21 +289,21 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
     if request.delay_s is None:
         assert request.gamma is not None
         try:
-            found = _largest(model, request, request.gamma)
+            gain = _largest(model, request, request.gamma)
         except NoSolution:
             # not even without delay: what can be had there is the answer
             raise Unreachable(request, _NO_DELAY_S, _least(model, request, _NO_DELAY_S), None) from None
     else:
-        found = _least(model, request, request.delay_s)
-        if request.gamma is not None and found.gamma > request.gamma * _KEPT:
-            raise Unreachable(request, request.delay_s, found, _needed(model, request))
-    loop = model.loop(found.K, found.delay_s)
+        gain = _least(model, request, request.delay_s)
+        if request.gamma is not None and gain.gamma > request.gamma * _KEPT:
+            raise Unreachable(request, request.delay_s, gain, _needed(model, request))
+    loop = model.loop(gain.K, gain.delay_s)
     exact = request.method == "exact"
     certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
-    sampled = analyse_sampled(model, found.K, request.network) if request.network else None
+    sampled = analyse_sampled(model, gain.K, request.network) if request.network else None
     if request.gamma is not None and sampled is not None:
-        _demand_sampled(request, found, sampled, request.gamma)
-    return DesignResult(request, found.K, found.delay_s, found.gamma, hinf_norm(loop), certified, sampled)
+        _demand_sampled(request, gain, sampled, request.gamma)
+    return DesignResult(request, gain.K, gain.delay_s, gain.gamma, hinf_norm(loop), certified, sampled)
 
 
 def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
@@ -360,14 +360,14 @@ def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Synth
     for _ in range(_CCL_BISECTIONS):
         gamma = high if best is None else 0.5 * (low + high)
         try:
-            found = largest_ccl_delay(model, gamma)
+            largest = largest_ccl_delay(model, gamma)
         except NoSolution:
-            found = None
-        if found is not None and found.delay_s >= delay_s:
-            gain = certified_gain(model, model.loop(found.K, delay_s), 0).gain
+            largest = None
+        if largest is not None and largest.delay_s >= delay_s:
+            gain = certified_gain(model, model.loop(largest.K, delay_s), 0).gain
             high = min(gamma, gain)
             if best is None or gain < best.gamma:
-                best = _Synthesis(found.K, delay_s, gain)
+                best = _Synthesis(largest.K, delay_s, gain)
         elif best is None:
             low, high = high, high * _CCL_SPAN
         else:
