@@ -56,7 +56,7 @@ class WholeFigures:
 
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Of the values, by axis and plot; what is not here is as wide as its data."""
-        found = {}
+        ranges = {}
         position_limit = self._plan.review.limits.position_error_peak_rad_max
         for axis in self._axes:
             for plot, low_high in (
@@ -71,36 +71,36 @@ class WholeFigures:
                 ("position_error", self._error_range(self._position_error_reach(axis.name), position_limit)),
             ):
                 if low_high is not None and low_high[0] < low_high[1]:
-                    found[f"{axis.name}/{plot}"] = low_high
-        return found
+                    ranges[f"{axis.name}/{plot}"] = low_high
+        return ranges
 
     def remarks(self) -> dict[str, str]:
         """What the titles of plots say of limits that are not in the picture, by axis and plot."""
-        found = {}
+        remarks = {}
         for axis in self._axes:
             for plot, limit in (
                 ("error", self._error_limits[axis.name]),
                 ("position_error", self._plan.review.limits.position_error_peak_rad_max),
             ):
                 if limit is not None:
-                    found[f"{axis.name}/{plot}"] = f" · limit ±{limit:.3g}"
+                    remarks[f"{axis.name}/{plot}"] = f" · limit ±{limit:.3g}"
             deadline_us = self._plan.deadline / NS_PER_US
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None:
-                    found[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
-            found[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
-            found[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
-        return found
+                    remarks[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
+            remarks[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
+            remarks[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
+        return remarks
 
     def limit_lines(self, begin: int, end: int) -> dict[str, Points]:
         """By the path of the line, instants and values; those that are in the picture."""
-        found: dict[str, Points] = {}
+        lines: dict[str, Points] = {}
         ends = np.array([begin, end])
         position_limit = self._plan.review.limits.position_error_peak_rad_max
         for axis in self._axes:
             name = axis.name
             if in_view(self._plan.deadline / NS_PER_US, self._reach(name, "delay/delay")):
-                found[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
+                lines[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
             for plot, limit, reach, windows in (
                 (
                     "error",
@@ -117,13 +117,13 @@ class WholeFigures:
             ):
                 if limit is not None and in_view(limit, reach):
                     times, scale = _outside(windows, begin, end)
-                    found[f"/{name}/{plot}/most"] = times, limit * scale
-                    found[f"/{name}/{plot}/least"] = times, -limit * scale
+                    lines[f"/{name}/{plot}/most"] = times, limit * scale
+                    lines[f"/{name}/{plot}/least"] = times, -limit * scale
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None and most <= _NEARLY_REACHED * self._reach(name, *_DRAWN[plot]):
-                    found[f"/{name}/{plot}/most"] = ends, np.full(2, most)
-                    found[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
-        return found
+                    lines[f"/{name}/{plot}/most"] = ends, np.full(2, most)
+                    lines[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
+        return lines
 
     def _reach(self, name: str, *paths: str) -> float:
         """The largest by size."""

@@ -53,17 +53,17 @@ def compare(
         from hil.recorded.recorded_run import open_run
 
         asked = None if tolerances is None else load_tolerances(tolerances)
-        found = compare_runs([open_run(folder) for folder in folders])
+        compared = compare_runs([open_run(folder) for folder in folders])
         judged = {
-            str(each.run.folder): [] if asked is None else regressions(found[0], each, asked)
-            for each in found[1:]
+            str(each.run.folder): [] if asked is None else regressions(compared[0], each, asked)
+            for each in compared[1:]
         }
-        lines = comparison_lines(found, judged)
-        put(comparison_json(found, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
+        lines = comparison_lines(compared, judged)
+        put(comparison_json(compared, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
         if rrd is not None:
             from hil.recorded.comparison_page import write_comparison
 
-            write_comparison(found, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
             say_written(rrd)
         raise typer.Exit(_status(judged))
 

@@ -44,22 +44,22 @@ def runs(
 
         local = None if since is None else since.astimezone()
         wanted = RunFilter(bench, drive, controller, verdict, commit, local)
-        found = list_runs(folder, wanted)
-        put({"runs": [run.as_json() for run in found]}, as_json, lambda _figures: _print(found, folder))
+        listed = list_runs(folder, wanted)
+        put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
 
 
-def _print(found: "list[ListedRun]", folder: Path) -> None:
+def _print(listed: "list[ListedRun]", folder: Path) -> None:
     """A line each, as long as it is: the path stands last, to be copied whole."""
-    if not found:
+    if not listed:
         say(f"no recording in {folder} that is asked for")
         return
     rows: list[tuple[str, ...]] = [("time", "bench", "verdict", "controller", "drive", "commit", "recording")]
-    rows += [_row(run) for run in found]
+    rows += [_row(run) for run in listed]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         write_line(line.rstrip())
-    for run in found:
+    for run in listed:
         if run.note:
             say(f"hil: note: {printable(run.path)}: {printable(run.note)}")
 

@@ -68,8 +68,10 @@ def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:
 
     ``certificates``: figures of :class:`hil.reviewing.certificate_meter.CertificateMeter` by axis.
     """
-    found = certificates or {}
-    return {_title("Certificate", axis, found): _certificate_line(figures) for axis, figures in found.items()}
+    by_axis = certificates or {}
+    return {
+        _title("Certificate", axis, by_axis): _certificate_line(figures) for axis, figures in by_axis.items()
+    }
 
 
 def _certificate_line(figures: Mapping[str, Any]) -> str:
@@ -84,10 +86,10 @@ def _certificate_line(figures: Mapping[str, Any]) -> str:
 
 def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
     """What is certified, for how much, and what was seen, as :func:`certificate_lines` tells it."""
-    found = certificates or {}
+    by_axis = certificates or {}
     rows = []
-    for axis, figures in found.items():
-        of = "" if len(found) == 1 else f"{axis}: "
+    for axis, figures in by_axis.items():
+        of = "" if len(by_axis) == 1 else f"{axis}: "
         for name, words in _CERTIFIED.items():
             certified, _, seen = _pair(figures[name]).partition(", seen ")
             rows.append((of + words, certified, seen))
@@ -99,9 +101,9 @@ def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, 
     return rows
 
 
-def _pair(found: Mapping[str, float | None]) -> str:
-    seen, most = found["seen"], found.get("seen_at_most")
-    text = f"{_number(found['certified'])}, seen {_number(seen)}"
+def _pair(pair: Mapping[str, float | None]) -> str:
+    seen, most = pair["seen"], pair.get("seen_at_most")
+    text = f"{_number(pair['certified'])}, seen {_number(seen)}"
     return text if most == seen else f"{text} to {_number(most)}" if most is not None else text
 
 
