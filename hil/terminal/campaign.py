@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, flag
+from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
 
@@ -52,15 +52,11 @@ def run(
         typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
     ] = None,
     dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, whose workers run it instead."
-        ),
+        str | None, valued("--dask", "ADDRESS", "Scheduler of a Dask cluster, whose workers run it instead.")
     ] = None,
     resume: Annotated[bool, flag("--resume", "Go on where the campaign in the folder was ended.")] = False,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the campaign; campaigns/NAME if absent."),
+        Path | None, valued("--out", "DIR", "Folder of the campaign; campaigns/NAME if absent.")
     ] = None,
     against: Annotated[
         HeldAgainst | None,
@@ -132,8 +128,7 @@ def replay(
     folder: DirArgument,
     number: Annotated[int, typer.Option("--run", metavar="K", min=0, help="Number of the run.")],
     record: Annotated[
-        Path | None,
-        typer.Option("--into", metavar="DIR", help="Folder of the recording; DIR/replays/run-K if absent."),
+        Path | None, valued("--into", "DIR", "Folder of the recording; DIR/replays/run-K if absent.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

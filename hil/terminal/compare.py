@@ -8,7 +8,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
 
@@ -17,16 +17,13 @@ if TYPE_CHECKING:
 
 RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
 BaselineOption = Annotated[
-    Path | None,
-    typer.Option("--baseline", metavar="RUN", help="What the others are held against; the first if absent."),
+    Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
 ]
 TolerancesOption = Annotated[
-    Path | None,
-    typer.Option("--tolerances", metavar="FILE.toml", help="How much worse a run may be, by figure."),
+    Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
 ]
 RrdOption = Annotated[
-    Path | None,
-    typer.Option("--rrd", metavar="FILE.rrd", help="Write the runs beside and over each other, for Rerun."),
+    Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
 ]
 
 

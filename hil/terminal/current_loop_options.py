@@ -6,21 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import MISSING, BadInput
+from hil.terminal.options import valued
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
     from hil.configuration.drive_current_loop import KnownLoop
 
 BenchOption = Annotated[
-    Path | None,
-    typer.Option("--bench", metavar="BENCH.toml", help="The bench whose drive's current loop it is."),
+    Path | None, valued("--bench", "BENCH.toml", "The bench whose drive's current loop it is.")
 ]
-AxisOption = Annotated[
-    str | None, typer.Option("--axis", metavar="NAME", help="Of --bench; needed if it has several.")
-]
+AxisOption = Annotated[str | None, valued("--axis", "NAME", "Of --bench; needed if it has several.")]
 CommissionedOption = Annotated[
-    Path | None,
-    typer.Option("--commissioned", metavar="DRIVE.toml", help="The drive as hil commission measured it."),
+    Path | None, valued("--commissioned", "DRIVE.toml", "The drive as hil commission measured it.")
 ]
 CurrentBandwidthOption = Annotated[
     float | None,

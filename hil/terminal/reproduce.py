@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, motor_file
+from hil.terminal.options import JsonOption, motor_file, valued
 from hil.terminal.output import print_figures, put, say_written
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def azaiz2007(
     figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="Folder for the pictures, Figs. 7 to 13.")
+        Path | None, valued("--figures", "DIR", "Folder for the pictures, Figs. 7 to 13.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -92,12 +92,10 @@ def _listed(values: list[Any]) -> str:
 
 def ling2012(
     motor: Annotated[
-        Path | None,
-        typer.Option("--motor", metavar="MOTOR.toml", help="Table 2 for a motor of one's own, and no more."),
+        Path | None, valued("--motor", "MOTOR.toml", "Table 2 for a motor of one's own, and no more.")
     ] = None,
     figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="DIR", help="Folder for the pictures, and for the recorded runs."),
+        Path | None, valued("--figures", "DIR", "Folder for the pictures, and for the recorded runs.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -8,7 +8,7 @@ import typer
 
 from drivers.printable import printable
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say, write_line
 
 if TYPE_CHECKING:
@@ -19,14 +19,13 @@ def runs(
     folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to look, folders in it too.")] = Path(
         "runs"
     ),
-    bench: Annotated[str, typer.Option("--bench", metavar="NAME", help="A part of the bench's name.")] = "",
-    drive: Annotated[str, typer.Option("--drive", metavar="TEXT", help="A part of a drive's name.")] = "",
-    controller: Annotated[str, typer.Option("--controller", metavar="KIND", help="A part of a kind.")] = "",
+    bench: Annotated[str, valued("--bench", "NAME", "A part of the bench's name.")] = "",
+    drive: Annotated[str, valued("--drive", "TEXT", "A part of a drive's name.")] = "",
+    controller: Annotated[str, valued("--controller", "KIND", "A part of a kind.")] = "",
     verdict: Annotated[
-        str,
-        typer.Option("--verdict", metavar="TEXT", help="How the verdict begins, or the state without one."),
+        str, valued("--verdict", "TEXT", "How the verdict begins, or the state without one.")
     ] = "",
-    commit: Annotated[str, typer.Option("--commit", metavar="HASH", help="How the commit begins.")] = "",
+    commit: Annotated[str, valued("--commit", "HASH", "How the commit begins.")] = "",
     since: Annotated[
         datetime | None,
         typer.Option(
