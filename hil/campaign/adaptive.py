@@ -64,8 +64,8 @@ class Proposal(NamedTuple):
         log_kernels -= np.log(np.diag(self.factor)).sum()
         log_ratio = log_kernels + 0.5 * (z**2).sum(axis=1)
         share = self.nominal_share
-        found: Floats = np.exp(-np.logaddexp(np.log(share), np.log1p(-share) + log_ratio))
-        return found
+        weights: Floats = np.exp(-np.logaddexp(np.log(share), np.log1p(-share) + log_ratio))
+        return weights
 
 
 def fitted(z: Floats, weights: Floats, guide: Floats, failed: NDArray[np.bool_], focus: str) -> Proposal:
@@ -150,5 +150,5 @@ class Rounds:
 
 def _normal(even: Floats) -> Floats:
     tiny, near_one = np.finfo(np.float64).tiny, 1.0 - np.finfo(np.float64).epsneg
-    found: Floats = ndtri(np.clip(even, tiny, near_one))
-    return found
+    normal: Floats = ndtri(np.clip(even, tiny, near_one))
+    return normal

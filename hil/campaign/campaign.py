@@ -72,14 +72,14 @@ class Campaign:
 
     def column(self, name: str) -> NDArray[Any]:
         """(n,) of a column; NaN where a figure was not measured."""
-        found: NDArray[Any] = self.table.column(name).to_numpy()
-        return found
+        values: NDArray[Any] = self.table.column(name).to_numpy()
+        return values
 
     def at(self, axis: GridAxis, place: int) -> NDArray[np.bool_]:
         """(n,) which runs have the ``place``-th value of an axis."""
         value = axis.labels[place] if axis.numbers is None else axis.numbers[place]
-        found: NDArray[np.bool_] = self.column(axis.title) == value
-        return found
+        mask: NDArray[np.bool_] = self.column(axis.title) == value
+        return mask
 
     @property
     def sequential(self) -> bool:
@@ -129,8 +129,8 @@ class Campaign:
         """
         __tracebackhide__ = True
         for point in range(self.plan.points):
-            found = self.pass_rate(point, 1.0 - 2.0 * (1.0 - confidence))
-            if found.low < at_least:
+            rate = self.pass_rate(point, 1.0 - 2.0 * (1.0 - confidence))
+            if rate.low < at_least:
                 runs = np.flatnonzero(self.column("point") == point)
                 failed = runs[~self.column("passed")[runs].astype(bool)]
                 first = f", the first of them run {failed[0]}" if failed.size else ""
@@ -138,7 +138,7 @@ class Campaign:
                 raise AssertionError(
                     f"{where + ': ' if where else ''}{runs.size - failed.size} of {runs.size} runs passed "
                     f"({failed.size} did not{first}): with {100 * confidence:g} % confidence the rate is at "
-                    f"least {found.low:.6g}, {at_least:g} asked for\ncampaign: {self.folder}"
+                    f"least {rate.low:.6g}, {at_least:g} asked for\ncampaign: {self.folder}"
                 )
 
     def assert_certificate(self) -> None:
@@ -173,9 +173,9 @@ class Campaign:
     def hold_certificate(self) -> None:
         """Raises CounterExample for the first run that is one, NothingCertified if none could be one."""
         states = self.column("certificate").astype(str)
-        found = np.flatnonzero(states == CertificateState.EXCEEDED)
-        if found.size:
-            raise counter_example(self.table.slice(int(found[0]), 1).to_pylist()[0], self.folder)
+        exceeded = np.flatnonzero(states == CertificateState.EXCEEDED)
+        if exceeded.size:
+            raise counter_example(self.table.slice(int(exceeded[0]), 1).to_pylist()[0], self.folder)
         if not (states == CertificateState.KEPT).any():
             told = ", ".join(f"{count} {name or 'without a certificate'}" for name, count in counted(states))
             raise NothingCertified(f"no run could be held against a certificate: {told}")

@@ -48,15 +48,15 @@ def figures_of(done: Campaign) -> dict[str, Any]:
 
 def _failure(done: Campaign) -> dict[str, Any]:
     """The failure probability of adaptive draws, and how many plain ones would know it as well."""
-    found = done.failure_rate()
-    deviation = (found.high - found.low) / (
+    rate = done.failure_rate()
+    deviation = (rate.high - rate.low) / (
         2.0 * NormalDist().inv_cdf(0.5 + 0.5 * done.plan.sweep.stop.confidence)
     )
-    known = found.estimate > 0.0 and deviation > 0.0
+    known = rate.estimate > 0.0 and deviation > 0.0
     return {
-        **_plain(found, "rate"),
+        **_plain(rate, "rate"),
         "counting": int(done.column("counts").sum()),
-        "plain_runs": round(found.estimate * (1.0 - found.estimate) / deviation**2) if known else None,
+        "plain_runs": round(rate.estimate * (1.0 - rate.estimate) / deviation**2) if known else None,
     }
 
 
@@ -75,20 +75,20 @@ def _point(done: Campaign, number: int) -> dict[str, Any]:
     }
 
 
-def failure_line(found: dict[str, Any]) -> str:
+def failure_line(rates: dict[str, Any]) -> str:
     """The same in words."""
-    plain = "" if found["plain_runs"] is None else f"; plain draws would take {found['plain_runs']} for it"
-    rate, low, high = (found[name] for name in ("rate", "low", "high"))
+    plain = "" if rates["plain_runs"] is None else f"; plain draws would take {rates['plain_runs']} for it"
+    rate, low, high = (rates[name] for name in ("rate", "low", "high"))
     shown = "not known" if rate is None else f"{rate:.3g}"
     return (
-        f"failure probability {shown}, {low:.3g} to {high:.3g}, by {found['counting']} weighted runs behind "
+        f"failure probability {shown}, {low:.3g} to {high:.3g}, by {rates['counting']} weighted runs behind "
         f"those that found the way{plain}"
     )
 
 
-def _plain(found: ConfidenceInterval, name: str) -> dict[str, float | None]:
+def _plain(interval: ConfidenceInterval, name: str) -> dict[str, float | None]:
     """Without what JSON has no word for."""
-    values = zip((name, "low", "high"), found, strict=True)
+    values = zip((name, "low", "high"), interval, strict=True)
     return {key: float(value) if math.isfinite(value) else None for key, value in values}
 
 
@@ -112,24 +112,24 @@ def _certificate(done: Campaign) -> dict[str, Any]:
 
 def _quantiles(done: Campaign) -> dict[str, Any]:
     """Over all nominal runs, each figure that was measured in some; no intervals, as points share seeds."""
-    found: dict[str, Any] = {}
+    quantiles: dict[str, Any] = {}
     for name, figure in FIGURES.items():
         values = done.column(name).astype(float)[done.nominal]
         values = values[np.isfinite(values)]
         if values.size and name != "cycles":
             shares = {f"{100 * share:g} %": float(np.quantile(values, share)) for share in QUANTILES}
-            found[name] = {
+            quantiles[name] = {
                 "unit": figure.unit,
                 "runs": int(values.size),
                 **shares,
                 "largest": float(values.max()),
             }
-    return found
+    return quantiles
 
 
 def _sensitivities(done: Campaign) -> dict[str, Any]:
     """By key, of passing and of the peak error."""
-    found = {}
+    sensitivities = {}
     for key in done.plan.run(0).labels:
         values = done.column(key)[done.nominal]
         values = values.astype(float) if values.dtype.kind == "f" else values.astype(str)
@@ -140,8 +140,8 @@ def _sensitivities(done: Campaign) -> dict[str, Any]:
                 "share_of_variance": share,
                 "rank_correlation": correlation if math.isfinite(correlation) else None,
             }
-        found[key] = each
-    return found
+        sensitivities[key] = each
+    return sensitivities
 
 
 def worst_runs(done: Campaign) -> list[dict[str, Any]]:
@@ -176,7 +176,7 @@ def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
     sides = [np.array([side[key] for key in both], int) for side in (first, second)]
     passed = done.column("passed").astype(bool)
     peak = done.column(PEAK).astype(float)
-    found = paired(
+    comparison = paired(
         (passed[sides[0]], passed[sides[1]]),
         (peak[sides[0]], peak[sides[1]]),
         done.plan.sweep.stop.confidence,
@@ -185,11 +185,11 @@ def _pair(done: Campaign, axis: GridAxis, place: int) -> dict[str, Any]:
         "key": axis.title,
         "first": axis.labels[0],
         "second": axis.labels[place],
-        "pairs": found.runs,
-        "passed_first_alone": found.passed_first_alone,
-        "passed_second_alone": found.passed_second_alone,
-        "p_value": found.p_value,
-        "peak_percent_second_less_first": _plain(found.difference, "mean"),
+        "pairs": comparison.runs,
+        "passed_first_alone": comparison.passed_first_alone,
+        "passed_second_alone": comparison.passed_second_alone,
+        "p_value": comparison.p_value,
+        "peak_percent_second_less_first": _plain(comparison.difference, "mean"),
     }
 
 

@@ -37,11 +37,11 @@ class _Map(NamedTuple):
 
 def write_page(done: Campaign, place: Path) -> None:
     """Write it. Error: OSError."""
-    found = figures_of(done)
+    figures = figures_of(done)
     with stream_into(place, _APPLICATION) as stream:
         maps = list(_send_maps(stream, done))
         _send_members(stream, done)
-        text = rr.TextDocument(_markdown(done, found), media_type=rr.MediaType.MARKDOWN)
+        text = rr.TextDocument(_markdown(done, figures), media_type=rr.MediaType.MARKDOWN)
         stream.log("/summary", text, static=True)
         stream.send_blueprint(_layout(maps, done.table.num_rows))
 
@@ -63,12 +63,12 @@ def _worst_in_cells(done: Campaign, rows: GridAxis, across: GridAxis) -> NDArray
     peak = done.column(PEAK).astype(float)
     peak = np.where(np.isfinite(peak), peak, np.inf)
     numbers = done.column("run").astype(int)
-    found = np.full((len(rows.labels), len(across.labels)), -1)
-    for place in np.ndindex(found.shape):
+    worst = np.full((len(rows.labels), len(across.labels)), -1)
+    for place in np.ndindex(worst.shape):
         inside = done.at(rows, place[0]) & done.at(across, place[1])
         if inside.any():
-            found[place] = numbers[inside][np.argmax(peak[inside])]
-    return found
+            worst[place] = numbers[inside][np.argmax(peak[inside])]
+    return worst
 
 
 def _colors(values: NDArray[np.float64], *, is_rate: bool) -> NDArray[np.uint8]:
@@ -113,17 +113,17 @@ def _send_members(stream: rr.RecordingStream, done: Campaign) -> None:
             stream.send_columns(path, [column], rr.Scalars.columns(scalars=peak[chosen]))
 
 
-def _markdown(done: Campaign, found: dict[str, Any]) -> str:
-    outcomes = ", ".join(f"{count} {name}" for name, count in found["outcomes"].items())
+def _markdown(done: Campaign, figures: dict[str, Any]) -> str:
+    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     rows = [
         f"| {each['run']} | {each['outcome']} | {_peak(each[PEAK])} | "
         f"{', '.join(f'{key} {each[key]}' for key in done.plan.run(0).labels)} |"
-        for each in found["worst"]
+        for each in figures["worst"]
     ]
     return "\n\n".join(
         [
-            f"# Campaign {found['name']}",
-            f"{found['passed']} of {found['runs']} runs passed: {outcomes}.",
+            f"# Campaign {figures['name']}",
+            f"{figures['passed']} of {figures['runs']} runs passed: {outcomes}.",
             "A cell of a map names its worst run. To look into a run, and to lay it beside another:",
             f"    hil campaign replay {done.folder} --run K --into runs/K\n"
             "    hil view runs/K\n    hil compare runs/K runs/L",

@@ -129,15 +129,15 @@ class CampaignPlan:
     def identity(self) -> str:
         """BLAKE2b over the sweep and all that the files say that it names: a campaign goes on with the same
         one alone."""
-        found = hashlib.blake2b(digest_size=16)
-        found.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
-        found.update(self.bench.config.resolved_text().encode())
-        found.update("".join(self.own.digests).encode())
+        digest = hashlib.blake2b(digest_size=16)
+        digest.update(json.dumps(self.sweep.model_dump(mode="json"), sort_keys=True).encode())
+        digest.update(self.bench.config.resolved_text().encode())
+        digest.update("".join(self.own.digests).encode())
         for axis in self.axes:
             for choice in axis.choices:
                 if not all(isinstance(value, int | float) for value in choice.values()):
-                    found.update(self.bench.changed(choice).config.resolved_text().encode())
-        return found.hexdigest()
+                    digest.update(self.bench.changed(choice).config.resolved_text().encode())
+        return digest.hexdigest()
 
     def _check_choices(self) -> None:
         """Each choice, the others at their first: no key that the bench has not, no value out of range."""

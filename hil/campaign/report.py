@@ -26,54 +26,55 @@ svg{max-width:100%;height:auto}code{background:#f3f3f3;padding:0 .2em}"""
 
 def write_report(done: Campaign, place: Path) -> None:
     """Write it. Error: OSError."""
-    found = figures_of(done)
+    figures = figures_of(done)
     place.write_text(
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{escape(found['name'])}</title>"
-        f"<style>{_STYLE}</style><body>{''.join(_parts(done, found))}</body></html>\n",
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{escape(figures['name'])}</title>"
+        f"<style>{_STYLE}</style><body>{''.join(_parts(done, figures))}</body></html>\n",
         encoding="utf-8",
     )
 
 
-def _parts(done: Campaign, found: dict[str, Any]) -> Iterator[str]:
-    confidence = 100 * found["confidence"]
-    yield f"<h1>Campaign {escape(found['name'])}</h1>"
+def _parts(done: Campaign, figures: dict[str, Any]) -> Iterator[str]:
+    confidence = 100 * figures["confidence"]
+    yield f"<h1>Campaign {escape(figures['name'])}</h1>"
     yield (
-        f"<p class='b'>{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned.</p>"
-        f"<p>Intervals of {confidence:g} %; of pass rates: {escape(found['interval'])}; of quantiles and "
+        f"<p class='b'>{figures['passed']} of {figures['runs']} runs passed, "
+        f"{figures['planned']} were planned.</p>"
+        f"<p>Intervals of {confidence:g} %; of pass rates: {escape(figures['interval'])}; of quantiles and "
         "means: bootstrap. Points of the grid share their draws and seeds: there is none over several.</p>"
     )
-    outcomes = (f"{count} {escape(name)}" for name, count in found["outcomes"].items())
+    outcomes = (f"{count} {escape(name)}" for name, count in figures["outcomes"].items())
     yield f"<p>{', '.join(outcomes)}</p>"
-    if "failure" in found:
+    if "failure" in figures:
         yield (
-            f"<p class='b'>{escape(failure_line(found['failure']))}</p><p>Tables of figures and of what "
+            f"<p class='b'>{escape(failure_line(figures['failure']))}</p><p>Tables of figures and of what "
             "matters are of the first round alone, which is drawn as the sweep has it.</p>"
         )
     for rows, across in combinations(done.plan.axes, 2):
         yield f"<h2>{escape(rows.title)} over {escape(across.title)}</h2>{heat_maps(done, rows, across)}"
     yield "<h2>Points</h2>" + _table(
         ("point", "runs", "passed", "rate", "low", "high", "peak error, 95 % of runs", "low", "high"),
-        map(_point, found["points"]),
+        map(_point, figures["points"]),
     )
-    if found["certificate"]:
-        yield _certificate(found["certificate"])
-    if found["pairs"]:
-        yield _pairs(found["pairs"])
+    if figures["certificate"]:
+        yield _certificate(figures["certificate"])
+    if figures["pairs"]:
+        yield _pairs(figures["pairs"])
     yield "<h2>Figures of all runs</h2>" + _table(
-        ("figure", "unit", "runs", "median", "95 %", "largest"), _quantiles(found)
+        ("figure", "unit", "runs", "median", "95 %", "largest"), _quantiles(figures)
     )
-    if found["sensitivity"]:
-        yield _sensitivity(found["sensitivity"])
-    yield _worst(done, found["worst"])
+    if figures["sensitivity"]:
+        yield _sensitivity(figures["sensitivity"])
+    yield _worst(done, figures["worst"])
 
 
-def _certificate(found: dict[str, Any]) -> str:
-    runs = _table(("the certificate", "runs"), found["runs"].items())
-    left = _table(("premise that was left or is not known", "runs"), found["premises"].items())
+def _certificate(tally: dict[str, Any]) -> str:
+    runs = _table(("the certificate", "runs"), tally["runs"].items())
+    left = _table(("premise that was left or is not known", "runs"), tally["premises"].items())
     nearest = (
         ""
-        if found["nearest_run"] is None
-        else f"<p>Run {found['nearest_run']} came nearest, to {_percent(found['nearest_share'])} of what is "
+        if tally["nearest_run"] is None
+        else f"<p>Run {tally['nearest_run']} came nearest, to {_percent(tally['nearest_share'])} of what is "
         "certified.</p>"
     )
     return f"<h2>Held against the certificate</h2>{runs}{nearest}{left}"
@@ -99,16 +100,16 @@ def _point(each: dict[str, Any]) -> tuple[Any, ...]:
     return each["point"] or "all", each["runs"], each["passed"], *rates, *peaks
 
 
-def _quantiles(found: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
-    for name, each in found["quantiles"].items():
+def _quantiles(figures: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
+    for name, each in figures["quantiles"].items():
         values = (_number(each[key]) for key in ("50 %", "95 %", "largest"))
         yield name, each["unit"], each["runs"], *values
 
 
-def _sensitivity(found: dict[str, Any]) -> str:
+def _sensitivity(figures: dict[str, Any]) -> str:
     titles = ("key", "of passing: share of variance", "rank correlation", "of the peak error: share", "rank")
     rows = []
-    for key, each in found.items():
+    for key, each in figures.items():
         cells: list[str] = []
         for name in ("passed", PEAK):
             cells += [

@@ -58,8 +58,8 @@ def wilson(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
 def _binomial(passed: int, runs: int, confidence: float, method: Any) -> ConfidenceInterval:
     if not runs:
         return ConfidenceInterval(math.nan, 0.0, 1.0)
-    found = binomtest(passed, runs).proportion_ci(confidence, method)
-    return ConfidenceInterval(passed / runs, float(found.low), float(found.high))
+    interval = binomtest(passed, runs).proportion_ci(confidence, method)
+    return ConfidenceInterval(passed / runs, float(interval.low), float(interval.high))
 
 
 def anytime(passed: int, runs: int, confidence: float) -> ConfidenceInterval:
@@ -114,7 +114,7 @@ def quantile(values: Floats, share: float, confidence: float, seed: int = 0) -> 
     estimate = float(np.quantile(values, share))
     if np.ptp(values) == 0.0:
         return ConfidenceInterval(estimate, estimate, estimate)
-    found = bootstrap(
+    resampled = bootstrap(
         (values,),
         lambda sample, axis: np.quantile(sample, share, axis=axis),
         confidence_level=confidence,
@@ -122,7 +122,7 @@ def quantile(values: Floats, share: float, confidence: float, seed: int = 0) -> 
         method="percentile",
         rng=np.random.default_rng(seed),
     ).confidence_interval
-    return ConfidenceInterval(estimate, float(found.low), float(found.high))
+    return ConfidenceInterval(estimate, float(resampled.low), float(resampled.high))
 
 
 class Paired(NamedTuple):
@@ -158,14 +158,14 @@ def mean(values: Floats, confidence: float, seed: int = 0) -> ConfidenceInterval
     estimate = float(values.mean())
     if np.ptp(values) <= 1e-12 * abs(estimate):
         return ConfidenceInterval(estimate, estimate, estimate)
-    found = bootstrap(
+    resampled = bootstrap(
         (values,),
         np.mean,
         confidence_level=confidence,
         n_resamples=RESAMPLES,
         rng=np.random.default_rng(seed),
     ).confidence_interval
-    return ConfidenceInterval(estimate, float(found.low), float(found.high))
+    return ConfidenceInterval(estimate, float(resampled.low), float(resampled.high))
 
 
 class Sensitivity(NamedTuple):

@@ -47,8 +47,8 @@ def _gain(summary: Summary, which: str) -> float | None:
 
 def certificate_state(summary: Summary) -> str:
     """What a run says of the certificates of its controllers; empty: they have none."""
-    found = {each["state"] for each in summary.certificates.values()}
-    return next((state.value for state in CertificateState if state in found), "")
+    states = {each["state"] for each in summary.certificates.values()}
+    return next((state.value for state in CertificateState if state in states), "")
 
 
 def _premises(summary: Summary, which: str) -> str:

@@ -18,14 +18,14 @@ def load_table(signal: Signal) -> LoadTable:
 
 def load_tables(asked: Sequence[str], nodes: Sequence[int]) -> dict[int, LoadTable]:
     """By node, of ``asked``, each NODE=FILE. Raises BadInput."""
-    found: dict[int, LoadTable] = {}
+    tables: dict[int, LoadTable] = {}
     for text in asked:
         node, _, name = text.partition("=")
-        if not name or not node.isdecimal() or len(node) > 3 or int(node) not in nodes or int(node) in found:
+        if not name or not node.isdecimal() or len(node) > 3 or int(node) not in nodes or int(node) in tables:
             listed = ", ".join(map(str, nodes))
             raise BadInput(OPTION, "", text, f"NODE=FILE with one of the nodes {listed}, each once")
         signal = load_signal(Path(name))
         if signal.quantity is not Quantity.TORQUE:
             raise BadInput(OPTION, "", text, "a file with torque_nm")
-        found[int(node)] = load_table(signal)
-    return found
+        tables[int(node)] = load_table(signal)
+    return tables

@@ -94,7 +94,7 @@ def commissioning_page(folder: Path) -> Path:
 def _write(folder: Path, page: Path) -> None:
     figures = _figures(folder)
     events = list(_events(folder / COMMISSIONING_RECORDING / EVENTS_FILE))
-    zero_ns = next((found for event in events if (found := _zero_ns(event)) is not None), None)
+    zero_ns = next((at_ns for event in events if (at_ns := _zero_ns(event)) is not None), None)
     bus = _Bus(RecordedBus(page.parent), _known(folder), zero_ns)
     end_ns = max([bus.end_ns, *(event["at_ns"] for event in events)])
     part = page.with_suffix(".part")
@@ -124,8 +124,8 @@ def _known(folder: Path) -> KnownNodes:
     path = folder / COMMISSIONED_FILE
     if not path.exists():
         return KnownNodes()
-    found = load_drive_file(path)
-    return KnownNodes((), {("", found.drive.node): found.override})
+    drive = load_drive_file(path)
+    return KnownNodes((), {("", drive.drive.node): drive.override})
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
@@ -137,8 +137,8 @@ def _events(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def _zero_ns(event: Mapping[str, Any]) -> int | None:
-    found = _ZERO.search(str(event.get("text", "")))
-    return None if found is None else int(found[1]) * NS_PER_S + int(found[2]) * 1000
+    match = _ZERO.search(str(event.get("text", "")))
+    return None if match is None else int(match[1]) * NS_PER_S + int(match[2]) * 1000
 
 
 class _Bus:

@@ -112,7 +112,7 @@ class Against:
 
     def apart(self, signal: str) -> list[Difference]:
         """Of all axes."""
-        return [found[signal] for found in self.differences.values() if found[signal].count]
+        return [signals[signal] for signals in self.differences.values() if signals[signal].count]
 
 
 def figures_of(figures: Figures) -> dict[str, float | None]:
@@ -149,10 +149,10 @@ def compare_runs(runs: Sequence[RecordedRun]) -> list[Against]:
 
 def _beside(base: RecordedRun, run: RecordedRun) -> Against:
     review, signals = Review(run.review), RunSignals(run.axes, run.config.loop.deadline)
-    found = Against(run, {}, signals)
+    beside = Against(run, {}, signals)
     shared = {name: (base.axes.index(name), run.axes.index(name)) for name in run.axes if name in base.axes}
     if run is not base:
-        found.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
+        beside.differences = {name: {signal: Difference() for signal in _SIGNALS} for name in shared}
     held: dict[str, list[Rows]] = {name: [] for name in shared}
     others = base.rows() if run is not base else iter(())
     for rows in run.rows():
@@ -164,10 +164,10 @@ def _beside(base: RecordedRun, run: RecordedRun) -> Against:
         for name, (_, ours) in shared.items():
             mine = rows[rows["axis"] == ours]
             other = _up_to(held, others, shared, name, ahead)
-            _hold(found, name, other, mine)
+            _hold(beside, name, other, mine)
     signals.judge(review, run)
-    found.figures = figures_of(review.figures())
-    return found
+    beside.figures = figures_of(review.figures())
+    return beside
 
 
 def _up_to(
@@ -194,7 +194,7 @@ def _up_to(
     return together[:now]
 
 
-def _hold(found: Against, name: str, other: Rows, mine: Rows) -> None:
+def _hold(beside: Against, name: str, other: Rows, mine: Rows) -> None:
     if not other.size or not mine.size:
         return
     base, own = other, mine
@@ -203,17 +203,17 @@ def _hold(found: Against, name: str, other: Rows, mine: Rows) -> None:
         base, own = other[left], mine[right]
     if not base.size:
         return
-    found.cycles_of_both += base.size
+    beside.cycles_of_both += base.size
     read = (base["fate"] == FATE_SAMPLE) & (own["fate"] == FATE_SAMPLE)
-    for signal, difference in found.differences[name].items():
+    for signal, difference in beside.differences[name].items():
         measured = signal in ("velocity_rad_s", "torque_nm")
         apart = own[signal] - base[signal]
         difference.add(own["due_at"], np.where(read, apart, np.nan) if measured else apart)
-    if found.divergence is None or own["due_at"][0] < found.divergence.at_ns:
-        _look_for_divergence(found, name, base, own)
+    if beside.divergence is None or own["due_at"][0] < beside.divergence.at_ns:
+        _look_for_divergence(beside, name, base, own)
 
 
-def _look_for_divergence(found: Against, name: str, base: Rows, own: Rows) -> None:
+def _look_for_divergence(beside: Against, name: str, base: Rows, own: Rows) -> None:
     """In the columns of the digest, bit by bit; a drive's clock begins where it was switched on."""
     left, right = (np.ascontiguousarray(rows).view(np.int64).reshape(rows.size, -1) for rows in (base, own))
     differs = left[:, _COMPARED] != right[:, _COMPARED]
@@ -222,9 +222,9 @@ def _look_for_divergence(found: Against, name: str, base: Rows, own: Rows) -> No
         return
     place = int(places[0])
     at = int(own["due_at"][place])
-    if found.divergence is None or at < found.divergence.at_ns:
+    if beside.divergence is None or at < beside.divergence.at_ns:
         columns = tuple(LAYOUT[_COMPARED[column]][0] for column in np.flatnonzero(differs[place]))
-        found.divergence = Divergence(name, int(own["sequence"][place]), at, columns)
+        beside.divergence = Divergence(name, int(own["sequence"][place]), at, columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class Regression:
 
 def regressions(base: Against, other: Against, tolerances: Tolerances) -> list[Regression]:
     """What the tolerances ask for; smaller is better in every figure."""
-    found = []
+    judged = []
     values = {**other.figures, **_speed_apart(other)}
     references = {**base.figures, "speed_difference_rms_rad_s": 0.0, "speed_difference_max_rad_s": 0.0}
     for name, tolerance in tolerances.model_dump().items():
@@ -251,8 +251,8 @@ def regressions(base: Against, other: Against, tolerances: Tolerances) -> list[R
         kept = None if value is None or reference is None else value <= reference + tolerance
         if value is None and reference is None:
             kept = True  # neither run had such a step
-        found.append(Regression(name, reference, value, tolerance, kept))
-    return found
+        judged.append(Regression(name, reference, value, tolerance, kept))
+    return judged
 
 
 def _speed_apart(other: Against) -> dict[str, float | None]:
@@ -263,10 +263,10 @@ def _speed_apart(other: Against) -> dict[str, float | None]:
     }
 
 
-def comparison_json(found: Sequence[Against], judged: Mapping[str, list[Regression]]) -> dict[str, Any]:
+def comparison_json(compared: Sequence[Against], judged: Mapping[str, list[Regression]]) -> dict[str, Any]:
     """Plain values; ``judged``: by the folder of the run."""
     return {
-        "baseline": str(found[0].run.folder),
+        "baseline": str(compared[0].run.folder),
         "runs": [
             {
                 "run": str(each.run.folder),
@@ -286,6 +286,6 @@ def comparison_json(found: Sequence[Against], judged: Mapping[str, list[Regressi
                 "first_divergence": None if each.divergence is None else asdict(each.divergence),
                 "regressions": [asdict(one) for one in judged.get(str(each.run.folder), [])],
             }
-            for each in found
+            for each in compared
         ],
     }

@@ -26,24 +26,24 @@ _PLOTS: Final = {
 _APPLICATION: Final = "servobench comparison"
 
 
-def write_comparison(found: Sequence[Against], markdown: str, path: Path) -> None:
+def write_comparison(compared: Sequence[Against], markdown: str, path: Path) -> None:
     """``markdown``: what is told beside the plots. Raises BadInput for a path that cannot be written to."""
-    names = [f"{number}_{each.run.folder.name}" for number, each in enumerate(found)]
+    names = [f"{number}_{each.run.folder.name}" for number, each in enumerate(compared)]
     try:
         with stream_into(path, _APPLICATION) as stream:
-            for place, (name, each) in enumerate(zip(names, found, strict=True)):
+            for place, (name, each) in enumerate(zip(names, compared, strict=True)):
                 color = AXIS_COLORS[place % len(AXIS_COLORS)]
-                for axis, signal, (times, values) in _signals(found, each):
+                for axis, signal, (times, values) in _signals(compared, each):
                     shade = GREY if signal.endswith(("/reference", "/load")) else color
                     _send(stream, f"/{name}/{axis}/{signal}", times, values, name, shade)
             text = rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN)
             stream.log("/differences", text, static=True)
-            stream.send_blueprint(_layout(found, names))
+            stream.send_blueprint(_layout(compared, names))
     except OSError as error:
         raise BadInput("--out", "", str(path), "a place to write to", str(error)) from None
 
 
-def _signals(found: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:
+def _signals(compared: Sequence[Against], each: Against) -> Iterator[tuple[str, str, Points]]:
     """Axis, series and points of one of the runs, in the units of the plots."""
     for path, envelope in each.signals.signals.items():
         axis, _, signal = path.partition("/")
@@ -52,13 +52,13 @@ def _signals(found: Sequence[Against], each: Against) -> Iterator[tuple[str, str
             yield (
                 axis,
                 signal,
-                (times, values * (_torque(found, axis)[0] if signal.startswith("torque/") else 1.0)),
+                (times, values * (_torque(compared, axis)[0] if signal.startswith("torque/") else 1.0)),
             )
 
 
-def _torque(found: Sequence[Against], axis: str) -> tuple[float, str]:
+def _torque(compared: Sequence[Against], axis: str) -> tuple[float, str]:
     """Scale and unit of all runs, by the first that has the axis."""
-    plans = (plan for each in found for plan in each.run.review.axes if plan.name == axis)
+    plans = (plan for each in compared for plan in each.run.review.axes if plan.name == axis)
     return torque_scale(next(plans))
 
 
@@ -76,11 +76,11 @@ def _send(
     stream.send_columns(path, [column], rr.Scalars.columns(scalars=values))
 
 
-def _layout(found: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
-    axes = list(dict.fromkeys(axis for each in found for axis in each.run.axes))
-    end_s = max((_end_s(each) for each in found), default=1.0)
-    ranges = {axis: _ranges(found, axis) for axis in axes}
-    units = {axis: _torque(found, axis)[1] for axis in axes}
+def _layout(compared: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
+    axes = list(dict.fromkeys(axis for each in compared for axis in each.run.axes))
+    end_s = max((_end_s(each) for each in compared), default=1.0)
+    ranges = {axis: _ranges(compared, axis) for axis in axes}
+    units = {axis: _torque(compared, axis)[1] for axis in axes}
     overlaid = [_column(names, axis, f"{axis}: overlaid", end_s, ranges[axis], units[axis]) for axis in axes]
     beside = [
         rrb.Horizontal(
@@ -93,15 +93,15 @@ def _layout(found: Sequence[Against], names: Sequence[str]) -> rrb.Blueprint:
     return framed(rrb.Horizontal(rrb.Tabs(*overlaid, *beside), text, column_shares=[7, 3]))
 
 
-def _ranges(found: Sequence[Against], axis: str) -> list[Range | None]:
+def _ranges(compared: Sequence[Against], axis: str) -> list[Range | None]:
     """Of the plots, the same for all runs; of the error by what counts: a step does not flatten it."""
     values: dict[str, list[float]] = {}
-    for each in found:
-        for name, signal, (_, drawn) in _signals(found, each):
+    for each in compared:
+        for name, signal, (_, drawn) in _signals(compared, each):
             if name == axis:
                 values.setdefault(signal, []).extend((float(drawn.min()), float(drawn.max())))
-    reach = max((each.signals.counted_error_rpm.get(axis, 0.0) for each in found), default=0.0)
-    limits = [limit for each in found if (limit := each.signals.error_limits_rpm.get(axis)) is not None]
+    reach = max((each.signals.counted_error_rpm.get(axis, 0.0) for each in compared), default=0.0)
+    limits = [limit for each in compared if (limit := each.signals.error_limits_rpm.get(axis)) is not None]
     error = around_zero(max(reach, *limits, 1e-9))
     return [error if path == "error/error" else about(values.get(path, ())) for path in _PLOTS]
 

@@ -9,14 +9,14 @@ _COLUMNS_MAX = 8
 """Of a divergence: more columns say no more."""
 
 
-def comparison_lines(found: Sequence[Against], judged: Mapping[str, Sequence[Regression]]) -> list[str]:
+def comparison_lines(compared: Sequence[Against], judged: Mapping[str, Sequence[Regression]]) -> list[str]:
     """Figures side by side, then each run beside the first."""
-    lines = [f"{number}  {each.run.title()}" for number, each in enumerate(found)]
-    lines += ["", f"{'':28}" + "".join(f"{number:>12}" for number in range(len(found)))]
-    for name in found[0].figures:
-        values = [each.figures[name] for each in found]
+    lines = [f"{number}  {each.run.title()}" for number, each in enumerate(compared)]
+    lines += ["", f"{'':28}" + "".join(f"{number:>12}" for number in range(len(compared)))]
+    for name in compared[0].figures:
+        values = [each.figures[name] for each in compared]
         lines.append(f"{name:28}" + "".join(f"{_number(value):>12}" for value in values))
-    for number, each in enumerate(found[1:], start=1):
+    for number, each in enumerate(compared[1:], start=1):
         lines += ["", f"{number} beside 0: {each.cycles_of_both} cycles of both"]
         lines += _apart(each)
         lines += [_judged(one) for one in judged.get(str(each.run.folder), ())]

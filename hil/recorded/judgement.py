@@ -84,7 +84,7 @@ def _judged(run: RecordedRun, figures: Figures, limits: VerdictLimits) -> Summar
         load_machine=told.load_machine,
         timing=told.timing,
     )
-    found = summarise(
+    summary = summarise(
         figures,
         outcome,
         limits,
@@ -94,9 +94,9 @@ def _judged(run: RecordedRun, figures: Figures, limits: VerdictLimits) -> Summar
         list(_certified(figures)),
     )
     for finding in told.verdict.findings:
-        if finding.outcome not in _OF_LIMITS and finding not in found.verdict.findings:
-            found = found.also(finding)
-    return found
+        if finding.outcome not in _OF_LIMITS and finding not in summary.verdict.findings:
+            summary = summary.also(finding)
+    return summary
 
 
 def _other_rows(told: Summary, figures: Figures) -> Iterator[str]:

@@ -48,8 +48,8 @@ def _tables(judged: Judged) -> Iterator[Table]:
     summary = judged.summary
     yield "Requirements", ("requirement", "value", "at most", "", "worst"), list(limit_rows(judged))
     if summary.verdict.findings:
-        found = [(finding.outcome.value, finding.text) for finding in summary.verdict.findings]
-        yield "Findings", ("", ""), found
+        findings = [(finding.outcome.value, finding.text) for finding in summary.verdict.findings]
+        yield "Findings", ("", ""), findings
     if certified := certificate_rows(summary.certificates):
         yield "Certificate", ("", "certified", "seen"), certified
     yield "Figures", ("", ""), list(_figures(judged))
@@ -99,16 +99,16 @@ def _origin(judged: Judged) -> Iterator[tuple[str, str]]:
 
 def _events(path: Path) -> Iterator[tuple[str, str, str]]:
     """What was worth more than a note, the last ones."""
-    found: list[tuple[str, str, str]] = []
+    rows: list[tuple[str, str, str]] = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
         try:
             event = parse_json(line, EVENTS_FILE, "an event")
             if event.get("level") in ("WARN", "ERROR", "CRITICAL"):
                 at = f"{event['at_ns'] / NS_PER_S:.6f}"
-                found.append((at, str(event["level"]), printable(str(event["text"]))))
+                rows.append((at, str(event["level"]), printable(str(event["text"]))))
         except (BadInput, ValueError, KeyError, TypeError, AttributeError):
             continue  # a line that was cut off is no event
-    yield from found[-_EVENTS_MAX:]
+    yield from rows[-_EVENTS_MAX:]
 
 
 def _pictures(judged: Judged) -> Iterator[tuple[str, str]]:

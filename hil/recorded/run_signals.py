@@ -45,9 +45,9 @@ class RunSignals:
 
 def signals_of(run: RecordedRun) -> RunSignals:
     """Read the rows once."""
-    found, review = RunSignals(run.axes, run.config.loop.deadline), Review(run.review)
+    signals, review = RunSignals(run.axes, run.config.loop.deadline), Review(run.review)
     for rows in run.rows():
-        found.add(rows)
+        signals.add(rows)
         review.add(rows)
-    found.judge(review, run)
-    return found
+    signals.judge(review, run)
+    return signals

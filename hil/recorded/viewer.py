@@ -68,29 +68,29 @@ class HeadlessViewer:
 
     def turn_to(self, page: str) -> None:
         """Put a page in front. Raises BadInput for one that is not there."""
-        found = self._client.get_blueprint()
-        pages = _pages(found.blueprint)
+        shown = self._client.get_blueprint()
+        pages = _pages(shown.blueprint)
         wanted = pages.get(page.casefold())
         if wanted is None:
             raise BadInput("--page", "", page, f"one of {', '.join(pages)}")
         for tabs, page_path in wanted:
-            found.blueprint[tabs]["ContainerBlueprint"]["active_tab"] = page_path
-        self._client.set_blueprint(found.blueprint, store_id=found.store_id)
+            shown.blueprint[tabs]["ContainerBlueprint"]["active_tab"] = page_path
+        self._client.set_blueprint(shown.blueprint, store_id=shown.store_id)
 
     def look_at(self, begin_s: float, end_s: float) -> None:
         """Another stretch of time in all views, run time."""
-        found = self._client.get_blueprint()
-        for path, archetypes in found.blueprint.items():
+        shown = self._client.get_blueprint()
+        for path, archetypes in shown.blueprint.items():
             if "TimeAxis" not in archetypes:
                 continue
-            view = found.blueprint.get(path.removesuffix("/TimeAxis"), {}).get("ViewBlueprint", {})
+            view = shown.blueprint.get(path.removesuffix("/TimeAxis"), {}).get("ViewBlueprint", {})
             lanes = view.get("class_identifier") != "TimeSeries"
             begin = begin_s - (GUTTER * (end_s - begin_s) if lanes else 0.0)
             window = {
                 name: {"Absolute": round(at * NS_PER_S)} for name, at in (("start", begin), ("end", end_s))
             }
             archetypes["TimeAxis"] = {"link": "Independent", "view_range": window}
-        self._client.set_blueprint(found.blueprint, store_id=found.store_id)
+        self._client.set_blueprint(shown.blueprint, store_id=shown.store_id)
 
     def put_cursor(self, at_s: float | None) -> None:
         """At an instant of the run time, where there is one; None: at its end."""
@@ -104,10 +104,10 @@ class HeadlessViewer:
         last = b""
         for _ in range(_SETTLE_TRIES):
             self._wait(_POLL_NS)
-            found = self._client.take_screenshot()
-            if found == last:
+            screenshot = self._client.take_screenshot()
+            if screenshot == last:
                 break
-            last = found
+            last = screenshot
         self._check_views()
         return last
 
@@ -205,7 +205,7 @@ def _pages(blueprint: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
         for path, archetypes in blueprint.items()
         if "ContainerBlueprint" in archetypes
     }
-    found: dict[str, list[tuple[str, str]]] = {}
+    pages: dict[str, list[tuple[str, str]]] = {}
 
     def inside(path: str) -> list[str]:
         told = containers.get(path, {}).get("contents", [])
@@ -218,14 +218,14 @@ def _pages(blueprint: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
                 look_in(inner, above, name)
                 continue
             own = "/".join(filter(None, (name, containers[inner].get("display_name", "").casefold())))
-            found[own] = [*above, (f"/{path}", f"/{inner}")]
-            look_in(inner, found[own], own)
+            pages[own] = [*above, (f"/{path}", f"/{inner}")]
+            look_in(inner, pages[own], own)
 
     inner = {each for path in containers for each in inside(path)}
     for path in containers:
         if path not in inner:
             look_in(path, [], "")
-    return found
+    return pages
 
 
 def _connect(process: "subprocess.Popen[bytes]", port: int) -> ViewerClient:

@@ -157,7 +157,7 @@ class Pages:
 
     def _widest(self, plot: str, axes: Sequence[str]) -> Range | None:
         """The range of a plot that several axes share."""
-        ranges = [found for name in axes if (found := self._range(f"{name}/{plot}"))]
+        ranges = [low_high for name in axes if (low_high := self._range(f"{name}/{plot}"))]
         return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
 
     def _timing(self, name: str) -> rrb.Vertical:

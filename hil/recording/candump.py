@@ -84,5 +84,5 @@ def _decimal_digits(values: NDArray[np.int64]) -> NDArray[np.uint8]:
 def _hex_digits(values: NDArray[np.integer], digits: int) -> NDArray[np.uint8]:
     """(n, digits) ASCII digits with leading zeros."""
     shifts = np.arange(4 * (digits - 1), -1, -4, dtype=np.uint32)
-    found: NDArray[np.uint8] = _HEX[(values[:, None] >> shifts) & 15]
-    return found
+    letters: NDArray[np.uint8] = _HEX[(values[:, None] >> shifts) & 15]
+    return letters

@@ -55,11 +55,11 @@ def last_frames(path: Path, count: int = FRAMES_MAX) -> list[str]:
             text = file.read().decode("ascii", errors="replace")
     except OSError:
         return []
-    found = [match for line in text.splitlines() if (match := _FRAME.match(line))][-count:]
-    if not found:
+    matches = [match for line in text.splitlines() if (match := _FRAME.match(line))][-count:]
+    if not matches:
         return []
-    end_s = float(found[-1][1])
-    return [_frame(match, end_s) for match in found]
+    end_s = float(matches[-1][1])
+    return [_frame(match, end_s) for match in matches]
 
 
 def _frame(match: re.Match[str], end_s: float) -> str:

@@ -20,9 +20,9 @@ class LineReader:
             and not self.ended
             and select.select([self._descriptor], [], [], timeout_s)[0]
         ):
-            found = os.read(self._descriptor, 1 << 16)
-            self.ended = not found
-            self._held += found
+            read = os.read(self._descriptor, 1 << 16)
+            self.ended = not read
+            self._held += read
         line, separator, rest = self._held.partition(b"\n")
         if not separator:
             return None

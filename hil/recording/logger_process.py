@@ -202,5 +202,5 @@ def salvage(
         answer = ""
     if not answer:
         raise RecordingFailed(f"{trouble}; {plan.folder} holds what was written: hil recover {plan.folder}")
-    found: dict[str, Any] = json.loads(answer)
-    return found
+    report: dict[str, Any] = json.loads(answer)
+    return report

@@ -128,9 +128,9 @@ class MemoryRecorder:
 
     def frames(self) -> list[KeptFrame]:
         """Every frame in order of time, in run time."""
-        found = [frame for tap in self._taps for frame in tap.frames]
+        tapped = [frame for tap in self._taps for frame in tap.frames]
         zero = self._zero.at
-        shifted = [frame._replace(at=Instant(frame.at - zero)) for frame in found]
+        shifted = [frame._replace(at=Instant(frame.at - zero)) for frame in tapped]
         return sorted(shifted, key=lambda frame: frame.at)
 
     def told(self) -> tuple[list[RunEvent], Instant]:

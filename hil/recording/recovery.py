@@ -186,9 +186,9 @@ def _as_many_directions(folder: Path) -> None:
 def _first_cycle(plan: RecordingPlan, records: Path, rings: Rings | None) -> RunZero:
     """By the head of records.arrow, else by the events that nobody has taken."""
     zero = RunZero(plan.started_at)
-    found = read_metadata(records) if records.exists() else {}
-    if found:
-        zero.at, zero.told = Instant(int(found[FIRST_CYCLE])), True
+    metadata = read_metadata(records) if records.exists() else {}
+    if metadata:
+        zero.at, zero.told = Instant(int(metadata[FIRST_CYCLE])), True
     elif rings is not None:
         zero.look(rings.events)
     return zero

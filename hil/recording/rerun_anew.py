@@ -70,13 +70,13 @@ def _told(path: Path, event_of: Callable[[str], RunEvent]) -> Iterator[RunEvent]
 
 
 def _event(line: str) -> RunEvent:
-    found = parse_json(line, EVENTS_FILE, "an event")
-    at = _instant(found["at_ns"])
-    if "begin" in found:
+    fields = parse_json(line, EVENTS_FILE, "an event")
+    at = _instant(fields["at_ns"])
+    if "begin" in fields:
         return BeginEvent(at)
-    if "track" in found:
-        return StateEvent(at, printable(str(found["track"])), printable(str(found["state"])))
-    return TextEvent(at, printable(str(found["level"])), printable(str(found["text"])))
+    if "track" in fields:
+        return StateEvent(at, printable(str(fields["track"])), printable(str(fields["state"])))
+    return TextEvent(at, printable(str(fields["level"])), printable(str(fields["text"])))
 
 
 def _load(line: str) -> RunEvent:

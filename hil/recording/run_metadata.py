@@ -48,11 +48,11 @@ def run_metadata(plan: RecordingPlan, zero: Instant, drives: Mapping[str, str]) 
 
 
 def _host() -> dict[str, str]:
-    found = platform.uname()
+    system = platform.uname()
     return {
-        "name": found.node,
-        "system": f"{found.system} {found.release}",
-        "machine": found.machine,
+        "name": system.node,
+        "system": f"{system.system} {system.release}",
+        "machine": system.machine,
         "processors": str(os.cpu_count()),
         "python": platform.python_version(),
     }
@@ -72,9 +72,9 @@ def _commit() -> str:
         return ""
     command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        found = subprocess.run(
+        git = subprocess.run(
             command, capture_output=True, text=True, timeout=_GIT_MAX_S, check=False, stdin=subprocess.DEVNULL
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return found.stdout.strip() if found.returncode == 0 else ""
+    return git.stdout.strip() if git.returncode == 0 else ""

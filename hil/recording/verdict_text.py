@@ -118,14 +118,14 @@ def _swing(summary: Summary) -> list[str]:
 
 def _load(summary: Summary) -> list[str]:
     """What the load machine was asked for and measured, step by step."""
-    found = summary.load_machine
-    if found is None:
+    machine = summary.load_machine
+    if machine is None:
         return []
     rows = []
-    for step in found["steps"]:
+    for step in machine["steps"]:
         measured = "none" if step["measured_nm"] is None else f"{step['measured_nm']:.3g} N m"
         rows.append(f"| load asked, measured | {step['asked_nm']:g} N m, {measured} |")
-    return [*rows, f"| load machine | {found['identity']}: {found['readings']} readings |"]
+    return [*rows, f"| load machine | {machine['identity']}: {machine['readings']} readings |"]
 
 
 def _measured(value: float | None, unit: str = "") -> str:

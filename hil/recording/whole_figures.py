@@ -1,7 +1,7 @@
 """By what the pages of a run that has ended are scaled, and what its signals are held against."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,15 @@ def in_view(limit: float, signal: float) -> bool:
     return limit <= _WORTH_SHOWING * signal
 
 
+class _DrawnError(NamedTuple):
+    """An error and its limit in the unit of its plot, and the times that do not count."""
+
+    plot: str
+    limit: float | None
+    reach: float
+    settling: Sequence[tuple[int, int]]
+
+
 class WholeFigures:
     """Of one run."""
 
@@ -57,74 +66,52 @@ class WholeFigures:
 
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Of the values, by axis and plot; what is not here is as wide as its data."""
-        found = {}
-        position_limit = self._plan.review.limits.position_error_peak_rad_max
+        ranges = {}
         for axis in self._axes:
             for plot, low_high in (
                 ("speed", self._data_range(axis.name, *_DRAWN["speed"])),
-                (
-                    "error",
-                    self._error_range(self._speed_error_reach(axis.name), self._error_limits[axis.name]),
-                ),
                 ("torque", self._data_range(axis.name, *_DRAWN["torque"])),
                 ("delay", self._delay_range(axis.name)),
                 ("position", self._data_range(axis.name, "position/measured", "position/reference")),
-                ("position_error", self._error_range(self._position_error_reach(axis.name), position_limit)),
+                *((each.plot, self._error_range(each)) for each in self._errors(axis.name)),
             ):
                 if low_high is not None and low_high[0] < low_high[1]:
-                    found[f"{axis.name}/{plot}"] = low_high
-        return found
+                    ranges[f"{axis.name}/{plot}"] = low_high
+        return ranges
 
     def remarks(self) -> dict[str, str]:
         """What the titles of plots say of limits that are not in the picture, by axis and plot."""
-        found = {}
+        remarks = {}
         for axis in self._axes:
-            for plot, limit in (
-                ("error", self._error_limits[axis.name]),
-                ("position_error", self._plan.review.limits.position_error_peak_rad_max),
-            ):
-                if limit is not None:
-                    found[f"{axis.name}/{plot}"] = f" · limit ±{limit:.3g}"
+            for error in self._errors(axis.name):
+                if error.limit is not None:
+                    remarks[f"{axis.name}/{error.plot}"] = f" · limit ±{error.limit:.3g}"
             deadline_us = self._plan.deadline / NS_PER_US
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None:
-                    found[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
-            found[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
-            found[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
-        return found
+                    remarks[f"{axis.name}/{plot}"] = f" · limit ±{most:.0f}"
+            remarks[f"{axis.name}/delay"] = f" · deadline {deadline_us:.0f}"
+            remarks[f"{axis.name}/histogram"] = f", deadline {deadline_us:.0f}"
+        return remarks
 
     def limit_lines(self, begin: int, end: int) -> dict[str, Points]:
         """By the path of the line, instants and values; those that are in the picture."""
-        found: dict[str, Points] = {}
+        lines: dict[str, Points] = {}
         ends = np.array([begin, end])
-        position_limit = self._plan.review.limits.position_error_peak_rad_max
         for axis in self._axes:
             name = axis.name
             if in_view(self._plan.deadline / NS_PER_US, self._reach(name, "delay/delay")):
-                found[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
-            for plot, limit, reach, windows in (
-                (
-                    "error",
-                    self._error_limits[name],
-                    self._speed_error_reach(name),
-                    self._speeds[name].settling,
-                ),
-                (
-                    "position_error",
-                    position_limit,
-                    self._position_error_reach(name),
-                    self._positions[name].settling,
-                ),
-            ):
+                lines[f"/{name}/delay/deadline"] = ends, np.full(2, self._plan.deadline / NS_PER_US)
+            for plot, limit, reach, windows in self._errors(name):
                 if limit is not None and in_view(limit, reach):
                     times, scale = _outside(windows, begin, end)
-                    found[f"/{name}/{plot}/most"] = times, limit * scale
-                    found[f"/{name}/{plot}/least"] = times, -limit * scale
+                    lines[f"/{name}/{plot}/most"] = times, limit * scale
+                    lines[f"/{name}/{plot}/least"] = times, -limit * scale
             for plot, most in (("torque", self._torque_limit(axis)), ("speed", self._speed_limit(axis))):
                 if most is not None and most <= _NEARLY_REACHED * self._reach(name, *_DRAWN[plot]):
-                    found[f"/{name}/{plot}/most"] = ends, np.full(2, most)
-                    found[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
-        return found
+                    lines[f"/{name}/{plot}/most"] = ends, np.full(2, most)
+                    lines[f"/{name}/{plot}/least"] = ends, np.full(2, -most)
+        return lines
 
     def _reach(self, name: str, *paths: str) -> float:
         """The largest by size."""
@@ -139,17 +126,24 @@ class WholeFigures:
     def _data_range(self, name: str, *paths: str) -> tuple[float, float] | None:
         return about(self._ends(name, *paths))
 
-    def _speed_error_reach(self, name: str) -> float:
-        return _counted_reach(self._speeds[name].counted) * RPM_PER_RAD_S
-
-    def _position_error_reach(self, name: str) -> float:
-        return _counted_reach(self._positions[name].counted)
+    def _errors(self, name: str) -> tuple[_DrawnError, ...]:
+        """Of the speed and of the position."""
+        speed, position = self._speeds[name], self._positions[name]
+        speed_reach = _counted_reach(speed.counted) * RPM_PER_RAD_S
+        position_limit = self._plan.review.limits.position_error_peak_rad_max
+        return (
+            _DrawnError("error", self._error_limits[name], speed_reach, speed.settling),
+            _DrawnError(
+                "position_error", position_limit, _counted_reach(position.counted), position.settling
+            ),
+        )
 
     @staticmethod
-    def _error_range(reach: float, limit: float | None) -> tuple[float, float] | None:
+    def _error_range(error: _DrawnError) -> tuple[float, float] | None:
         """As wide as the error that counts, not as a step's first instant; with a limit that is near."""
-        if limit is not None and in_view(limit, reach):
-            reach = max(reach, limit)
+        reach = error.reach
+        if error.limit is not None and in_view(error.limit, reach):
+            reach = max(reach, error.limit)
         return around_zero(reach) if reach else None
 
     def _torque_limit(self, axis: AxisPlan) -> float | None:

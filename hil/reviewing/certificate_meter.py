@@ -148,8 +148,8 @@ class CertificateMeter:
 
     def take_exceeded(self) -> tuple[int, str] | None:
         """When the gain was first above the certified one, noise apart, ns, and in words; told once."""
-        found, self._exceeded = self._exceeded, None
-        return found
+        exceeded, self._exceeded = self._exceeded, None
+        return exceeded
 
     def _hold_against(self, rms: NDArray[np.float64], due_at: NDArray[np.int64]) -> None:
         gain = self._certified.gain

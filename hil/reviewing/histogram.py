@@ -28,8 +28,8 @@ class TimeHistogram:
         clipped = np.clip(times_ns, 0, _LARGEST_NS)
         places = _bucket_of(clipped)
         first = int(places.min())
-        found = np.bincount(places - first)
-        self._counts[first : first + found.size] += found
+        counts = np.bincount(places - first)
+        self._counts[first : first + counts.size] += counts
         self.total += clipped.size
         self._smallest_ns = min(self._smallest_ns, int(clipped.min()))
         self._largest_ns = max(self._largest_ns, int(clipped.max()))
@@ -54,9 +54,9 @@ class TimeHistogram:
         filled = np.flatnonzero(self._counts)
         middles = [low + (width - 1) // 2 for low, width in map(_bucket_range, filled.tolist())]
         places = np.minimum(np.asarray(middles, np.int64) // width_ns, count - 1)
-        found = np.zeros(count, np.int64)
-        np.add.at(found, places, self._counts[filled])
-        return found
+        heights = np.zeros(count, np.int64)
+        np.add.at(heights, places, self._counts[filled])
+        return heights
 
     def take_in(self, other: "TimeHistogram") -> None:
         """What another one has counted."""
@@ -68,10 +68,10 @@ class TimeHistogram:
 
 def merged(histograms: Iterable[TimeHistogram]) -> TimeHistogram:
     """All that they have counted."""
-    found = TimeHistogram()
+    histogram = TimeHistogram()
     for each in histograms:
-        found.take_in(each)
-    return found
+        histogram.take_in(each)
+    return histogram
 
 
 def _bucket_of(times_ns: NDArray[np.int64]) -> NDArray[np.int64]:

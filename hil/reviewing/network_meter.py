@@ -188,9 +188,9 @@ class NetworkKeeper:
         """Written at the end."""
 
     def finish(self, summary: Summary) -> None:
-        found = self._meter.network()
-        if found is not None:
-            told = found.model_copy(update={"clocks": clocks_of(summary)})
+        network = self._meter.network()
+        if network is not None:
+            told = network.model_copy(update={"clocks": clocks_of(summary)})
             self._path.write_text(network_text(told), encoding="utf-8")
 
 

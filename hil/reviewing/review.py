@@ -121,15 +121,15 @@ class Review:
 
     def take_events(self) -> list[TextEvent]:
         """What the rows since the last call tell that is worth reading."""
-        found = [
+        events = [
             (swing.at, axis.name, swing.describe())
             for axis, meter in zip(self._axes, self._swings, strict=True)
             for swing in meter.take_swings()
         ]
         for number, certificate in self._certificates.items():
             if (exceeded := certificate.take_exceeded()) is not None:
-                found.append((exceeded[0], self._axes[number].name, exceeded[1]))
-        return [TextEvent(Instant(at), "WARN", f"{axis}: {text}") for at, axis, text in sorted(found)]
+                events.append((exceeded[0], self._axes[number].name, exceeded[1]))
+        return [TextEvent(Instant(at), "WARN", f"{axis}: {text}") for at, axis, text in sorted(events)]
 
     def figures(self) -> Figures:
         """The figures of all rows so far."""
@@ -159,7 +159,7 @@ class Review:
         errors = [meter.figures() for meter in self.errors]
         steps = [meter.figures() for meter in self._steps]
         settling, over, recovery = ([meter.instants[place] for meter in self._steps] for place in range(3))
-        found = {
+        places = {
             "settling_time_ms_max": self._worst_axis([each.settling_time_ms for each in steps], settling),
             "overshoot_percent_max": self._worst_axis([each.overshoot_percent for each in steps], over),
             "recovery_time_ms_max": self._worst_axis([each.recovery_time_ms for each in steps], recovery),
@@ -180,7 +180,7 @@ class Review:
             "lateness_us_max": self._latest.place(self._zero),
             "compute_us_max": self._longest.place(self._zero),
         }
-        return {name: place for name, place in found.items() if place is not None}
+        return {name: place for name, place in places.items() if place is not None}
 
     def _worst_axis(
         self, values: Sequence[float | None], instants: Sequence[int | None] | None = None

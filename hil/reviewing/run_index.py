@@ -90,8 +90,8 @@ def list_runs(folder: Path, wanted: RunFilter | None = None) -> list[ListedRun]:
     if not folder.is_dir():
         raise BadInput("DIR", "", str(folder), "a folder")
     chosen = wanted or RunFilter()
-    found = [run for run in map(_listed, _run_folders(folder)) if chosen.wants(run)]
-    return sorted(found, key=lambda run: (run.at, run.path))
+    listed = [run for run in map(_listed, _run_folders(folder)) if chosen.wants(run)]
+    return sorted(listed, key=lambda run: (run.at, run.path))
 
 
 def _run_folders(folder: Path) -> Iterator[Path]:
@@ -192,23 +192,23 @@ def _bench_tables(path: Path) -> dict[str, Any]:
 def _summary(path: Path) -> dict[str, Any] | None:
     """None: there is none, or no whole one."""
     try:
-        found = parse_json(read_text(path, "summary"), str(path), "a summary")
+        summary = parse_json(read_text(path, "summary"), str(path), "a summary")
     except BadInput:
         return None
-    return found if isinstance(found, dict) else None
+    return summary if isinstance(summary, dict) else None
 
 
 def _json_table(text: str | None) -> dict[str, Any]:
     try:
-        found = json.loads(text or "{}")
+        table = json.loads(text or "{}")
     except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return table if isinstance(table, dict) else {}
 
 
 def _table(tables: Mapping[str, Any] | None, name: str) -> dict[str, Any]:
-    found = (tables or {}).get(name)
-    return found if isinstance(found, dict) else {}
+    table = (tables or {}).get(name)
+    return table if isinstance(table, dict) else {}
 
 
 def _controller(drive: Any) -> str:

@@ -108,10 +108,10 @@ class StepMeter:
     @property
     def unsettled(self) -> list[bool]:
         """Whether a step of the reference, and one of the load, did not come into its band."""
-        found = list(self._unsettled)
+        counts = list(self._unsettled)
         if self._open is not None:
-            found[self._open.of_load] |= self._outside_at == self._seen_at
-        return found
+            counts[self._open.of_load] |= self._outside_at == self._seen_at
+        return counts
 
     @property
     def instants(self) -> tuple[int | None, int | None, int | None]:

@@ -95,8 +95,8 @@ class TorqueSwingMeter:
 
     def take_swings(self) -> list[Swing]:
         """Those found since the last call: the first of each time between two changes."""
-        found, self._swings = self._swings, []
-        return found
+        swings, self._swings = self._swings, []
+        return swings
 
     def _steady(self, rows: Rows) -> NDArray[np.bool_]:
         reference, load, due_at = rows["reference_rad_s"], rows["load_torque_nm"], rows["due_at"]

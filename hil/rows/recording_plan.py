@@ -173,6 +173,6 @@ class RecordingPlan:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
-        found = asdict(self)
-        found["folder"] = None if self.folder is None else str(self.folder)
-        return found
+        plain = asdict(self)
+        plain["folder"] = None if self.folder is None else str(self.folder)
+        return plain

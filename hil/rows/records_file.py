@@ -85,8 +85,8 @@ def read_table(path: Path) -> pa.Table:
 def read_metadata(path: Path) -> dict[str, str]:
     """What the file says of the run; empty if it was cut off before its head."""
     schema = _schema_of(path)
-    found = {} if schema is None else schema.metadata or {}
-    return {key.decode(): value.decode() for key, value in found.items()}
+    metadata = {} if schema is None else schema.metadata or {}
+    return {key.decode(): value.decode() for key, value in metadata.items()}
 
 
 def read_records(path: Path, first_cycle: int = 0) -> Iterator[Rows]:
@@ -174,10 +174,10 @@ def _rows_of(batch: pa.RecordBatch, first_cycle: int) -> Rows:
         if column.name not in batch.schema.names:  # of a later format than the file
             rows[column.name] = np.nan if column.kind == "float64" else NOTHING
             continue
-        found = batch.column(column.name)
+        stored = batch.column(column.name)
         if column.kind != "float64":
-            found = found.cast("int64").fill_null(NOTHING)
-        values = found.to_numpy(zero_copy_only=False)
+            stored = stored.cast("int64").fill_null(NOTHING)
+        values = stored.to_numpy(zero_copy_only=False)
         if column.is_instant and first_cycle:
             values = np.where(values == NOTHING, NOTHING, values + first_cycle)
         if column.none != NOTHING:  # what a reading lacks is written otherwise than a reading that lacks

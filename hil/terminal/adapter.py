@@ -3,28 +3,25 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import bitrate_option, bus_option, seed_option
+from hil.terminal.options import bitrate_option, bus_option, seed_option, valued
 from hil.terminal.output import say
 
 
 def adapter(
     bus: Annotated[str, bus_option("Where its CAN side hangs: hub:NAME, socketcan:vcan0, ...")],
     link: Annotated[
-        Path | None,
-        typer.Option("--link", metavar="PATH", help="Symbolic link to make to its serial port."),
+        Path | None, valued("--link", "PATH", "Symbolic link to make to its serial port.")
     ] = None,
     bitrate: Annotated[
         int | None, bitrate_option("Bit rate of the bus, bit/s; a hub that runs keeps its own.")
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        valued(
             "--fault",
-            metavar="NAME=VALUE",
-            help="A fault of the serial line, e.g. garble=0.01, truncate=0.01, baud=115200, refuse=0.1,"
+            "NAME=VALUE",
+            "A fault of the serial line, e.g. garble=0.01, truncate=0.01, baud=115200, refuse=0.1,"
             " unplug_after_s=3; may be repeated.",
         ),
     ] = None,

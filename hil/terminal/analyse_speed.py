@@ -14,7 +14,7 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, motor_file, seed_option
+from hil.terminal.options import JsonOption, MotorArgument, motor_file, seed_option, valued
 from hil.terminal.output import print_figures, put
 from hil.terminal.speed_options import (
     LoadOption,
@@ -36,8 +36,7 @@ class StrategyName(StrEnum):
 
 
 GainOption = Annotated[
-    str,
-    typer.Option("--gain", metavar="K1,K2", help=r"Gain on \[i_q error, speed error]; K3: its integral."),
+    str, valued("--gain", "K1,K2", r"Gain on \[i_q error, speed error]; K3: its integral.")
 ]
 DelayMsOption = Annotated[
     float | None,

@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, flag
+from hil.terminal.options import JsonOption, flag, valued
 from hil.terminal.output import columns, say, say_written
 from hil.verdict.verdict import ExitStatus
 
@@ -52,15 +52,11 @@ def run(
         typer.Option("--workers", metavar="N", min=1, max=1024, help="Processes; else one a core."),
     ] = None,
     dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster, whose workers run it instead."
-        ),
+        str | None, valued("--dask", "ADDRESS", "Scheduler of a Dask cluster, whose workers run it instead.")
     ] = None,
     resume: Annotated[bool, flag("--resume", "Go on where the campaign in the folder was ended.")] = False,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the campaign; campaigns/NAME if absent."),
+        Path | None, valued("--out", "DIR", "Folder of the campaign; campaigns/NAME if absent.")
     ] = None,
     against: Annotated[
         HeldAgainst | None,
@@ -118,11 +114,11 @@ def report(folder: DirArgument, as_json: JsonOption = False) -> None:
         from hil.campaign.report import write_report
         from hil.rows.run_files import CAMPAIGN_PAGE
 
-        found = Campaign.load(folder)
+        done = Campaign.load(folder)
         place = folder / "report.html"
-        write_report(found, place)
-        write_page(found, folder / CAMPAIGN_PAGE)
-        _print(found, as_json)
+        write_report(done, place)
+        write_page(done, folder / CAMPAIGN_PAGE)
+        _print(done, as_json)
         say_written(place)
         say_written(folder / CAMPAIGN_PAGE)
 
@@ -132,8 +128,7 @@ def replay(
     folder: DirArgument,
     number: Annotated[int, typer.Option("--run", metavar="K", min=0, help="Number of the run.")],
     record: Annotated[
-        Path | None,
-        typer.Option("--into", metavar="DIR", help="Folder of the recording; DIR/replays/run-K if absent."),
+        Path | None, valued("--into", "DIR", "Folder of the recording; DIR/replays/run-K if absent.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -198,26 +193,28 @@ def _duration(seconds: float) -> str:
 def _print(done: "Campaign", as_json: bool) -> None:
     from hil.campaign.figures import failure_line, figures_of
 
-    found = figures_of(done)
+    figures = figures_of(done)
     if as_json:
-        typer.echo(json.dumps(found, allow_nan=False))
+        typer.echo(json.dumps(figures, allow_nan=False))
         return
     from rich.console import Console
 
     table = columns("point", "runs", "passed", "pass rate", "interval", right=("runs", "passed", "pass rate"))
-    for point in found["points"]:
+    for point in figures["points"]:
         table.add_row(point["point"] or "all", *_cells(point))
     Console(width=110, soft_wrap=True).print(table)
-    typer.echo(f"{found['passed']} of {found['runs']} runs passed, {found['planned']} were planned")
-    if "failure" in found:
-        typer.echo(failure_line(found["failure"]))
+    typer.echo(f"{figures['passed']} of {figures['runs']} runs passed, {figures['planned']} were planned")
+    if "failure" in figures:
+        typer.echo(failure_line(figures["failure"]))
     if done.plan.own.checks:
         typer.echo(f"the check found something in {len(done.found)} runs")
     for line in done.found_lines()[:FOUND_SHOWN]:
         typer.echo(line)
-    for title, each in found["certificate"].get("runs", {}).items():
+    for title, each in figures["certificate"].get("runs", {}).items():
         typer.echo(f"certificate {title}: {each} runs")
-    typer.echo(f"intervals of {100 * found['confidence']:g} %, {found['interval']}; campaign {done.folder}")
+    typer.echo(
+        f"intervals of {100 * figures['confidence']:g} %, {figures['interval']}; campaign {done.folder}"
+    )
 
 
 def _cells(point: dict[str, Any]) -> tuple[str, ...]:

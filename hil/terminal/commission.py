@@ -16,6 +16,7 @@ from hil.terminal.options import (
     fault_plan,
     flag,
     seed_option,
+    valued,
 )
 from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
@@ -36,10 +37,10 @@ TrustOption = Annotated[
 ]
 RehearsedSheetOption = Annotated[
     Path | None,
-    typer.Option(
+    valued(
         "--rehearse-eds",
-        metavar="FILE",
-        help="On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
+        "FILE",
+        "On --bus simulated: a drive made from that data sheet; --eds is the same one if absent.",
     ),
 ]
 
@@ -55,13 +56,10 @@ CommissionBusOption = Annotated[
 def commission(
     bus: CommissionBusOption,
     node: DriveNodeOption,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report, files and journal.")],
-    eds: Annotated[
-        Path | None, typer.Option("--eds", metavar="FILE", help="EDS, DCF, XDD or XDC of the drive.")
-    ] = None,
+    out: Annotated[Path, valued("--out", "DIR", "Folder for report, files and journal.")],
+    eds: Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the drive.")] = None,
     motor: Annotated[
-        Path | None,
-        typer.Option("--motor", metavar="NAMEPLATE.toml", help="What is printed on the motor, and limits."),
+        Path | None, valued("--motor", "NAMEPLATE.toml", "What is printed on the motor, and limits.")
     ] = None,
     yes: Annotated[bool, flag("--yes", "Ask nothing; every step is done.")] = False,
     dry_run: Annotated[bool, flag("--dry-run", "Only read; say what the other steps would do.")] = False,
@@ -143,14 +141,9 @@ def rehearse(
     node: DriveNodeOption,
     seed: Annotated[int, seed_option("Which drive: all that is hidden is drawn from it.", most=None)],
     nameplate: Annotated[
-        Path | None,
-        typer.Option(
-            "--nameplate", metavar="FILE", help="Write what is printed on the motor, for hil commission."
-        ),
+        Path | None, valued("--nameplate", "FILE", "Write what is printed on the motor, for hil commission.")
     ] = None,
-    truth: Annotated[
-        Path | None, typer.Option("--truth", metavar="FILE", help="Write what was drawn, to compare with.")
-    ] = None,
+    truth: Annotated[Path | None, valued("--truth", "FILE", "Write what was drawn, to compare with.")] = None,
     faults: DriveFaultsOption = None,
     drift_ppm: Annotated[
         float,

@@ -8,7 +8,7 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say_written
 from hil.verdict.verdict import ExitStatus
 
@@ -17,16 +17,13 @@ if TYPE_CHECKING:
 
 RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")]
 BaselineOption = Annotated[
-    Path | None,
-    typer.Option("--baseline", metavar="RUN", help="What the others are held against; the first if absent."),
+    Path | None, valued("--baseline", "RUN", "What the others are held against; the first if absent.")
 ]
 TolerancesOption = Annotated[
-    Path | None,
-    typer.Option("--tolerances", metavar="FILE.toml", help="How much worse a run may be, by figure."),
+    Path | None, valued("--tolerances", "FILE.toml", "How much worse a run may be, by figure.")
 ]
 RrdOption = Annotated[
-    Path | None,
-    typer.Option("--rrd", metavar="FILE.rrd", help="Write the runs beside and over each other, for Rerun."),
+    Path | None, valued("--rrd", "FILE.rrd", "Write the runs beside and over each other, for Rerun.")
 ]
 
 
@@ -53,17 +50,17 @@ def compare(
         from hil.recorded.recorded_run import open_run
 
         asked = None if tolerances is None else load_tolerances(tolerances)
-        found = compare_runs([open_run(folder) for folder in folders])
+        compared = compare_runs([open_run(folder) for folder in folders])
         judged = {
-            str(each.run.folder): [] if asked is None else regressions(found[0], each, asked)
-            for each in found[1:]
+            str(each.run.folder): [] if asked is None else regressions(compared[0], each, asked)
+            for each in compared[1:]
         }
-        lines = comparison_lines(found, judged)
-        put(comparison_json(found, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
+        lines = comparison_lines(compared, judged)
+        put(comparison_json(compared, judged), as_json, lambda _figures: typer.echo("\n".join(lines)))
         if rrd is not None:
             from hil.recorded.comparison_page import write_comparison
 
-            write_comparison(found, "```\n" + "\n".join(lines) + "\n```\n", rrd)
+            write_comparison(compared, "```\n" + "\n".join(lines) + "\n```\n", rrd)
             say_written(rrd)
         raise typer.Exit(_status(judged))
 

@@ -6,21 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import MISSING, BadInput
+from hil.terminal.options import valued
 
 if TYPE_CHECKING:
     from hil.configuration.config import BenchConfig
     from hil.configuration.drive_current_loop import KnownLoop
 
 BenchOption = Annotated[
-    Path | None,
-    typer.Option("--bench", metavar="BENCH.toml", help="The bench whose drive's current loop it is."),
+    Path | None, valued("--bench", "BENCH.toml", "The bench whose drive's current loop it is.")
 ]
-AxisOption = Annotated[
-    str | None, typer.Option("--axis", metavar="NAME", help="Of --bench; needed if it has several.")
-]
+AxisOption = Annotated[str | None, valued("--axis", "NAME", "Of --bench; needed if it has several.")]
 CommissionedOption = Annotated[
-    Path | None,
-    typer.Option("--commissioned", metavar="DRIVE.toml", help="The drive as hil commission measured it."),
+    Path | None, valued("--commissioned", "DRIVE.toml", "The drive as hil commission measured it.")
 ]
 CurrentBandwidthOption = Annotated[
     float | None,
@@ -64,12 +61,12 @@ def current_loop(
 
 
 def _of_bench(bench: Path, axis: str | None) -> "KnownLoop":
-    found = loop_of_bench(*bench_axis(bench, axis))
-    if found.order != 1:
+    loop = loop_of_bench(*bench_axis(bench, axis))
+    if loop.order != 1:
         expected = "PI current loops: speed designs know loops of first order"
-        remedy = f"--current-bandwidth-hz {found.bandwidth_hz:.5g} takes it for one, which hil run does not"
-        raise BadInput(str(bench), found.key, f"a loop of order {found.order}", expected, remedy)
-    return found
+        remedy = f"--current-bandwidth-hz {loop.bandwidth_hz:.5g} takes it for one, which hil run does not"
+        raise BadInput(str(bench), loop.key, f"a loop of order {loop.order}", expected, remedy)
+    return loop
 
 
 def bench_axis(bench: Path, axis: str | None) -> "tuple[BenchConfig, str]":
@@ -91,11 +88,11 @@ def loop_of_bench(config: "BenchConfig", axis: str) -> "KnownLoop":
     from hil.configuration.drive_current_loop import current_loop_of
 
     simulated = parse_bus_spec(config.bus.spec, config.source).simulated
-    found = current_loop_of(config, axis, simulated=simulated)
-    if found is None:
+    loop = current_loop_of(config, axis, simulated=simulated)
+    if loop is None:
         key = f"drive.{axis}.commissioned.current_loop"
         raise _unmeasured(config.source, key, f"the measured loop of a drive on {config.bus.spec}")
-    return found
+    return loop
 
 
 def _of_drive_file(path: Path) -> "KnownLoop":
@@ -103,10 +100,10 @@ def _of_drive_file(path: Path) -> "KnownLoop":
     from hil.configuration.drive_current_loop import KnownLoop
     from hil.configuration.drive_file import load_drive_file
 
-    found = load_drive_file(path, NamedBy("--commissioned", "", str(path))).current_loop
-    if found is None:
+    loop = load_drive_file(path, NamedBy("--commissioned", "", str(path))).current_loop
+    if loop is None:
         raise _unmeasured(str(path), "current_loop", "the measured loop")
-    return KnownLoop(found.order, found.bandwidth_hz, f"current_loop.bandwidth_hz of {path}")
+    return KnownLoop(loop.order, loop.bandwidth_hz, f"current_loop.bandwidth_hz of {path}")
 
 
 def _unmeasured(source: str, key: str, expected: str) -> BadInput:

@@ -43,8 +43,8 @@ def sheet(file: Path, loaded: LoadedDictionary, fitness: Fitness, planned: Plann
         "commissioning": None if loaded.commissioning is None else asdict(loaded.commissioning),
         "denotations": {
             section_name(entry.index, entry.sub): entry.denotation
-            for found in loaded.objects.values()
-            for entry in found.entries.values()
+            for described in loaded.objects.values()
+            for entry in described.entries.values()
             if entry.denotation
         },
     }
@@ -84,7 +84,7 @@ def _counts(loaded: LoadedDictionary) -> dict[str, int]:
         "communication": sum(index < 0x2000 for index in indices),
         "manufacturer": sum(0x2000 <= index < 0x6000 for index in indices),
         "profile": sum(index >= 0x6000 for index in indices),
-        "entries": sum(len(found.entries) for found in loaded.objects.values()),
+        "entries": sum(len(described.entries) for described in loaded.objects.values()),
     }
 
 

@@ -44,7 +44,7 @@ def _say(console: Console, *parts: Table | Text) -> None:
 
 def _facts(file: Path, loaded: LoadedDictionary, fitness: Fitness) -> Table:
     identity, objects = fitness.identity, loaded.objects
-    entries = sum(len(found.entries) for found in objects.values())
+    entries = sum(len(described.entries) for described in objects.values())
     size = f"{len(objects)} objects, {entries} entries"
     rates = ", ".join(map(str, loaded.device.bit_rates_kbit_s))
     lines = {
@@ -97,14 +97,14 @@ def _profile(fitness: Fitness) -> str:
 
 
 def _commissioning(loaded: LoadedDictionary) -> str:
-    found = loaded.commissioning
-    if found is None:
+    commissioning = loaded.commissioning
+    if commissioning is None:
         return ""
     parts = [
-        f"node {found.node_id}" if found.node_id is not None else "",
-        found.node_name,
-        f"{found.bit_rate_kbit_s} kbit/s" if found.bit_rate_kbit_s else "",
-        f"serial {found.serial_number:08X}h" if found.serial_number is not None else "",
+        f"node {commissioning.node_id}" if commissioning.node_id is not None else "",
+        commissioning.node_name,
+        f"{commissioning.bit_rate_kbit_s} kbit/s" if commissioning.bit_rate_kbit_s else "",
+        f"serial {commissioning.serial_number:08X}h" if commissioning.serial_number is not None else "",
     ]
     return ", ".join(part for part in parts if part)
 

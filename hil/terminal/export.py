@@ -7,16 +7,14 @@ import typer
 
 from hil.reviewing.export_format import ExportFormat
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put
 
 
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of the run.")],
     to: Annotated[ExportFormat, typer.Option("--to", help="Format.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="RUN/records.FORMAT if absent.")
-    ] = None,
+    out: Annotated[Path | None, valued("--out", "FILE", "RUN/records.FORMAT if absent.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write every cycle of a recording as CSV, Parquet, MDF 4 or MAT, with units and codes.

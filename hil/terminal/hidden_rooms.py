@@ -20,10 +20,10 @@ def hidden_room(root: Path = ROOT) -> str | None:
     for room in ROOMS:
         spec = find_spec(room)
         places = [*(spec.submodule_search_locations or ()), spec.origin] if spec else [None]
-        found = places[0]
-        if found is None or Path(found).resolve() != root / room:
+        place = places[0]
+        if place is None or Path(place).resolve() != root / room:
             return (
-                f"{found}: hides the package {room!r} of servobench, expected {root / room}; rename it, "
+                f"{place}: hides the package {room!r} of servobench, expected {root / room}; rename it, "
                 "or take its folder off Python's path (PYTHONPATH, the current folder of python -m, or that "
                 "of a test module)"
             )

@@ -19,6 +19,7 @@ from hil.terminal.options import (
     faults_option,
     flag,
     motor_file,
+    valued,
 )
 from hil.terminal.output import put, say
 from hil.verdict.verdict import ExitStatus
@@ -32,9 +33,7 @@ CYCLES_MAX = 1_000_000
 """Each takes half a kilobyte of memory a drive, which is taken before the first."""
 
 BusOption = Annotated[str, bus_option("simulated, hub:NAME, socketcan:can0, or INTERFACE:CHANNEL.")]
-NodeOption = Annotated[
-    list[str], typer.Option("--node", metavar="N...", help="Node ids: 1, or 1,2, or 1-3; may be repeated.")
-]
+NodeOption = Annotated[list[str], valued("--node", "N...", "Node ids: 1, or 1,2, or 1-3; may be repeated.")]
 MoreNodes = Annotated[list[str] | None, typer.Argument(metavar="[N...]", hidden=True)]
 CyclesOption = Annotated[int, typer.Option("--cycles", min=100, max=CYCLES_MAX, help="How many SYNCs.")]
 PeriodOption = Annotated[int, typer.Option("--period-us", min=250, max=100_000, help="Between two SYNCs.")]
@@ -43,22 +42,16 @@ EnableOption = Annotated[
     flag("--enable", "Enable the drives and have them follow small torques: the shafts move."),
 ]
 TorqueOption = Annotated[
-    float | None,
-    typer.Option("--torque-max-nm", metavar="X", help="Largest torque; 3 % of the rated one if absent."),
+    float | None, valued("--torque-max-nm", "X", "Largest torque; 3 % of the rated one if absent.")
 ]
 SpeedOption = Annotated[
     float, typer.Option("--speed-max-rpm", min=1.0, help="An enabled drive that turns faster is stopped.")
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="NETWORK.toml", help="Write the network, for hil design.")
-]
+OutOption = Annotated[Path | None, valued("--out", "NETWORK.toml", "Write the network, for hil design.")]
 FaultsOutOption = Annotated[
-    Path | None,
-    typer.Option("--faults-out", metavar="FAULTS.toml", help="Write it as a fault plan, to replay it."),
+    Path | None, valued("--faults-out", "FAULTS.toml", "Write it as a fault plan, to replay it.")
 ]
-PictureOption = Annotated[
-    Path | None, typer.Option("--picture", metavar="FILE", help="Draw the histograms: .png, .svg, .pdf.")
-]
+PictureOption = Annotated[Path | None, valued("--picture", "FILE", "Draw the histograms: .png, .svg, .pdf.")]
 FaultsOption = Annotated[Path | None, faults_option("host")]
 SeedOption = Annotated[int, EVERY_STREAM]
 

@@ -50,12 +50,12 @@ def _stages(stages: list[Stage]) -> Table:
     table = columns("us", *quantiles, right=quantiles, no_wrap=True)
     table.add_column("")
     for each in stages:
-        found = delays_of(each.times)
-        if found is None:
+        delays = delays_of(each.times)
+        if delays is None:
             table.add_row(Text(each.title), "", "", "", "", "", Text(f"not measured: {each.basis}"))
             continue
         within = f"{100.0 * share_within_largest(each.times.total):.3f} %"
-        figures = [f"{value:.1f}" for value in (found.p50, found.p99, found.p999, found.max)]
+        figures = [f"{value:.1f}" for value in (delays.p50, delays.p99, delays.p999, delays.max)]
         table.add_row(Text(each.title), *figures, within, Text(each.basis))
     return table
 

@@ -11,7 +11,7 @@ import typer
 from drivers.errors import BadInput
 from hil.studies.motor.figures import FIGURES, GROUPS, SheetFigure, missing, option, ways
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file
+from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, valued
 from hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _with_figures() -> None:
 def show(
     path: MotorArgument,
     picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE", help="Torque over speed; .png, .svg or .pdf.")
+        Path | None, valued("--picture", "FILE", "Torque over speed; .png, .svg or .pdf.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -11,26 +11,26 @@ SERIAL_DIGITS_MAX = 12
 
 def node_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     """The node ids of all ``texts``, in order. Raises BadInput for one that is no id, or that comes twice."""
-    found: list[int] = []
+    nodes: list[int] = []
     for text in texts:
         for part in text.split(","):
-            found.extend(_range(part.strip(), option))
-    if not found:
+            nodes.extend(_range(part.strip(), option))
+    if not nodes:
         raise BadInput(option, "", MISSING, f"a node id 1..{NODE_ID_MAX}, e.g. {option} 1 or {option} 1-3")
-    for node in found:
-        if node != UNCONFIGURED and found.count(node) > 1:
+    for node in nodes:
+        if node != UNCONFIGURED and nodes.count(node) > 1:
             raise BadInput(option, "", node, "each node id once")
-    return found
+    return nodes
 
 
 def drive_ids(texts: Sequence[str], option: str = "--node") -> list[int]:
     """As :func:`node_ids`, of devices that have one."""
-    found = node_ids(texts, option)
-    if UNCONFIGURED in found:
+    nodes = node_ids(texts, option)
+    if UNCONFIGURED in nodes:
         raise BadInput(
             option, "", "unconfigured", f"a node id 1..{NODE_ID_MAX}", "hil scan --assign gives one"
         )
-    return found
+    return nodes
 
 
 def _number(digits: str) -> int:

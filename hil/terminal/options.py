@@ -15,6 +15,11 @@ def flag(name: str, text: str) -> Any:
     return typer.Option(name, metavar="", help=text)
 
 
+def valued(name: str, metavar: str, text: str) -> Any:
+    """A value under ``name``; its help shows it as ``metavar`` and says ``text``."""
+    return typer.Option(name, metavar=metavar, help=text)
+
+
 def bus_option(text: str) -> Any:
     """``--bus``; ``text``: which buses."""
     return typer.Option("--bus", metavar="SPEC", help=text)

@@ -7,19 +7,17 @@ import typer
 
 from drivers.errors import BadInput
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import RunArgument, flag
+from hil.terminal.options import RunArgument, flag, valued
 from hil.terminal.output import say_written
 
 OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="The picture: .png; --paper: .svg, .pdf too.")
 ]
 PageOption = Annotated[
-    str | None,
-    typer.Option("--page", metavar="PAGE", help="overview, AXIS, timing, controller, zoom, zoom/AXIS."),
+    str | None, valued("--page", "PAGE", "overview, AXIS, timing, controller, zoom, zoom/AXIS.")
 ]
 AtOption = Annotated[
-    float | None,
-    typer.Option("--at", metavar="S", help="The cursor, s since the first cycle; the end if absent."),
+    float | None, valued("--at", "S", "The cursor, s since the first cycle; the end if absent.")
 ]
 SpanOption = Annotated[
     float | None,

@@ -29,7 +29,7 @@ _MARKS = {
 
 def print_run(
     config: BenchConfig,
-    found: Summary,
+    summary: Summary,
     *,
     bus_spec: str | None = None,
     console: Console | None = None,
@@ -37,44 +37,44 @@ def print_run(
     """One screen: what was run, how well it went, the verdict, and where the recording is."""
     console = console or Console(highlight=False)
     panel = Panel(
-        Group(_figures(config, found, bus_spec), Text(), _verdict_table(found), *_notes(found)),
-        title=Text(f"{config.bench.name}: {verdict_title(found.verdict)}", style="bold"),
+        Group(_figures(config, summary, bus_spec), Text(), _verdict_table(summary), *_notes(summary)),
+        title=Text(f"{config.bench.name}: {verdict_title(summary.verdict)}", style="bold"),
         title_align="left",
-        border_style=_STYLE.get(found.verdict.outcome, "red"),
+        border_style=_STYLE.get(summary.verdict.outcome, "red"),
         width=min(console.width, WIDTH_MAX),
         padding=(0, 1),
     )
     console.print(panel)
-    for line in recording_lines(Path(found.recording) if found.recording else None):
+    for line in recording_lines(Path(summary.recording) if summary.recording else None):
         console.print(Text(line), soft_wrap=True)
 
 
-def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table:
-    error, dropouts, axes = found.speed_error, found.dropouts, len(config.axes)
-    rows = found.cycles * axes
+def _figures(config: BenchConfig, summary: Summary, bus_spec: str | None) -> Table:
+    error, dropouts, axes = summary.speed_error, summary.dropouts, len(config.axes)
+    rows = summary.cycles * axes
     share = f" ({100.0 * dropouts.total / rows:.2f} %)" if rows else ""
     lines = {
-        "Run": f"{found.cycles} cycles at {1e6 / config.loop.period_us:g} Hz, "
-        f"{axes} {'axis' if axes == 1 else 'axes'}, bus {bus_spec or config.bus.spec}, seed {found.seed}",
+        "Run": f"{summary.cycles} cycles at {1e6 / config.loop.period_us:g} Hz, "
+        f"{axes} {'axis' if axes == 1 else 'axes'}, bus {bus_spec or config.bus.spec}, seed {summary.seed}",
         "Tracking error": f"peak {_number(error.peak_rad_s)} rad/s ({_number(error.peak_percent)} %), "
         f"rms {_number(error.rms_rad_s)} rad/s",
         "After load step": f"{_number(error.after_load_percent)} % at most"
         if error.after_load_percent is not None
         else "not measured",
-        "Torque": f"{_number(found.torque_rms_nm)} N m rms about its mean while reference and load stay"
-        if found.torque_rms_nm is not None
+        "Torque": f"{_number(summary.torque_rms_nm)} N m rms about its mean while reference and load stay"
+        if summary.torque_rms_nm is not None
         else "never steady for long enough to be judged",
-        "Delay": _percentiles(found.delay_us),
-        "Lateness": _percentiles(found.lateness_us),
-        "Computing": _percentiles(found.compute_us),
+        "Delay": _percentiles(summary.delay_us),
+        "Lateness": _percentiles(summary.lateness_us),
+        "Computing": _percentiles(summary.compute_us),
         "Dropouts": f"{dropouts.total}{share}: "
         f"{dropouts.lost} lost, {dropouts.late} late, {dropouts.stale} stale, {dropouts.missed} missed",
-        **timing_lines(found.timing),
-        **certificate_lines(found.certificates),
-        **({"Load machine": _load_machine(found.load_machine)} if found.load_machine else {}),
-        "Bus load": f"{_number(found.bus_load_percent)} %",
-        "Pace": f"{_number(found.realtime_factor)} times real time",
-        "Digest": found.digest,
+        **timing_lines(summary.timing),
+        **certificate_lines(summary.certificates),
+        **({"Load machine": _load_machine(summary.load_machine)} if summary.load_machine else {}),
+        "Bus load": f"{_number(summary.bus_load_percent)} %",
+        "Pace": f"{_number(summary.realtime_factor)} times real time",
+        "Digest": summary.digest,
     }
     table = Table.grid(padding=(0, 2))
     table.add_column(style="bold", no_wrap=True)
@@ -85,23 +85,24 @@ def _figures(config: BenchConfig, found: Summary, bus_spec: str | None) -> Table
     return table
 
 
-def _load_machine(found: Mapping[str, Any]) -> str:
+def _load_machine(machine: Mapping[str, Any]) -> str:
     steps = [
-        f"{step['asked_nm']:g} N m asked, {_number(step['measured_nm'])} measured" for step in found["steps"]
+        f"{step['asked_nm']:g} N m asked, {_number(step['measured_nm'])} measured"
+        for step in machine["steps"]
     ]
-    counts = f"{found['readings']} readings, {found['late']} late, {found['spoilt']} spoilt"
+    counts = f"{machine['readings']} readings, {machine['late']} late, {machine['spoilt']} spoilt"
     return "; ".join([*steps, counts])
 
 
-def _verdict_table(found: Summary) -> Table | Text:
-    if not found.verdict.limits:
+def _verdict_table(summary: Summary) -> Table | Text:
+    if not summary.verdict.limits:
         return Text("The bench file sets no limits in [verdict].", style="yellow")
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", collapse_padding=True)
     table.add_column("Verdict")
     table.add_column("value", justify="right")
     table.add_column("limit", justify="right")
     table.add_column("")
-    for check in found.verdict.limits:
+    for check in summary.verdict.limits:
         table.add_row(
             Text(metric_title(check.metric)), _number(check.value), f"{check.limit:g}", _mark(check)
         )
@@ -112,18 +113,18 @@ def _mark(check: Check) -> Text:
     return Text(*_MARKS[check.result])
 
 
-def _notes(found: Summary) -> list[Text]:
+def _notes(summary: Summary) -> list[Text]:
     notes = []
-    for finding in found.verdict.findings:
+    for finding in summary.verdict.findings:
         if finding.outcome not in _TOLD_ELSEWHERE:
             notes.append(Text(f"{finding.outcome.capitalize()}: {finding.text}", style="bold red"))
-    notes.extend(Text(note, style="bold yellow") for note in found.network_notes)
-    notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in found.recording_faults)
+    notes.extend(Text(note, style="bold yellow") for note in summary.network_notes)
+    notes.extend(Text(f"The recording lacks: {fault}", style="yellow") for fault in summary.recording_faults)
     return notes
 
 
-def _percentiles(found: Percentiles) -> str:
-    return f"p50 {_number(found.p50)} us, p99 {_number(found.p99)} us, max {_number(found.max)} us"
+def _percentiles(of: Percentiles) -> str:
+    return f"p50 {_number(of.p50)} us, p99 {_number(of.p99)} us, max {_number(of.max)} us"
 
 
 def _number(value: float | None) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, motor_file
+from hil.terminal.options import JsonOption, motor_file, valued
 from hil.terminal.output import print_figures, put, say_written
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def azaiz2007(
     figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="Folder for the pictures, Figs. 7 to 13.")
+        Path | None, valued("--figures", "DIR", "Folder for the pictures, Figs. 7 to 13.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -24,16 +24,16 @@ def azaiz2007(
     with reported_errors():
         from design.papers.azaiz2007 import reproduce
 
-        found, designs, runs = reproduce()
+        results, designs, runs = reproduce()
         if figures is not None:
             from hil.studies.current.pictures import draw_paper
 
             for path in draw_paper(designs, runs, figures):
                 say_written(path)
-        put(found, as_json, _print_azaiz2007)
+        put(results, as_json, _print_azaiz2007)
 
 
-def _print_azaiz2007(found: dict[str, Any]) -> None:
+def _print_azaiz2007(figures: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -41,20 +41,20 @@ def _print_azaiz2007(found: dict[str, Any]) -> None:
 
     console = Console()
     for axis in ("q", "d"):
-        console.print(_controller_table(axis, found[axis]))
+        console.print(_controller_table(axis, figures[axis]))
     peak = PUBLISHED["simulation"]["peak_torque_nm"]
     table = Table(title=f"The drive of Fig. 4 (published peak torque: {peak:g} N m)", title_justify="left")
     table.add_column("figure")
-    for name in found["simulation"]:
+    for name in figures["simulation"]:
         table.add_column(name.replace("_", " "))
-    for key in found["simulation"]["nominal"]:
-        table.add_row(key, *(f"{run[key]:.5g}" for run in found["simulation"].values()))
+    for key in figures["simulation"]["nominal"]:
+        table.add_row(key, *(f"{run[key]:.5g}" for run in figures["simulation"].values()))
     console.print(table)
     for text in DISAGREEMENTS:
         console.print(f"* {text}", highlight=False)
 
 
-def _controller_table(axis: str, found: dict[str, Any]) -> "Table":
+def _controller_table(axis: str, figures: dict[str, Any]) -> "Table":
     """Published, what the printed controller itself gives on the printed plant, and ours."""
     from rich.table import Table
 
@@ -64,7 +64,7 @@ def _controller_table(axis: str, found: dict[str, Any]) -> "Table":
     for heading in ("figure", "published", "printed K", "here"):
         table.add_column(heading)
     printed = printed_figures(axis)
-    for key, value in found.items():
+    for key, value in figures.items():
         if isinstance(value, float):
             published = PUBLISHED[axis].get(key)
             shown = "" if published is None else f"{published:g}"
@@ -73,7 +73,7 @@ def _controller_table(axis: str, found: dict[str, Any]) -> "Table":
             table.add_row(key, shown, beside, f"{value:.6g}")
         elif isinstance(value, list):
             table.add_row(key, "", _listed(printed[key]), _listed(value))
-    for key, value in found["reduced"].items():
+    for key, value in figures["reduced"].items():
         table.add_row(f"reduced {key}", "", "", _listed(value) if isinstance(value, list) else f"{value:.6g}")
     return table
 
@@ -92,12 +92,10 @@ def _listed(values: list[Any]) -> str:
 
 def ling2012(
     motor: Annotated[
-        Path | None,
-        typer.Option("--motor", metavar="MOTOR.toml", help="Table 2 for a motor of one's own, and no more."),
+        Path | None, valued("--motor", "MOTOR.toml", "Table 2 for a motor of one's own, and no more.")
     ] = None,
     figures: Annotated[
-        Path | None,
-        typer.Option("--figures", metavar="DIR", help="Folder for the pictures, and for the recorded runs."),
+        Path | None, valued("--figures", "DIR", "Folder for the pictures, and for the recorded runs.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -110,57 +108,59 @@ def ling2012(
         from hil.studies.papers.reproduction import reproduce
 
         runs = (figures or Path("runs")) / f"ling2012-{utc_stamp()}"
-        found, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
+        results, recorded = reproduce(runs, lambda text: typer.echo(text, err=True))
         if figures is not None:
             from hil.studies.papers.pictures import draw_ling2012
 
-            for path in draw_ling2012(found, recorded, figures):
+            for path in draw_ling2012(results, recorded, figures):
                 say_written(path)
-        put(found, as_json, _print_ling2012)
+        put(results, as_json, _print_ling2012)
 
 
 def _for_motor(motor: Path, figures: Path | None, as_json: bool) -> None:
     from hil.studies.papers.reproduction import for_motor
 
-    found = for_motor(motor_file(motor, "--motor").parameters)
+    results = for_motor(motor_file(motor, "--motor").parameters)
     if figures is not None:
         from hil.studies.papers.pictures import draw_motor
 
         figures.mkdir(parents=True, exist_ok=True)
         picture = figures / f"{motor.stem}-table2.png"
-        draw_motor(found, picture)
+        draw_motor(results, picture)
         say_written(picture)
-    put(found, as_json, _print_motor)
+    put(results, as_json, _print_motor)
 
 
-def _print_motor(found: dict[str, Any]) -> None:
+def _print_motor(figures: dict[str, Any]) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
-    load = f"load step of {found['load_nm']:.4g} N m at {found['speed_rpm']:.5g} r/min"
+    load = f"load step of {figures['load_nm']:.4g} N m at {figures['speed_rpm']:.5g} r/min"
     _print_table(
-        console, [row for row in found["rows"] if "impossible" not in row], f"for {found['motor']}, {load}"
+        console,
+        [row for row in figures["rows"] if "impossible" not in row],
+        f"for {figures['motor']}, {load}",
     )
-    for row in found["rows"]:
+    for row in figures["rows"]:
         if "impossible" in row:
             console.print(f"* {row['error_percent']:g} %: {row['impossible']}")
 
 
-def _print_ling2012(found: dict[str, Any]) -> None:
+def _print_ling2012(figures: dict[str, Any]) -> None:
     from rich.console import Console
 
     from design.papers.ling2012 import DISAGREEMENTS
 
     console = Console(highlight=False)
     for units, title in (("published", "in the paper's units"), ("si", "in SI")):
-        _print_table(console, found["table2"][units], title)
+        _print_table(console, figures["table2"][units], title)
     console.print("Controller of section 5")
-    print_figures(found["published_design"], "  ")
+    print_figures(figures["published_design"], "  ")
     for case in ("case1", "case2", "case3"):
         console.print(case.replace("case", "Case "))
-        print_figures(found[case], "  ")
+        print_figures(figures[case], "  ")
     console.print("Strategies on 10 ms, 5 losses in a row, 4 ms of delay, K as printed")
-    for name, item in found["strategies"].items():
+    for name, item in figures["strategies"].items():
         shown = ("sequences", "age_max_s")
         print_figures({name: {key: item[key] for key in shown}}, "  ")
     for text in DISAGREEMENTS:

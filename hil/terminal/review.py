@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, RunArgument
+from hil.terminal.options import JsonOption, RunArgument, valued
 from hil.terminal.output import columns, put, say_written
 
 if TYPE_CHECKING:
@@ -14,15 +14,14 @@ if TYPE_CHECKING:
 
 AgainstOption = Annotated[
     Path | None,
-    typer.Option(
+    valued(
         "--against",
-        metavar="REQUIREMENTS.toml",
-        help="A table \\[verdict] as in a bench file; the run's own limits if absent.",
+        "REQUIREMENTS.toml",
+        "A table \\[verdict] as in a bench file; the run's own limits if absent.",
     ),
 ]
 ReportOption = Annotated[
-    Path | None,
-    typer.Option("--report", metavar="FILE", help="Write a report with pictures: one .html or .md file."),
+    Path | None, valued("--report", "FILE", "Write a report with pictures: one .html or .md file.")
 ]
 
 

@@ -31,13 +31,13 @@ class RunObject:
         The status to leave with: that of the gravest that was found.
         """
         outcome = outcome_of_status(status)
-        found = self._summary
-        if found is None:
-            found = summary_without_run(outcome, text)
-        elif not found.verdict.of(outcome):
-            found = found.also(Finding(outcome, text))
-        self.print(found)
-        return found.verdict.exit_status
+        summary = self._summary
+        if summary is None:
+            summary = summary_without_run(outcome, text)
+        elif not summary.verdict.of(outcome):
+            summary = summary.also(Finding(outcome, text))
+        self.print(summary)
+        return summary.verdict.exit_status
 
     def print(self, summary: Summary) -> None:
         """Print it, if it was asked for."""

@@ -8,7 +8,7 @@ import typer
 
 from drivers.printable import printable
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption
+from hil.terminal.options import JsonOption, valued
 from hil.terminal.output import put, say, write_line
 
 if TYPE_CHECKING:
@@ -19,14 +19,13 @@ def runs(
     folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to look, folders in it too.")] = Path(
         "runs"
     ),
-    bench: Annotated[str, typer.Option("--bench", metavar="NAME", help="A part of the bench's name.")] = "",
-    drive: Annotated[str, typer.Option("--drive", metavar="TEXT", help="A part of a drive's name.")] = "",
-    controller: Annotated[str, typer.Option("--controller", metavar="KIND", help="A part of a kind.")] = "",
+    bench: Annotated[str, valued("--bench", "NAME", "A part of the bench's name.")] = "",
+    drive: Annotated[str, valued("--drive", "TEXT", "A part of a drive's name.")] = "",
+    controller: Annotated[str, valued("--controller", "KIND", "A part of a kind.")] = "",
     verdict: Annotated[
-        str,
-        typer.Option("--verdict", metavar="TEXT", help="How the verdict begins, or the state without one."),
+        str, valued("--verdict", "TEXT", "How the verdict begins, or the state without one.")
     ] = "",
-    commit: Annotated[str, typer.Option("--commit", metavar="HASH", help="How the commit begins.")] = "",
+    commit: Annotated[str, valued("--commit", "HASH", "How the commit begins.")] = "",
     since: Annotated[
         datetime | None,
         typer.Option(
@@ -44,22 +43,22 @@ def runs(
 
         local = None if since is None else since.astimezone()
         wanted = RunFilter(bench, drive, controller, verdict, commit, local)
-        found = list_runs(folder, wanted)
-        put({"runs": [run.as_json() for run in found]}, as_json, lambda _figures: _print(found, folder))
+        listed = list_runs(folder, wanted)
+        put({"runs": [run.as_json() for run in listed]}, as_json, lambda _figures: _print(listed, folder))
 
 
-def _print(found: "list[ListedRun]", folder: Path) -> None:
+def _print(listed: "list[ListedRun]", folder: Path) -> None:
     """A line each, as long as it is: the path stands last, to be copied whole."""
-    if not found:
+    if not listed:
         say(f"no recording in {folder} that is asked for")
         return
     rows: list[tuple[str, ...]] = [("time", "bench", "verdict", "controller", "drive", "commit", "recording")]
-    rows += [_row(run) for run in found]
+    rows += [_row(run) for run in listed]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         write_line(line.rstrip())
-    for run in found:
+    for run in listed:
         if run.note:
             say(f"hil: note: {printable(run.path)}: {printable(run.note)}")
 

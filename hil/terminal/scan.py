@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, bitrate_option, bus_option, flag
+from hil.terminal.options import JsonOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import columns, put, say
 
 if TYPE_CHECKING:
@@ -22,9 +22,7 @@ def scan(
     ] = None,
     assign: Annotated[
         list[str] | None,
-        typer.Option(
-            "--assign", metavar="NODE", help="Give a device without node-ID this one (LSS); may be repeated."
-        ),
+        valued("--assign", "NODE", "Give a device without node-ID this one (LSS); may be repeated."),
     ] = None,
     store: Annotated[
         bool, flag("--store", "With --assign: the device keeps its node-ID without power.")

@@ -15,74 +15,67 @@ from hil.terminal.options import (
     fault_plan,
     flag,
     motor_file,
+    valued,
 )
 from hil.terminal.output import say
 
 BusOption = Annotated[str, bus_option("A real-time bus: hub:NAME, socketcan:vcan0, ...")]
 NodeOption = Annotated[
     list[str] | None,
-    typer.Option(
+    valued(
         "--node",
-        metavar="N...",
-        help="Node ids: 1, or 1,2, or 1-3, or unconfigured, "
+        "N...",
+        "Node ids: 1, or 1,2, or 1-3, or unconfigured, "
         "or unconfigured:3 (LSS gives them one); may be repeated. "
         "If absent: the one of the DCF.",
     ),
 ]
 SerialOption = Annotated[
     list[str] | None,
-    typer.Option(
+    valued(
         "--serial",
-        metavar="N...",
-        help="Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
+        "N...",
+        "Serial numbers (1018h:04), one for each node, or that of the first, from which the others "
         "count up. If absent: the node id, and 255, 256 ... of those without.",
     ),
 ]
-EdsOption = Annotated[
-    Path | None,
-    typer.Option("--eds", metavar="FILE", help="EDS, DCF, XDD or XDC of the device to rehearse."),
-]
+EdsOption = Annotated[Path | None, valued("--eds", "FILE", "EDS, DCF, XDD or XDC of the device to rehearse.")]
 StoreOption = Annotated[
-    Path | None,
-    typer.Option("--store", metavar="FILE", help="Where 1010h and LSS store; made when first stored to."),
+    Path | None, valued("--store", "FILE", "Where 1010h and LSS store; made when first stored to.")
 ]
 ExportOption = Annotated[
-    Path | None,
-    typer.Option("--export-eds", metavar="FILE", help="Write the EDS of the simulated drive there."),
+    Path | None, valued("--export-eds", "FILE", "Write the EDS of the simulated drive there.")
 ]
 BackgroundOption = Annotated[
-    Path | None,
-    typer.Option("--background", metavar="FILE", help="Other nodes' traffic: a file of tables 'background'."),
+    Path | None, valued("--background", "FILE", "Other nodes' traffic: a file of tables 'background'.")
 ]
 LoadMachineOption = Annotated[
     Path | None,
-    typer.Option(
+    valued(
         "--load-machine",
-        metavar="PATH",
-        help="A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
+        "PATH",
+        "A Magtrol dynamometer on the first drive's shaft; PATH: link to make to its serial port.",
     ),
 ]
 LoadMachineFaultOption = Annotated[
     list[str] | None,
-    typer.Option(
+    valued(
         "--load-machine-fault",
-        metavar="NAME=VALUE",
-        help="A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
+        "NAME=VALUE",
+        "A fault of its serial line, e.g. garble=0.01, terminator=0.1, baud=9600; repeatable.",
     ),
 ]
 LoadOption = Annotated[
     list[str] | None,
-    typer.Option(
+    valued(
         "--load",
-        metavar="NODE=FILE",
-        help="CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
+        "NODE=FILE",
+        "CSV or Parquet with time_s and torque_nm that a bench can have its shaft bear; repeatable.",
     ),
 ]
 CurrentControlOption = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--current-control", metavar="FILE", help="Current controller of the q or d axis, repeatable."
-    ),
+    valued("--current-control", "FILE", "Current controller of the q or d axis, repeatable."),
 ]
 
 

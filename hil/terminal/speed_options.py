@@ -31,9 +31,9 @@ def gain_of(text: str) -> "NDArray[np.float64]":
 
     expected = "K1,K2 in A/A and A s/rad, or K1,K2,K3 with the integral gain in A/rad, all finite"
     try:
-        found = [float(part) for part in text.split(",")]
+        gains = [float(part) for part in text.split(",")]
     except ValueError:
         raise BadInput("--gain", "", text, expected) from None
-    if len(found) not in (2, 3) or not all(map(math.isfinite, found)):
+    if len(gains) not in (2, 3) or not all(map(math.isfinite, gains)):
         raise BadInput("--gain", "", text, expected)
-    return np.array(found)
+    return np.array(gains)

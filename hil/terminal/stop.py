@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import BitrateOption, DriveBusOption, JsonOption
+from hil.terminal.options import BitrateOption, DriveBusOption, JsonOption, valued
 from hil.terminal.output import put
 from hil.verdict.verdict import ExitStatus
 
@@ -13,8 +13,7 @@ from hil.verdict.verdict import ExitStatus
 def stop(
     bus: DriveBusOption,
     node: Annotated[
-        list[str] | None,
-        typer.Option("--node", metavar="N", help="1, 1,2 or 1-3; may be repeated; absent: all drives found."),
+        list[str] | None, valued("--node", "N", "1, 1,2 or 1-3; may be repeated; absent: all drives found.")
     ] = None,
     bitrate: BitrateOption = 1_000_000,
     as_json: JsonOption = False,

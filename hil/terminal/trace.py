@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag
+from hil.terminal.options import JsonLinesOption, bitrate_option, bus_option, flag, valued
 from hil.terminal.output import say, write_line
 
 if TYPE_CHECKING:
@@ -30,18 +30,12 @@ def trace(
     ] = None,
     eds: Annotated[
         list[str] | None,
-        typer.Option(
-            "--eds",
-            metavar="[N=]FILE",
-            help="EDS, DCF, XDD or XDC of node N, or of every node; may be repeated.",
-        ),
+        valued("--eds", "[N=]FILE", "EDS, DCF, XDD or XDC of node N, or of every node; may be repeated."),
     ] = None,
     node: Annotated[int | None, typer.Option("--node", min=1, max=127, help="Only this node.")] = None,
-    kind: Annotated[
-        str | None, typer.Option("--kind", metavar="KIND,...", help="Only these: pdo, sdo, emcy, nmt, ...")
-    ] = None,
-    from_s: Annotated[float | None, typer.Option("--from", metavar="T", help="From here on, s.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="T", help="Up to here, s.")] = None,
+    kind: Annotated[str | None, valued("--kind", "KIND,...", "Only these: pdo, sdo, emcy, nmt, ...")] = None,
+    from_s: Annotated[float | None, valued("--from", "T", "From here on, s.")] = None,
+    to_s: Annotated[float | None, valued("--to", "T", "Up to here, s.")] = None,
     differences: Annotated[
         bool, flag("--differences", "The log's times count from frame to frame (candump -t d).")
     ] = False,

@@ -5,8 +5,8 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-def from_plain(kind: type[T], found: Any) -> T:
+def from_plain(kind: type[T], plain: Any) -> T:
     """A ``kind`` out of what ``asdict`` and JSON made of one. Raises ValueError for anything else."""
     from pydantic import TypeAdapter  # hil --help does without
 
-    return TypeAdapter(kind).validate_python(found)
+    return TypeAdapter(kind).validate_python(plain)

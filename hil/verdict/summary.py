@@ -191,11 +191,11 @@ class Summary:
 
     def as_json(self) -> dict[str, Any]:
         """Plain dicts, lists, numbers, strings and None; what there is none of at the end is left out."""
-        found = asdict(self)
+        plain = asdict(self)
         for name in ("certificates", "recording_faults", "network_notes", "load_machine", "timing"):
-            if not found[name]:
-                del found[name]
-        return found
+            if not plain[name]:
+                del plain[name]
+        return plain
 
 
 def summarise(

@@ -1,6 +1,6 @@
 """A run's timing and what it rests on, and its certificates beside what was seen: lines for a reader."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 _SYNC_TEXTS = {
@@ -68,41 +68,47 @@ def certificate_lines(certificates: Mapping[str, Any] | None) -> dict[str, str]:
 
     ``certificates``: figures of :class:`hil.reviewing.certificate_meter.CertificateMeter` by axis.
     """
-    found = certificates or {}
-    return {_title("Certificate", axis, found): _certificate_line(figures) for axis, figures in found.items()}
+    by_axis = certificates or {}
+    return {
+        _title("Certificate", axis, by_axis): _certificate_line(figures) for axis, figures in by_axis.items()
+    }
 
 
 def _certificate_line(figures: Mapping[str, Any]) -> str:
-    parts = [f"{words} {_pair(figures[name])}" for name, words in _CERTIFIED.items()]
-    loop = figures["current_bandwidth_hz"]
-    if loop["certified"] is not None:
-        least, most = map(_number, loop["certified"])
-        covered = least if least == most else f"{least} to {most}"
-        parts.append(f"current loop [Hz] {covered}, the drive's {_number(loop['drive'])}")
+    parts = [f"{words} {certified}, seen {seen}" for words, certified, seen in _certified(figures)]
+    if loop := _current_loop(figures):
+        parts.append("{} {}, the drive's {}".format(*loop))
     return "; ".join(parts)
 
 
 def certificate_rows(certificates: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
     """What is certified, for how much, and what was seen, as :func:`certificate_lines` tells it."""
-    found = certificates or {}
+    by_axis = certificates or {}
     rows = []
-    for axis, figures in found.items():
-        of = "" if len(found) == 1 else f"{axis}: "
-        for name, words in _CERTIFIED.items():
-            certified, _, seen = _pair(figures[name]).partition(", seen ")
-            rows.append((of + words, certified, seen))
-        loop = figures["current_bandwidth_hz"]
-        if loop["certified"] is not None:
-            least, most = map(_number, loop["certified"])
-            covered = least if least == most else f"{least} to {most}"
-            rows.append((f"{of}current loop [Hz]", covered, f"{_number(loop['drive'])} (drive)"))
+    for axis, figures in by_axis.items():
+        of = "" if len(by_axis) == 1 else f"{axis}: "
+        rows += [(of + words, certified, seen) for words, certified, seen in _certified(figures)]
+        if loop := _current_loop(figures):
+            words, covered, drive = loop
+            rows.append((of + words, covered, f"{drive} (drive)"))
     return rows
 
 
-def _pair(found: Mapping[str, float | None]) -> str:
-    seen, most = found["seen"], found.get("seen_at_most")
-    text = f"{_number(found['certified'])}, seen {_number(seen)}"
-    return text if most == seen else f"{text} to {_number(most)}" if most is not None else text
+def _certified(figures: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """What is certified, for how much, and what was seen."""
+    for name, words in _CERTIFIED.items():
+        seen, most = figures[name]["seen"], figures[name].get("seen_at_most")
+        text = _number(seen) if most in (seen, None) else f"{_number(seen)} to {_number(most)}"
+        yield words, _number(figures[name]["certified"]), text
+
+
+def _current_loop(figures: Mapping[str, Any]) -> tuple[str, str, str] | None:
+    """The same of the drive's current loop; None: nothing is certified of it."""
+    loop = figures["current_bandwidth_hz"]
+    if loop["certified"] is None:
+        return None
+    least, most = map(_number, loop["certified"])
+    return "current loop [Hz]", least if least == most else f"{least} to {most}", _number(loop["drive"])
 
 
 def _number(value: float | None) -> str:

@@ -270,11 +270,11 @@ def judge(
         Check(metric, value, limit, _held_against(value, limit, completed), axis)
         for metric, axis, value, limit in demands
     )
-    found = [*undone, *_doubted(outcome, recording_lacks), *_broken(checks, completed)]
+    findings = [*undone, *_doubted(outcome, recording_lacks), *_broken(checks, completed)]
     if not checks and count.missed:
         text = f"{count.missed} cycles went without SYNC, and no limit says how many may"
-        found.append(Finding(VerdictKind.NOT_MEASURED, text))
-    return _conclude(completed, checks, found)
+        findings.append(Finding(VerdictKind.NOT_MEASURED, text))
+    return _conclude(completed, checks, findings)
 
 
 def not_run(outcome: VerdictKind, reason: str) -> RunVerdict:
@@ -338,8 +338,8 @@ def _broken(checks: Sequence[Check], completed: bool) -> Iterator[Finding]:
             )
 
 
-def _conclude(completed: bool, checks: tuple[Check, ...], found: Sequence[Finding]) -> RunVerdict:
-    findings = tuple(sorted(found, key=lambda finding: _GRAVITY.index(finding.outcome)))
+def _conclude(completed: bool, checks: tuple[Check, ...], in_any_order: Sequence[Finding]) -> RunVerdict:
+    findings = tuple(sorted(in_any_order, key=lambda finding: _GRAVITY.index(finding.outcome)))
     fair = VerdictKind.PASSED if checks else VerdictKind.NOTHING_ASKED
     outcome = findings[0].outcome if findings else fair
     verdict = RunVerdict(

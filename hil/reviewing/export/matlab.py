@@ -51,8 +51,8 @@ def _vector(rows: RecordedRows, name: str) -> NDArray[Any]:
             values = pa.chunked_array([part.indices for part in values.chunks], pa.int8())
         parts.append(values)
         if pa.types.is_int64(values.type) and values.null_count < len(values):
-            found = values.drop_null().to_numpy()
-            exact = exact and bool(np.abs(found).max(initial=0) <= _EXACT_MAX)
+            numbers = values.drop_null().to_numpy()
+            exact = exact and bool(np.abs(numbers).max(initial=0) <= _EXACT_MAX)
     nulls = any(part.null_count for part in parts)
     return np.concatenate([_plain(part, nulls, exact) for part in parts])
 
@@ -61,8 +61,8 @@ def _plain(part: pa.ChunkedArray, nulls: bool, exact: bool) -> NDArray[Any]:
     if pa.types.is_boolean(part.type):
         part = part.cast(pa.int8())
     if not nulls or pa.types.is_floating(part.type):
-        found: NDArray[Any] = part.to_numpy() if not nulls else part.fill_null(np.nan).to_numpy()
-        return found
+        plain: NDArray[Any] = part.to_numpy() if not nulls else part.fill_null(np.nan).to_numpy()
+        return plain
     if exact:
         return np.asarray(part.cast(pa.float64()).fill_null(np.nan).to_numpy())
     return np.asarray(part.cast(pa.int64()).fill_null(NOTHING).to_numpy())

@@ -53,8 +53,8 @@ class RecordedRows:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names by number."""
-        found: list[str] = json.loads(self.metadata.get("axes", "[]"))
-        return tuple(found)
+        names: list[str] = json.loads(self.metadata.get("axes", "[]"))
+        return tuple(names)
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """The rows in order, CHUNK_ROWS and a batch at a time at most; ``names``: of these columns alone."""

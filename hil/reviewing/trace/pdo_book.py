@@ -45,11 +45,11 @@ class PdoLayout(NamedTuple):
 
     def values(self, data: bytes, objects: NodeObjects) -> tuple[ObjectValue, ...]:
         """What the data hold; what does not reach into them is left out."""
-        word, found = int.from_bytes(data, "little"), []
+        word, numbers = int.from_bytes(data, "little"), []
         for one in self.objects or ():
             if one.index >= _FIRST_OBJECT and one.shift + one.bits <= 8 * len(data):
-                found.append(objects.number(one.index, one.sub, _number(word, one)))
-        return tuple(found)
+                numbers.append(objects.number(one.index, one.sub, _number(word, one)))
+        return tuple(numbers)
 
 
 class PdoBook:
@@ -64,24 +64,24 @@ class PdoBook:
         """Of an identifier; None if it is that of no PDO."""
         if self.stale:
             self._layouts, self.stale = _layouts(nodes), False
-        found = self._layouts.get(can_id)
-        if found is None and 0x180 < can_id < 0x580 and can_id & 0x7F:
+        known = self._layouts.get(can_id)
+        if known is None and 0x180 < can_id < 0x580 and can_id & 0x7F:
             number, receives = divmod((can_id >> 7) - 3, 2)
-            found = PdoLayout(can_id & 0x7F, f"{'R' if receives else 'T'}PDO{number + 1}", None)
-        return found
+            known = PdoLayout(can_id & 0x7F, f"{'R' if receives else 'T'}PDO{number + 1}", None)
+        return known
 
 
 def _layouts(nodes: dict[int, NodeObjects]) -> dict[int, PdoLayout]:
     """By identifier. Where one node's TPDO is others' RPDO, it is the TPDO of who sends it."""
-    found: dict[int, PdoLayout] = {}
+    layouts: dict[int, PdoLayout] = {}
     for direction in PdoDirection:
         for node, objects in sorted(nodes.items()):
             for number in objects.pdo_numbers(direction.value):
                 can_id = _identifier(objects, direction, number, node)
                 if can_id is not None:
                     mapping = _mapping(objects, direction.mapping_base + number - 1)
-                    found.setdefault(can_id, PdoLayout(node, f"{direction.letter}PDO{number}", mapping))
-    return found
+                    layouts.setdefault(can_id, PdoLayout(node, f"{direction.letter}PDO{number}", mapping))
+    return layouts
 
 
 def _identifier(objects: NodeObjects, direction: PdoDirection, number: int, node: int) -> int | None:
@@ -96,7 +96,7 @@ def _mapping(objects: NodeObjects, index: int) -> tuple[MappedField, ...] | None
     count = objects.held(index, 0)
     if count is None or not 0 < count <= _MAPPED_MAX:
         return None
-    found, shift = [], 0
+    fields, shift = [], 0
     for sub in range(1, count + 1):
         word = objects.held(index, sub)
         if word is None:
@@ -104,9 +104,9 @@ def _mapping(objects: NodeObjects, index: int) -> tuple[MappedField, ...] | None
         (mapped, mapped_sub), bits = key_of(word), word & 0xFF
         data_type = objects.data_type(mapped, mapped_sub)
         signed, real = data_type in SIGNED_BITS, data_type in REAL_BITS
-        found.append(MappedField(mapped, mapped_sub, shift, bits, signed, real))
+        fields.append(MappedField(mapped, mapped_sub, shift, bits, signed, real))
         shift += bits
-    return tuple(found)
+    return tuple(fields)
 
 
 def _number(word: int, one: MappedField) -> int | float:
