@@ -5,7 +5,7 @@ with the file, the dotted key, the value found and what was expected.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -47,6 +47,16 @@ def bad_inputs_of(error: BenchError) -> list[BadInput]:
 def raise_all(errors: Sequence[BadInput]) -> NoReturn:
     """Raise one error as itself, several as a group; ``errors``: not empty."""
     raise errors[0] if len(errors) == 1 else BadInputs(errors)
+
+
+_DESCRIBED: Final = {
+    "string_pattern_mismatch",
+    "model_type",
+    "model_attributes_type",
+    "too_short",
+    "too_long",
+}
+"""Where the field's own words say more than the validator's."""
 
 
 def translate(
@@ -93,9 +103,8 @@ def _translate_one(
         kinds = [repr(name) for item in models_at(path, raw, model) for name in _kinds(item)]
         found = detail["input"].get("kind", MISSING) if isinstance(detail["input"], Mapping) else MISSING
         return BadInput(source, f"{key}.kind", shown(found), f"one of {_listed(kinds)}")
-    if kind == "string_pattern_mismatch":
-        return BadInput(source, key, detail["input"], _described(path, raw, model) or detail["msg"])
-    return BadInput(source, key, shown(detail["input"]), _expected(detail))
+    expected = _described(path, raw, model) if kind in _DESCRIBED else None
+    return BadInput(source, key, shown(detail["input"]), expected or _expected(detail))
 
 
 def _expected(detail: ErrorDetails) -> str:
@@ -115,6 +124,11 @@ def _expected(detail: ErrorDetails) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in plain:
         return plain[kind]
+    if kind in {"too_short", "too_long"}:
+        least = kind == "too_short"
+        return (
+            f"a list of at {'least' if least else 'most'} {context['min_length' if least else 'max_length']}"
+        )
     bounds = {"greater_than": ">", "greater_than_equal": ">=", "less_than": "<", "less_than_equal": "<="}
     limit_of = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt", "less_than_equal": "le"}
     if kind in bounds:

@@ -169,7 +169,7 @@ def test_axes_are_in_order_of_name() -> None:
         (("drive",), {}, "at least"),
         (("drive", "axis1"), 3, "a table"),
         (("drive", "axis1", "node"), 128, "<= 127"),
-        (("drive", "axis1", "motor"), 3, "a table"),
+        (("drive", "axis1", "motor"), 3, "the path of a motor file, or its tables inline"),
         (("drive", "axis1", "limits", "torque_max_nm"), -1.0, ">= 1e-06"),
         (("verdict", "bus_load_percent_max"), 101.0, "<= 100"),
         (("recording", "frames"), 1, "true or false"),
