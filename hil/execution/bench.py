@@ -194,8 +194,7 @@ class _Run:
         return self._close(concluded)
 
     def _close(self, concluded: Callable[[Summary], None]) -> Summary:
-        if self._world.faults is not None:
-            self._world.faults.finish()
+        self._world.faults.finish()
         summary = self._recorder.close(self._conclusion.outcome)
         concluded(summary)
         return summary
@@ -311,16 +310,14 @@ class _Run:
 
     def _note_progress(self, time_s: float) -> None:
         self._watch.attend(time_s)
-        if self._world.faults is not None:
-            self._world.faults.finish()
+        self._world.faults.finish()
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
         self._zero = at
         self._recorder.begin(at)
         self._load.begin(at)
-        if self._world.faults is not None:
-            self._world.faults.start(at)
+        self._world.faults.start(at)
 
     def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
@@ -365,8 +362,7 @@ class _Run:
             self._say(f"{errors} error frames on the bus", "WARN")
         if trouble := self._world.trouble():
             self._say(trouble, "WARN")
-        if self._world.faults is not None:
-            self._world.faults.stop()
+        self._world.faults.stop()
         stop_all(self._drives)
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:

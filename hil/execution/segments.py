@@ -109,15 +109,14 @@ def listen_for_syncs(
     period: Duration,
 ) -> tuple[dict[str | None, SyncLog], Pace]:
     """The SYNCs of each segment, and what starts the cycles."""
-    stall = None if world.faults is None else world.faults.host_stall
     if SyncSource(config.loop.sync) is not SyncSource.OWN:
-        log, heard = heard_syncs(networks[None], world.clock, period, stall)
+        log, heard = heard_syncs(networks[None], world.clock, period, world.faults.host_stall)
         return {None: log}, heard
     syncs = {
         segment: sync_log(network, sync_latency(config, segment), period)
         for segment, network in networks.items()
     }
-    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), stall)
+    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), world.faults.host_stall)
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:
