@@ -16,7 +16,6 @@ from drivers.timebase import Clock, Duration, Instant
 from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
 from hil.execution.assembly import COMMAND_FRAMES, SYNC_FRAME, sync_latency
-from hil.execution.sync_source import SyncSource
 from hil.execution.world import FurtherSegment, World
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.pace import HeardSync, OwnSync, Pace, Stall
@@ -109,7 +108,7 @@ def listen_for_syncs(
     period: Duration,
 ) -> tuple[dict[str | None, SyncLog], Pace]:
     """The SYNCs of each segment, and what starts the cycles."""
-    if SyncSource(config.loop.sync) is not SyncSource.OWN:
+    if config.loop.sync != "own":
         log, heard = heard_syncs(networks[None], world.clock, period, world.faults.host_stall)
         return {None: log}, heard
     syncs = {
