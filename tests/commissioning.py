@@ -226,8 +226,7 @@ def unknown_world(
     fault_plan = None if faults is None else faults_from(faults, "faults").plan
     plan = WorldPlan(parse_bus_spec("simulated"), 1_000_000, False, fault_plan, seed)
     with open_world(plan, [cast(SimulatedNode, spy) if spied else servo]) as world:
-        if world.faults is not None:
-            world.faults.start(world.clock.now())
+        world.faults.start(world.clock.now())
         result = commission(request, world, Silent(tell), EmergencyStop(), steps=steps)
     return truth, result, spy
 

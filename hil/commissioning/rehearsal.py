@@ -21,7 +21,6 @@ from hil.machine.stopping import stop_signals
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
-from virtual_bus.frame import Device
 from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
 
@@ -87,10 +86,8 @@ def rehearse(
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, [node], announce, force=False)
-        device: Device = servo
-        if world.faults is not None:
-            device = world.faults.wrap(servo)
-            world.faults.start(world.clock.now())
+        device = world.faults.wrap(servo)
+        world.faults.start(world.clock.now())
         with realtime_process() as refused:
             for request in refused:
                 announce(f"not granted by the kernel: {request}")

@@ -43,7 +43,6 @@ from virtual_bus.bus.bit_length import INTERMISSION_BITS, bits_duration, frame_b
 from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.frame import Frame
 
-SYNC_FRAME = Frame(SYNC)
 FRAME_BITS_BARE = 44
 """Of a data frame with an 11-bit identifier, beside its data and stuff bits, from start to end of frame."""
 PATIENCE_SIMULATED_S = 10.0
@@ -66,18 +65,19 @@ def timing_at(config: BenchConfig, bitrate: int) -> LoopTiming:
         decide_after=config.loop.decide_after,
         settle=Duration(config.loop.deadline + config.loop.period),
         actuation=Actuation(config.loop.actuation),
-        sync_latency=_own_sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
-        command_latency=bits_duration(frame_bits(COMMAND_FRAMES["cst"]), bitrate),
+        sync_latency=sync_latency(bitrate) if config.loop.sync == "own" else Duration(0),
+        command_latency=command_latency(bitrate),
     )
 
 
-def sync_latency(config: BenchConfig, segment: str | None) -> Duration:
-    """From handing a SYNC over until its end on an idle segment; None: the first one."""
-    return _own_sync_latency(config.bitrate_on(segment))
+def sync_latency(bitrate: int) -> Duration:
+    """From handing a SYNC over until its end on an idle segment of that bit rate, bit/s."""
+    return bits_duration(frame_bits(Frame(SYNC)), bitrate)
 
 
-def _own_sync_latency(bitrate: int) -> Duration:
-    return bits_duration(frame_bits(SYNC_FRAME), bitrate)
+def command_latency(bitrate: int, mode: str = "cst") -> Duration:
+    """From handing a command in a mode over until its end on an idle segment of that bit rate, bit/s."""
+    return bits_duration(frame_bits(COMMAND_FRAMES[mode]), bitrate)
 
 
 def _settles(timing: LoopTiming) -> Duration:
@@ -194,7 +194,7 @@ def axis(
         # The commands of a cycle go out one after the other, in the order of the axes.
         earlier = [other for other in config.axes[:number] if config.drive[other].segment == wanted.segment]
         bitrate = config.bitrate_of(name)
-        later = bits_duration(frame_bits(COMMAND_FRAMES[wanted.mode]), bitrate) - timing.command_latency
+        later = command_latency(bitrate, wanted.mode) - timing.command_latency
         later += sum(command_duration(bitrate, config.drive[other].mode) for other in earlier)
     transit = shortest_transit(reading_bytes, config.bitrate_of(name))
     parts = AxisParts(

@@ -34,7 +34,7 @@ from hil.execution.network_guard import Uncertified, certified_plans, uncertifie
 from hil.execution.segments import listen_for_syncs, masters, record_frames
 from hil.execution.simulated_drives import simulated_drives
 from hil.execution.stopping_drives import stop_all
-from hil.execution.sync_source import SyncSource, check_sync_source, sync_producer
+from hil.execution.sync_source import check_sync_source, sync_producer
 from hil.execution.timing_report import distrust, timing_report
 from hil.execution.world import World, check_time, open_world
 from hil.load.load_machines import LoadMachines
@@ -166,7 +166,6 @@ class _Run:
         self._sheets = sheets
         self._network = CanopenNetwork(world.link, world.clock, config.host.node)
         self._networks, self._master = masters(self._network, world)
-        self._sync_source = SyncSource(config.loop.sync)
         self._axes: list[Axis] = []
         self._conclusion = conclusion
         self._enabled_from: Instant | None = None
@@ -194,8 +193,7 @@ class _Run:
         return self._close(concluded)
 
     def _close(self, concluded: Callable[[Summary], None]) -> Summary:
-        if self._world.faults is not None:
-            self._world.faults.finish()
+        self._world.faults.finish()
         summary = self._recorder.close(self._conclusion.outcome)
         concluded(summary)
         return summary
@@ -244,10 +242,10 @@ class _Run:
             )
             for number, drive in enumerate(self._drives)
         ]
-        self._guard.arm(syncs, own_sync=self._sync_source is SyncSource.OWN)
+        self._guard.arm(syncs, own_sync=config.loop.sync == "own")
         chore = self._guard.attending(self._load.chore)
         loop = Loop(self._master, world.clock, self._axes, pace, timing, chore)
-        with sync_producer(self._sync_source, world.link.bus, timing.period):
+        with sync_producer(config.loop.sync, world.link.bus, timing.period):
             self._calibrate_and_run(loop, timing)
 
     def _calibrate_and_run(self, loop: Loop, timing: LoopTiming) -> None:
@@ -311,20 +309,18 @@ class _Run:
 
     def _note_progress(self, time_s: float) -> None:
         self._watch.attend(time_s)
-        if self._world.faults is not None:
-            self._world.faults.finish()
+        self._world.faults.finish()
 
     def _start(self, at: Instant) -> None:
         """The run's time zero: the fault plan and the recording count from here."""
         self._zero = at
         self._recorder.begin(at)
         self._load.begin(at)
-        if self._world.faults is not None:
-            self._world.faults.start(at)
+        self._world.faults.start(at)
 
     def _note_ended(self, ended: LoopOutcome, took: Duration) -> None:
         if ended.cycles_missed:
-            own = self._sync_source is SyncSource.OWN
+            own = self._config.loop.sync == "own"
             why = "the host was too late for it" if own else "it was not heard, or not in time"
             self._say(f"{ended.cycles_missed} cycles went without SYNC: {why}", "WARN")
         if reason := f"ended by {self._stop.asked_by}" if ended.interrupted else "":
@@ -365,8 +361,7 @@ class _Run:
             self._say(f"{errors} error frames on the bus", "WARN")
         if trouble := self._world.trouble():
             self._say(trouble, "WARN")
-        if self._world.faults is not None:
-            self._world.faults.stop()
+        self._world.faults.stop()
         stop_all(self._drives)
         self._load.take_off(self._say)  # a disabled drive holds no shaft against a load
         for drive in self._drives:

@@ -15,13 +15,11 @@ from drivers.exchange import Master
 from drivers.timebase import Clock, Duration, Instant
 from drivers.wire.frame_port import EchoBasis, FrameTap
 from hil.configuration.config import BenchConfig
-from hil.execution.assembly import COMMAND_FRAMES, SYNC_FRAME, sync_latency
-from hil.execution.sync_source import SyncSource
+from hil.execution.assembly import command_latency, sync_latency
 from hil.execution.world import FurtherSegment, World
 from hil.loop.loop import Actuation, LoopTiming
 from hil.loop.pace import HeardSync, OwnSync, Pace, Stall
 from hil.loop.syncs import SyncLog
-from virtual_bus.bus.bit_length import bits_duration, frame_bits
 
 
 def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration) -> LoopTiming:
@@ -31,8 +29,8 @@ def timing_without_bench(period: Duration, bitrate_bit_s: int, settle: Duration)
         decide_after=Duration(7 * period // 10),
         settle=settle,
         actuation=Actuation.ON_ARRIVAL,
-        sync_latency=bits_duration(frame_bits(SYNC_FRAME), bitrate_bit_s),
-        command_latency=bits_duration(frame_bits(COMMAND_FRAMES["cst"]), bitrate_bit_s),
+        sync_latency=sync_latency(bitrate_bit_s),
+        command_latency=command_latency(bitrate_bit_s),
     )
 
 
@@ -109,15 +107,14 @@ def listen_for_syncs(
     period: Duration,
 ) -> tuple[dict[str | None, SyncLog], Pace]:
     """The SYNCs of each segment, and what starts the cycles."""
-    stall = None if world.faults is None else world.faults.host_stall
-    if SyncSource(config.loop.sync) is not SyncSource.OWN:
-        log, heard = heard_syncs(networks[None], world.clock, period, stall)
+    if config.loop.sync != "own":
+        log, heard = heard_syncs(networks[None], world.clock, period, world.faults.host_stall)
         return {None: log}, heard
     syncs = {
-        segment: sync_log(network, sync_latency(config, segment), period)
+        segment: sync_log(network, sync_latency(config.bitrate_on(segment)), period)
         for segment, network in networks.items()
     }
-    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), stall)
+    return syncs, OwnSync(master, world.clock, period, list(syncs.values()), world.faults.host_stall)
 
 
 def masters(first: CanopenNetwork, world: World) -> tuple[dict[str | None, CanopenNetwork], Master]:

@@ -140,10 +140,8 @@ def simulate(
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
     with stop_signals() as stop, open_world(plan, ()) as world:
         refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
-        hosted: list[Device] = list(devices)
-        if world.faults is not None:
-            hosted = [world.faults.wrap(device) for device in devices]
-            world.faults.start(world.clock.now())
+        hosted: list[Device] = [world.faults.wrap(device) for device in devices]
+        world.faults.start(world.clock.now())
         hosted += background_nodes(background, seed)
         with ExitStack() as leaving, realtime_process() as refused:
             for request in refused:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from enum import Enum
 
 import can
 
@@ -11,17 +10,6 @@ from drivers.errors import BadInput, BusDown
 from drivers.timebase import NS_PER_S, Duration
 from drivers.wire.adapters import HUB, SOCKETCAN, BusSpec
 from hil.configuration.config import BenchConfig
-
-
-class SyncSource(Enum):
-    """Who makes the SYNC."""
-
-    OWN = "own"
-    """This process, at each tick."""
-    KERNEL = "kernel"
-    """The bus's cyclic sender, e.g. SocketCAN's broadcast manager, on behalf of this process."""
-    FOREIGN = "foreign"
-    """A drive or another master."""
 
 
 @contextmanager
@@ -40,25 +28,25 @@ def kernel_sync(bus: can.BusABC, period: Duration) -> Iterator[None]:
             task.stop()
 
 
-def sync_producer(source: SyncSource, bus: can.BusABC, period: Duration) -> AbstractContextManager[None]:
-    """Who makes SYNCs on behalf of this process, as long as it is entered."""
-    return kernel_sync(bus, period) if source is SyncSource.KERNEL else nullcontext()
+def sync_producer(source: str, bus: can.BusABC, period: Duration) -> AbstractContextManager[None]:
+    """Who makes SYNCs on behalf of this process, as long as it is entered; ``source``: ``loop.sync``."""
+    return kernel_sync(bus, period) if source == "kernel" else nullcontext()
 
 
 def check_sync_source(config: BenchConfig, spec: BusSpec) -> None:
     """Raises BadInput if nobody can make the SYNCs of ``config`` as it wants on the bus ``spec``."""
-    source = SyncSource(config.loop.sync)
-    if source is SyncSource.KERNEL and not spec.simulated and spec.interface != SOCKETCAN:
+    source = config.loop.sync
+    if source == "kernel" and not spec.simulated and spec.interface != SOCKETCAN:
         expected = f"'own' or 'foreign' on the bus {spec}"
         why = "only SocketCAN and the bus 'simulated' send cyclic frames by themselves"
         if spec.interface == HUB:
             why += "; on a hub it would be a thread of this process"
-        raise BadInput(config.source, "loop.sync", source.value, expected, why)
-    if source is SyncSource.FOREIGN and spec.simulated and not _produces_sync(config):
+        raise BadInput(config.source, "loop.sync", source, expected, why)
+    if source == "foreign" and spec.simulated and not _produces_sync(config):
         raise BadInput(
             config.source,
             "loop.sync",
-            source.value,
+            source,
             "'own' or 'kernel' on the bus 'simulated', where nobody else makes SYNCs",
             "or let a [[bus.background]] with can_id = 0x080 and bytes_max = 0 make them",
         )

@@ -34,7 +34,7 @@ class World:
     clock: Clock
     real_time: bool
     """Whether time passes by itself: a full recording ring then loses rows instead of waiting."""
-    faults: "WorldFaults | None"
+    faults: "WorldFaults"
     load_percent: Callable[[Instant, Instant], float]
     """Bus load between two instants, percent: exact on a simulated segment, the busiest if there are several;
     else from the frames seen."""
@@ -62,14 +62,18 @@ class FurtherSegment:
 
 
 class WorldFaults:
-    """The faults of a world as a whole, and the bus that wears those of frames."""
+    """The faults of a world as a whole, and the buses that wear those of frames; there may be none."""
 
     def __init__(self, parts: Sequence[tuple[Injection, FaultyBus | None]]) -> None:
-        """``parts``: of each segment."""
+        """``parts``: of each segment; empty without a fault plan."""
         self._parts = parts
-        self.wrap = parts[0][0].wrap
-        self.host_stall = parts[0][0].host_stall if parts[0][0].stalls_host else None
+        first = parts[0][0] if parts else None
+        self.host_stall = first.host_stall if first is not None and first.stalls_host else None
         """For how long the host, which should act at an instant, sleeps instead; None if it never does."""
+
+    def wrap(self, device: SimulatedNode) -> SimulatedNode | FaultyDevice:
+        """``device`` with what befalls it on the first segment. Raises BadInput if it cannot fail so."""
+        return self._parts[0][0].wrap(device) if self._parts else device
 
     def start(self, now: Instant) -> None:
         """Time zero of the plan is ``now``."""
@@ -219,7 +223,7 @@ def _simulated_world(plan: WorldPlan, devices: Sequence[SimulatedNode]) -> World
         made[0].link,
         SimulatedClock(timeline),
         plan.paced,
-        WorldFaults(parts) if parts else None,
+        WorldFaults(parts),
         lambda since, until: max(each.segment.load_percent(since, until) for each in made),
         None,
         lambda: sum(each.segment.errors for each in made),
@@ -259,12 +263,11 @@ def _real_world(plan: WorldPlan) -> World:
     link = BusLink(faulty or opened.bus, clock, opened.stamps, str(plan.spec))
     meter = LoadMeter(plan.bitrate_bit_s)
     link.tap(meter.count)
-    faults = None if injection is None else WorldFaults([(injection, faulty)])
     return World(
         link,
         clock,
         True,
-        faults,
+        WorldFaults([] if injection is None else [(injection, faulty)]),
         meter.load_percent,
         wall_offset,
         lambda: link.error_frames,

@@ -143,9 +143,8 @@ class _Measurement:
             self._stop.check()
         syncs = sync_log(self._network, timing.sync_latency, timing.period)
         self._axes = [subject.join(number, syncs, self._say) for number, subject in enumerate(self._subjects)]
-        stall = None if world.faults is None else world.faults.host_stall
         pump = self._network.frame_pump
-        pace = OwnSync(pump, world.clock, timing.period, [syncs], stall)
+        pace = OwnSync(pump, world.clock, timing.period, [syncs], world.faults.host_stall)
         self._guard.arm({None: syncs}, own_sync=True)
         loop = Loop(pump, world.clock, self._axes, pace, timing, self._guard.attend)
         self._progress("calibrating", 0.0)
@@ -157,17 +156,16 @@ class _Measurement:
             subject.probe.begin()
         duration = Duration(request.cycles * timing.period)
         outcome = loop.run(
-            duration, self._stop, self._start, lambda done: self._progress("measuring", self._seconds(done))
+            duration,
+            self._stop,
+            world.faults.start,
+            lambda done: self._progress("measuring", self._seconds(done)),
         )
         return outcome, syncs
 
     def _tell(self, _at: Instant, _level: str, text: str) -> None:
         """What the guard saw."""
         self._say(text)
-
-    def _start(self, at: Instant) -> None:
-        if self._world.faults is not None:
-            self._world.faults.start(at)
 
     def _enable(self) -> None:
         self._progress("enabling", 0.0)
@@ -187,8 +185,7 @@ class _Measurement:
         self._progress("putting back", 0.0)
         network, failures = self._network, []
         self._guard.calm()
-        if self._world.faults is not None:
-            self._world.faults.stop()
+        self._world.faults.stop()
         enabled = self._request.enable
         stop_all([subject.drive for subject in self._subjects if subject.configured and enabled])
         for subject in self._subjects:
@@ -218,8 +215,7 @@ class _Measurement:
             self._say(text)
         if not failures:
             self._forget_journals()
-        if self._world.faults is not None:
-            self._world.faults.finish()
+        self._world.faults.finish()
         return failures
 
     def _forget_journals(self) -> None:

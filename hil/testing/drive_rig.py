@@ -258,14 +258,12 @@ def drive_rig(bus: str, host: DriveHost, wish: DriveWish) -> Iterator[DriveRig]:
         )
     world_plan = WorldPlan(spec, wish.bitrate_bit_s, False, plan, wish.seed)
     with open_world(world_plan, devices) as world:
-        if world.faults is not None:
-            world.faults.start(world.clock.now())
+        world.faults.start(world.clock.now())
         rig = DriveRig(world, wish, devices[0] if devices else None, process)
         try:
             yield rig
         finally:
-            if world.faults is not None:
-                world.faults.stop()
+            world.faults.stop()
             rig.release()
 
 
