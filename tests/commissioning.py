@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from drivers.cia402.objects402 import Object
 from drivers.timebase import NS_PER_S, Duration, Instant
 from drivers.wire.adapters import parse_bus_spec
 from hil.commissioning.commission import commission
@@ -21,6 +20,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.configuration.bench_file import faults_from
 from hil.execution.world import WorldPlan, open_world
+from virtual_bus.drive.data_sheet import only_modes
 from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.motor_kernel import S_TORQUE_MEASURED
 from virtual_bus.drive.servo import SimulatedServo
@@ -206,7 +206,7 @@ def unknown_world(
     servo, truth = unknown_drive(seed, clock_drift_ppm=drift_ppm)
     take_away(servo.dictionary, lacks)
     if modes is not None:
-        servo.dictionary.variable(Object.SUPPORTED_DRIVE_MODES).default = modes
+        only_modes(servo.dictionary, modes)
     request = CommissionRequest(
         bus="simulated",
         node=1,

@@ -114,6 +114,8 @@ def test_a_drive_without_torque_mode_gets_the_steps_that_it_allows(tmp_path: Pat
     left_out = [name for name, verdict in verdicts.items() if verdict is StepVerdict.LEFT_OUT]
     assert left_out == ["torque_constant", "voltage_constant", "response", "suggest", "verify"]
     assert not [name for name, verdict in verdicts.items() if verdict is StepVerdict.FAILED]
+    assert result.restoration is not None
+    assert result.restoration.complete
     errors = errors_of(truth, result)
     assert abs(errors.inertia) < 0.03
     assert abs(errors.position) < 0.005

@@ -47,14 +47,10 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
         show_instead(quick_stop, 0)
 
 
-def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -> None:
-    allowed = own.default if told is None or not told & _STANDARD_MODES else own.default & told
-    bits = sum(
-        supported_mode_bit(mode)
-        for mode, index in _NEEDED.items()
-        if allowed & supported_mode_bit(mode) and index in dictionary
-    )
-    for word in (own, dictionary.get(Object.SUPPORTED_DRIVE_MODES)):
+def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> None:
+    """Leave a drive the modes that these bits of 6502h name; it starts in one of them.
+    ``further``: other words that tell the same bits."""
+    for word in (*further, dictionary.get(Object.SUPPORTED_DRIVE_MODES)):
         if word is not None:
             word.default = word.value = bits
     mode = dictionary.variable(Object.MODES_OF_OPERATION)
@@ -62,6 +58,16 @@ def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -
         first = next((each for each in sorted(_NEEDED) if mode.refusal(each) is None), Mode.NONE)
         for shown in (mode, dictionary.variable(Object.MODES_OF_OPERATION_DISPLAY)):
             shown.default = shown.value = int(first)
+
+
+def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -> None:
+    allowed = own.default if told is None or not told & _STANDARD_MODES else own.default & told
+    bits = sum(
+        supported_mode_bit(mode)
+        for mode, index in _NEEDED.items()
+        if allowed & supported_mode_bit(mode) and index in dictionary
+    )
+    only_modes(dictionary, bits, own)
 
 
 def _take_resolution(own: list[Variable], counts: list[int], told: list[int | None]) -> None:
