@@ -23,9 +23,9 @@ from hil.recording.faults_file import BLOCK_DTYPE, FaultEntries, FaultsKeeper
 from hil.recording.line_reader import LineReader
 from hil.recording.log_files import LIVE_VIEW, Keeper, open_keepers
 from hil.recording.logger_process import CONFIRM, FAILED, READY, STORED
-from hil.recording.recovery import whole_records
 from hil.recording.ring import RingReader
 from hil.recording.run_folder import Reserve, write_summary
+from hil.recording.whole_records import whole_records
 from hil.reviewing.review import Review
 from hil.rows.injected_faults import InjectedFaults
 from hil.rows.recording_plan import RecordingPlan

@@ -1,0 +1,104 @@
+"""records.arrow made whole: with the rows that its logger could not write, and with its end."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+
+from pyarrow import ArrowInvalid
+
+from drivers.timebase import Instant
+from hil.recording.faults_file import BLOCK_DTYPE
+from hil.recording.ring import RingReader
+from hil.recording.run_metadata import FIRST_CYCLE, run_metadata
+from hil.recording.tail import TAIL_FILE, read_tail
+from hil.rows.recording_plan import RecordingPlan
+from hil.rows.records import ROW_DTYPE, Rows
+from hil.rows.records_file import (
+    RECORDS_FILE,
+    RecordsWriter,
+    finish_records,
+    read_metadata,
+    read_records,
+)
+from hil.rows.run_zero import RunZero
+from hil.rows.side_rows import EVENT_DTYPE, FRAME_DTYPE, IdentityEvent, events_of
+
+
+class Rings:
+    """What a dead logger had not taken."""
+
+    def __init__(self, rows: int, frames: int, events: int, faults: int) -> None:
+        """Descriptors."""
+        rows_ring, frames_ring = RingReader(rows, ROW_DTYPE), RingReader(frames, FRAME_DTYPE)
+        events_ring = RingReader(events, EVENT_DTYPE)
+        self.rows_before = rows_ring.released
+        """Rows of the run before :attr:`rows`."""
+        self.rows, self.frames, self.events = (
+            rows_ring.drain(),
+            frames_ring.drain(),
+            events_of(events_ring.drain()),
+        )
+        self.fault_blocks = RingReader(faults, BLOCK_DTYPE)
+        self.refused = sum(ring.refused for ring in (rows_ring, frames_ring, events_ring, self.fault_blocks))
+
+
+def first_cycle(plan: RecordingPlan, records: Path, rings: Rings | None) -> RunZero:
+    """By the head of records.arrow, else by the events that nobody has taken."""
+    zero = RunZero(plan.started_at)
+    metadata = read_metadata(records) if records.exists() else {}
+    if metadata:
+        zero.at, zero.told = Instant(int(metadata[FIRST_CYCLE])), True
+    elif rings is not None:
+        zero.look(rings.events)
+    return zero
+
+
+def whole_records(plan: RecordingPlan, folder: Path, rings: Rings | None = None) -> list[str]:
+    """records.arrow with all rows that are anywhere, and with its end; why some are missing."""
+    path = folder / RECORDS_FILE
+    zero = first_cycle(plan, path, rings)
+    if not path.exists() or not read_metadata(path):  # the logger had not come so far
+        identities = [] if rings is None else [one for one in rings.events if isinstance(one, IdentityEvent)]
+        writer = RecordsWriter(path)
+        writer.begin(run_metadata(plan, zero.at, {one.axis: one.text for one in identities}), zero.at)
+        writer.close()
+    stored = sum(rows.size for rows in read_records(path))
+    more: list[Rows] = [tail for tail in [read_tail(folder / TAIL_FILE, ROW_DTYPE, stored)] if tail.size]
+    known = stored + sum(rows.size for rows in more)
+    told = []
+    if rings is not None and rings.rows.size:
+        if rings.rows_before > known:
+            told.append(f"{rings.rows_before - known} cycle records lost with the logger")
+        more.append(rings.rows[max(0, known - rings.rows_before) :])
+    try:
+        if more:
+            _rewrite(path, more, zero.at)
+        else:
+            finish_records(path)
+    except (OSError, ArrowInvalid) as error:
+        with suppress(OSError):
+            finish_records(path)
+        lacking = sum(rows.size for rows in more)
+        return [*told, f"{RECORDS_FILE} lacks {lacking} rows, {TAIL_FILE} may have them: {error}"]
+    (folder / TAIL_FILE).unlink(missing_ok=True)
+    return told
+
+
+def _rewrite(path: Path, more: Sequence[Rows], zero: Instant) -> None:
+    """``path`` with more rows, on the bench clock, behind those that it has.
+
+    Error: OSError, or ArrowInvalid for rows that cannot be; it is as it was then.
+    """
+    part = path.with_name(f"{path.name}.part")
+    writer = RecordsWriter(part)
+    try:
+        writer.begin(read_metadata(path), zero)
+        for rows in chain(read_records(path, zero), more):
+            writer.write(rows)
+        writer.close()
+        part.replace(path)
+    except (OSError, ArrowInvalid):
+        writer.drop()  # a file that is open keeps its room on the disk
+        part.unlink(missing_ok=True)
+        raise
