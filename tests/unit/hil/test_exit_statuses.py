@@ -1,0 +1,51 @@
+"""Which error ends a command with which status: docs/verdict.md says what each means."""
+
+import importlib
+import pkgutil
+from collections import defaultdict
+from collections.abc import Iterator
+
+import drivers
+import hil
+from drivers.errors import BenchError
+from hil.verdict.verdict import ExitStatus
+
+STATUSES = {
+    ExitStatus.FAILED: {"Abandoned"},
+    ExitStatus.BAD_INPUT: {
+        "BadInput", "BadInputs", "DesignRefused", "NoSuchFile", "RunRefused", "SweepChanged", "UnknownKey",
+        "WeightRefused",
+    },
+    ExitStatus.PEER_FAULT: {
+        "AnswersTwice", "BusDown", "ClusterLost", "DriveInFault", "EmergencyStopped", "ForeignTraffic",
+        "HostStoodStill", "LimitExceeded", "ModeRefused", "NoAnswer", "NotObservable", "OwnCodeFailed",
+        "PeerFault", "PlanImpossible", "PowerLost", "ReadingsLost", "SettingRefused", "StepFailed",
+        "TransferAborted", "UnitNotTold", "WrongSetPoint",
+    },
+    ExitStatus.NOT_RECORDED: {"RecordingFailed"},
+    ExitStatus.INCOMPLETE: {"NothingCertified"},
+    ExitStatus.COUNTER_EXAMPLE: {"CounterExample"},
+    ExitStatus.DEFECT: {"NotTheSame", "WorkerDied"},
+    ExitStatus.INTERRUPTED: {"Interrupted"},
+}  # fmt: skip
+
+
+def below(kind: type[BenchError]) -> Iterator[type[BenchError]]:
+    for each in kind.__subclasses__():
+        yield each
+        yield from below(each)
+
+
+def test_every_error_ends_a_command_with_the_status_of_its_kind() -> None:
+    for room in (drivers, hil):
+        for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+            importlib.import_module(module.name)
+    told = defaultdict(set)
+    for error in below(BenchError):
+        if error.__module__.startswith(("drivers.", "hil.")):
+            told[error.exit_status].add(error.__name__)
+    assert told == {int(status): names for status, names in STATUSES.items()}
+
+
+def test_statuses_are_those_of_the_documents() -> None:
+    assert [int(status) for status in ExitStatus] == [0, 1, 2, 3, 4, 5, 6, 7, 70, 130]
