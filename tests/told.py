@@ -30,7 +30,7 @@ CHANGING: Final = (
     (re.compile(r"servobench \d[\w.+]*"), "servobench VERSION"),
     (re.compile(r"(Computing|Pace|Open with|min_margin) .*"), r"\1"),
     (re.compile(r"(simulated servo drive)( [0-9a-f]{10}\S*)?(?= (one|two)$)", re.MULTILINE), r"\1 COMMIT"),
-    (re.compile(r'"compute_us": [{][^}]*[}]'), '"compute_us"'),
+    (re.compile(r'"(compute_us|realtime_factor)": ([{][^}]*[}]|[\d.]+)'), r'"\1"'),
     (re.compile(r" [\d.]+/s .* left at most|[\d.]+ runs a second"), ""),
     (re.compile(r"that folder holds .*"), "that folder holds FILES"),
     (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),

@@ -159,9 +159,43 @@ def designed() -> str:
     ) + files("speed.toml", "pid.toml", "kq.toml")
 
 
-@pytest.mark.parametrize(
-    "tell", [commissioned, commissioned_by_speeds, measured, reviewed, campaigned, traced, designed]
+RUNS: Final = (
+    "network_designed",
+    "three_axes",
+    "position_csp",
+    "load_machine",
+    "two_segments",
+    "azaiz2007_hinf",
 )
+
+
+def ran() -> str:
+    """Benches of every kind: what is printed, told as it happened, and kept as figures."""
+    told = run(*(f"run {{examples}}/{name}.toml --record {name}" for name in RUNS))
+    told += files(*(f"{name}/{file}" for name in RUNS for file in ("events.jsonl", "summary.json")))
+    injected = Path("two_segments/faults.jsonl").read_text(encoding="utf-8").splitlines()
+    return told + "\n".join(injected[::8])
+
+
+def reproduced() -> str:
+    """The paper whose results need no search."""
+    return run("reproduce azaiz2007")
+
+
+TELLING: Final = (
+    commissioned,
+    commissioned_by_speeds,
+    measured,
+    ran,
+    reviewed,
+    campaigned,
+    traced,
+    designed,
+    reproduced,
+)
+
+
+@pytest.mark.parametrize("tell", TELLING)
 def test_what_is_told(tell: Callable[[], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     hold(tell().replace(str(tmp_path), "FOLDER"), TOLD / f"{tell.__name__}.txt")
