@@ -12,7 +12,7 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads scipy.linalg when it is used first: a third of a second
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import SpeedModel
@@ -88,9 +87,8 @@ class _SampledIntegrator:
         self.period_s, self.delay_s, self.bandwidth_rad_s = period_s, delay_s, bandwidth_rad_s
         self.behind = math.floor(delay_s / period_s + 1e-9)
         rest_s = max(0.0, delay_s - self.behind * period_s)
-        model = position_model(bandwidth_rad_s)
-        self.transition, whole = _held(model, period_s)
-        _, self._new = _held(model, period_s - rest_s)
+        self.transition, whole = _held(bandwidth_rad_s, period_s)
+        _, self._new = _held(bandwidth_rad_s, period_s - rest_s)
         self._old = whole - self._new
 
     def radius(self, gain_per_s: float) -> float:
@@ -120,12 +118,11 @@ class _SampledIntegrator:
         return float(np.abs(1.0 / (1.0 + loop)).max()), float(np.abs(loop / (1.0 + loop)).max())
 
 
-def _held(model: SpeedModel, length_s: float) -> tuple[Array, Array]:
+def _held(bandwidth_rad_s: float, length_s: float) -> tuple[Array, Array]:
     """Phi (2, 2) and Gamma (2,) of a held input."""
-    block = np.zeros((3, 3))
-    block[:2, :2], block[:2, 2] = model.A, model.B1
-    whole = expm(block * length_s)
-    return whole[:2, :2], whole[:2, 2]
+    risen = -math.expm1(-bandwidth_rad_s * length_s)
+    travelled_s = risen / bandwidth_rad_s
+    return np.array([[1.0 - risen, 0.0], [travelled_s, 1.0]]), np.array([risen, length_s - travelled_s])
 
 
 def _gain_margin(loop: _SampledIntegrator, gain_per_s: float) -> float:

@@ -1,7 +1,7 @@
 """A current controller in state space, put into the arrays of the compiled kernel."""
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads scipy.linalg when it is used first
 
 from design.statespace import StateSpace
 from virtual_bus.drive import motor_kernel as kernel
