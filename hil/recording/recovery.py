@@ -101,7 +101,7 @@ def _keep_events(plan: RecordingPlan, folder: Path, rings: Rings | None) -> list
     The logger may have come to know the first cycle later of the events than of the records.
     """
     zero = first_cycle(plan, folder / RECORDS_FILE, rings)
-    counted = zero if _counts_from_thefirst_cycle(folder / EVENTS_FILE) else None
+    counted = zero if _counts_from_the_first_cycle(folder / EVENTS_FILE) else None
     events: list[RunEvent] = [] if rings is None else list(rings.events)
     if zero.told and counted is None and not any(isinstance(event, BeginEvent) for event in events):
         events.insert(0, BeginEvent(zero.at))
@@ -153,7 +153,7 @@ def _as_many_directions(folder: Path) -> None:
         os.truncate(directions, count * DIRECTION_BYTES)
 
 
-def _counts_from_thefirst_cycle(events: Path) -> bool:
+def _counts_from_the_first_cycle(events: Path) -> bool:
     return events.exists() and b'"begin": true' in events.read_bytes()
 
 

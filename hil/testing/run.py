@@ -127,13 +127,13 @@ class Run:
 
     @cached_property
     def events(self) -> list[dict[str, Any]]:
-        """The entries of events.jsonl; of a run in memory in order of time."""
+        """The entries of events.jsonl, in order of time."""
         if isinstance(self._kept, MemoryRecorder):
             events, zero = self._kept.told()
             shown = [each for each in events if isinstance(each, TextEvent | StateEvent | BeginEvent)]
             return [event_json(each, zero) for each in shown]
         lines = (self._kept / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
-        return [json.loads(line) for line in lines]
+        return sorted(map(json.loads, lines), key=lambda event: event["at_ns"])
 
     @cached_property
     def wire(self) -> Wire:

@@ -10,6 +10,7 @@ import pytest
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, NS_PER_S
 from hil.loop.pace import CALIBRATION_SYNCS
+from hil.rows.run_files import EVENTS_FILE
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.run import Run
 from tests.scenario.processes import EXAMPLES
@@ -57,6 +58,13 @@ def test_what_a_run_comes_to_is_told_when_it_does(servo_bench: BenchRunner) -> N
     assert [at_s for at_s, _ in texts(run, "reference step")] == pytest.approx([0.2], abs=0.001)
     assert [at_s for at_s, _ in texts(run, "load torque")] == pytest.approx([1.0], abs=0.001)
     assert [event["at_ns"] for event in run.events] == sorted(event["at_ns"] for event in run.events)
+    lines = [json.loads(line) for line in (run.folder / EVENTS_FILE).read_text(encoding="utf-8").splitlines()]
+    assert sorted(lines, key=str) == sorted(run.events, key=str)
+    set_points = ("reference step", "load torque")  # known with the row of their cycle
+    at_once = [
+        line["at_ns"] for line in lines if not any(part in line.get("text", "") for part in set_points)
+    ]
+    assert at_once == sorted(at_once)
 
 
 @pytest.mark.parametrize("fault", ["over_temperature", "over_current", "under_voltage"])
