@@ -1,6 +1,7 @@
 """What commands tell, whole: texts, and the files that they leave."""
 
 import csv
+import json
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -172,7 +173,10 @@ RUNS: Final = (
 def ran() -> str:
     """Benches of every kind: what is printed, told as it happened, and kept as figures."""
     told = run(*(f"run {{examples}}/{name}.toml --record {name}" for name in RUNS))
-    told += files(*(f"{name}/{file}" for name in RUNS for file in ("events.jsonl", "summary.json")))
+    for name in RUNS:
+        events = Path(name, "events.jsonl").read_text(encoding="utf-8").splitlines()
+        told += "\n".join(sorted(events, key=lambda line: (json.loads(line)["at_ns"], line))) + "\n"
+        told += files(f"{name}/summary.json")
     injected = Path("two_segments/faults.jsonl").read_text(encoding="utf-8").splitlines()
     return told + "\n".join(injected[::8])
 
