@@ -3,7 +3,8 @@
 A second, slower formulation of what :mod:`design.delay.delay_lmi` builds at order 0: there Y and W are
 eliminated and the problem goes to the solver as plain data; here both stay, the last block row is
 multiplied by eta Z (the correction that makes (3.1) and (3.10) linear), and cvxpy does the rest.
-The reproduction shows both, the tests hold one against the other, the benchmark times them.
+``hil analyse speed --as-printed`` and the reproduction show both, the tests hold one against the other, the
+benchmark times them.
 """
 
 import importlib

@@ -14,7 +14,7 @@ from hil.terminal.current_loop_options import (
     current_loop,
 )
 from hil.terminal.exit_status import reported_errors
-from hil.terminal.options import JsonOption, MotorArgument, motor_file, seed_option, valued
+from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, seed_option, valued
 from hil.terminal.output import print_figures, put
 from hil.terminal.speed_options import (
     LoadOption,
@@ -47,6 +47,9 @@ DelayMsOption = Annotated[
 OrderOption = Annotated[
     int | None,
     typer.Option("--order", metavar="N", min=0, max=12, help="Of the certificate; 0 is Theorem 3.3."),
+]
+AsPrintedOption = Annotated[
+    bool, flag("--as-printed", "Theorems 3.1 and 3.3 in cvxpy, too, matrix by matrix as printed.")
 ]
 PeriodMsOption = Annotated[
     float | None,
@@ -82,6 +85,7 @@ def speed(
     gain: GainOption,
     delay_ms: DelayMsOption = None,
     order: OrderOption = None,
+    as_printed: AsPrintedOption = False,
     bench: BenchOption = None,
     axis: AxisOption = None,
     commissioned: CommissionedOption = None,
@@ -115,6 +119,7 @@ def speed(
             LoopRequest,
             chance_figures,
             continuous_figures,
+            figures_as_printed,
             sampled_figures,
         )
 
@@ -134,6 +139,8 @@ def speed(
             raise BadInput("--monte-carlo", "", monte_carlo, "a sampled loop: --period-ms and the network")
         try:
             figures = {"current_bandwidth_from": inner.key} | continuous_figures(request)
+            if as_printed:
+                figures["as_printed"] = figures_as_printed(request)
             if network is not None:
                 figures |= sampled_figures(request, network)
                 if chance is not None:

@@ -16,12 +16,13 @@ from design.delay.certificate import (
     certified_gain_auto,
 )
 from design.delay.delay_loop import Array, DelayLoop
-from design.delay.delay_norm import hinf_peak, largest_stable_delay_s
+from design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
 from design.delay.delay_response import step_peak
 from design.delay.lmi import SOLVER
 from design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
 from design.errors import NoSolution
 from design.motor import PmsmParameters
+from design.papers.as_printed import theorem_3_1, theorem_3_3
 from design.sampled.admissible_steps import deliveries_of
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.held_loop import SampledNetwork, Strategy
@@ -88,6 +89,24 @@ def continuous_figures(request: LoopRequest) -> dict[str, Any]:
         "step_peak_rad_s": finite(peak),
         "step_peak_floor_rad_s": floor,
         "percent": _percent(request, exact.gain, gamma_certified, peak, floor),
+    }
+
+
+def figures_as_printed(request: LoopRequest) -> dict[str, Any]:
+    """[Ling2012] Theorems 3.1 and 3.3 with every matrix of theirs, in cvxpy; order 0 is the same, faster."""
+    model = request.model
+    loop = model.loop(request.K, request.delay_s)
+    stable = theorem_3_1(loop, model.state_scale)
+    about = hinf_norm(loop)
+    try:
+        gamma = theorem_3_3(loop, model.state_scale, about) if math.isfinite(about) else None
+    except NoSolution:
+        gamma = None
+    order_0, _ = _certified(model, loop, 0)
+    return {
+        "theorem_3_1_stable": stable,
+        "theorem_3_3_gamma": gamma,
+        "order_0_gamma": None if order_0 is None else order_0.gain,
     }
 
 

@@ -25,6 +25,7 @@ def test_printed_controller() -> None:
     found = published_design()
     assert found["gamma_exact"] == pytest.approx(125.3141, rel=1e-5)
     assert found["gamma_lmi"] == pytest.approx(135.668, rel=1e-4)
+    assert found["gamma_lmi_as_printed"] == pytest.approx(found["gamma_lmi"], rel=2e-5)
     # 125 cannot be certified at 64 ms: it is not even true there
     assert 0.0638 < found["max_delay_at_gamma125_exact_s"] < found["delay_s"]
     assert found["max_delay_at_gamma125_lmi_s"] == pytest.approx(0.057764, abs=1e-5)

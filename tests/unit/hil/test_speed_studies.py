@@ -53,6 +53,18 @@ def test_analysis_of_the_printed_loop() -> None:
     assert found["certificate"]["min_margin"] > 0.0
 
 
+def test_the_theorems_as_printed_say_what_order_0_does() -> None:
+    asked = ("analyse", "speed", MOTOR, "--gain", GAIN, "--as-printed")
+    printed = told(*asked, "--delay-ms", "64")["as_printed"]
+    assert printed["theorem_3_1_stable"] is True
+    assert printed["theorem_3_3_gamma"] == pytest.approx(135.668, rel=2e-5)
+    assert printed["order_0_gamma"] == pytest.approx(135.668, rel=2e-5)
+    stable = told(*asked, "--delay-ms", "155")["as_printed"]  # beyond what order 0 proves
+    assert stable == {"theorem_3_1_stable": False, "theorem_3_3_gamma": None, "order_0_gamma": None}
+    assert told(*asked, "--delay-ms", "200")["as_printed"] == stable  # not even stable
+    assert "as_printed" not in told(*asked[:-1], "--delay-ms", "64")
+
+
 def test_order_is_raised_until_it_is_close() -> None:
     found = told(
         "analyse",
