@@ -6,6 +6,7 @@ from typing import Any
 import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.canopen.pdo import PdoDirection
 from drivers.canopen.pdo_capability import ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
 from drivers.sheets.dictionary import LoadedDictionary
@@ -21,7 +22,7 @@ def capability_of(loaded: LoadedDictionary) -> PdoCapability:
     dictionary = loaded.dictionary
     objects = {}
     for index, entry in dictionary.items():
-        if index < 0x1000:
+        if index < FIRST_OBJECT:
             continue
         members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
         for sub, variable in members.items():

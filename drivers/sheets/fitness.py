@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import mapping_text
 from drivers.canopen.pdo_capability import PdoCapability
 from drivers.canopen.sdo import object_name
@@ -207,8 +208,8 @@ def _identity(loaded: LoadedDictionary) -> FileIdentity:
     dictionary, device = loaded.dictionary, loaded.device
 
     told = told_identity(dictionary)
-    device_type = held(dictionary, 0x1000)
-    name = held(dictionary, 0x1008)
+    device_type = held(dictionary, Cia301.DEVICE_TYPE)
+    name = held(dictionary, Cia301.DEVICE_NAME)
     return FileIdentity(
         vendor_name=device.vendor_name,
         product_name=device.product_name,
@@ -315,8 +316,8 @@ def _remarks(
     served = [mode.mode for mode in usable if mode.plan is not None]
     if served and not any(mode in _TORQUE_MODES for mode in served):
         texts.append(f"no torque mode; {run_words(served)}")
-    guarded = 0x100C in dictionary and 0x100D in dictionary
-    if 0x1016 not in dictionary:
+    guarded = Cia301.GUARD_TIME in dictionary and Cia301.LIFE_TIME_FACTOR in dictionary
+    if Cia301.CONSUMER_HEARTBEAT_TIME not in dictionary:
         texts.append(
             "without 1016h the drive watches its host by life guarding (100Ch, 100Dh)"
             if guarded

@@ -4,6 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from drivers.canopen.objects301 import MANUFACTURER
 from drivers.canopen.pdo import PdoMap
 from drivers.canopen.pdo_budget import Budget, content_of
 from drivers.sheets.dictionary import LoadedDictionary
@@ -82,7 +83,7 @@ def _counts(loaded: LoadedDictionary) -> dict[str, int]:
     return {
         "total": len(indices),
         "communication": sum(index < 0x2000 for index in indices),
-        "manufacturer": sum(0x2000 <= index < 0x6000 for index in indices),
+        "manufacturer": sum(index in MANUFACTURER for index in indices),
         "profile": sum(index >= 0x6000 for index in indices),
         "entries": sum(len(described.entries) for described in loaded.objects.values()),
     }

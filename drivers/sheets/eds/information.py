@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.sheets.eds.numbers import integer
-from drivers.sheets.eds.objects import FIRST_OBJECT
 from drivers.sheets.eds.repairs import RepairLog
 from drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Sections, object_of, section_name
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry, EntryReader
 from drivers.sheets.eds.numbers import integer
@@ -18,7 +19,6 @@ from drivers.sheets.eds.sections import (
 )
 from drivers.sheets.eds.values import Place, Value, read_value
 
-FIRST_OBJECT = 0x1000
 """Below are data types."""
 _SUBS_MAX = 254
 ENTRIES_MAX = 100_000
