@@ -160,6 +160,11 @@ TARGETS: dict[Mode, PdoEntry] = {
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: _TORQUE,
 }
 """The set-point of a mode; homing has none."""
+NEEDED_OBJECTS: Final[dict[Mode, int]] = {
+    **{mode: target.index for mode, target in TARGETS.items()},
+    Mode.HOMING: Object.HOMING_METHOD,
+}
+"""What a drive cannot have a mode without: the object of its set-point, or of the method of homing."""
 
 
 def mode_plan(

@@ -5,7 +5,7 @@ lost: of real dictionaries of drives one in four defines 603Fh, one in three 609
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import canopen.objectdictionary as od
 
@@ -16,9 +16,10 @@ from drivers.canopen.sdo import object_name
 from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS
 from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, supported_mode_bit
 from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.dictionary import LoadedDictionary, held, held_number
 from drivers.sheets.doubts import doubts
 from drivers.sheets.identity import told_identity
 
@@ -35,15 +36,6 @@ PREFERENCE = (
 )
 """Modes that a bench can use, the best first: torque closes the loop on the host."""
 _TORQUE_MODES = PREFERENCE[:2]
-_NEEDED_OBJECTS = {
-    Mode.CYCLIC_SYNCHRONOUS_TORQUE: Object.TARGET_TORQUE,
-    Mode.PROFILE_TORQUE: Object.TARGET_TORQUE,
-    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Object.TARGET_VELOCITY,
-    Mode.PROFILE_VELOCITY: Object.TARGET_VELOCITY,
-    Mode.CYCLIC_SYNCHRONOUS_POSITION: Object.TARGET_POSITION,
-    Mode.PROFILE_POSITION: Object.TARGET_POSITION,
-    Mode.HOMING: Object.HOMING_METHOD,
-}
 _SUPPOSED_MODES = (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING)
 """What the set-point objects alone are evidence of; the cyclic modes share them."""
 
@@ -190,25 +182,9 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
     )
 
 
-def held(dictionary: od.ObjectDictionary, index: int, sub: int = 0) -> Any:
-    """The value of an object by its file: a DCF's parameter value first; None if it gives none."""
-    entry = dictionary.get(index)
-    if entry is None:
-        return None
-    if not isinstance(entry, od.ODVariable):
-        entry = entry.subindices.get(sub)
-    elif sub:
-        return None
-    if entry is None:
-        return None
-    return entry.value if entry.value is not None else entry.default
-
-
 def _identity(loaded: LoadedDictionary) -> FileIdentity:
     dictionary, device = loaded.dictionary, loaded.device
-
     told = told_identity(dictionary)
-    device_type = held(dictionary, Cia301.DEVICE_TYPE)
     name = held(dictionary, Cia301.DEVICE_NAME)
     return FileIdentity(
         vendor_name=device.vendor_name,
@@ -218,7 +194,7 @@ def _identity(loaded: LoadedDictionary) -> FileIdentity:
         product=next(iter(told.product), None),
         revision=next(iter(told.revision), None),
         device_name=name if isinstance(name, str) else "",
-        device_type=device_type if isinstance(device_type, int) else None,
+        device_type=held_number(dictionary, Cia301.DEVICE_TYPE),
     )
 
 
@@ -229,11 +205,11 @@ def _axes(dictionary: od.ObjectDictionary) -> int:
 
 def _modes(dictionary: od.ObjectDictionary) -> tuple[tuple[Mode, ...], str]:
     """What 6502h tells; else what the set-point objects are evidence of."""
-    word = held(dictionary, Object.SUPPORTED_DRIVE_MODES)
-    if isinstance(word, int) and word & 0x3FF:
+    word = held_number(dictionary, Object.SUPPORTED_DRIVE_MODES)
+    if word and word & 0x3FF:
         return tuple(mode for mode in Mode if word & supported_mode_bit(mode)), "6502h"
     supposed = [*_SUPPOSED_MODES, *_cyclic_modes(dictionary)]
-    supposed = [mode for mode in supposed if _NEEDED_OBJECTS[mode] in dictionary]
+    supposed = [mode for mode in supposed if NEEDED_OBJECTS[mode] in dictionary]
     if INTERPOLATION_DATA in dictionary:
         supposed.append(Mode.INTERPOLATED_POSITION)
     return tuple(sorted(set(supposed))), "its set-point objects (6502h gives no value)"
@@ -253,7 +229,7 @@ def _cyclic_modes(dictionary: od.ObjectDictionary) -> list[Mode]:
 def _mode_fitness(
     mode: Mode, dictionary: od.ObjectDictionary, capability: PdoCapability, node_id: int
 ) -> ModeFitness:
-    needed = _NEEDED_OBJECTS[mode]
+    needed = NEEDED_OBJECTS[mode]
     if needed not in dictionary:
         return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
     try:

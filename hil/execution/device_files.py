@@ -14,9 +14,8 @@ from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride
 from drivers.errors import BadInput
-from drivers.sheets.dictionary import load_dictionary
+from drivers.sheets.dictionary import held, load_dictionary
 from drivers.sheets.eds.information import Commissioning
-from drivers.sheets.fitness import held
 from drivers.sheets.identity import told_identity
 from drivers.vendors.families import quirks_for
 from virtual_bus.device.eds_export import export_eds

@@ -18,6 +18,7 @@ import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
 from drivers.canopen.objects301 import FIRST_OBJECT, MANUFACTURER, PDO_PARAMETERS, Cia301
+from drivers.sheets.dictionary import held_by
 from drivers.sheets.identity import told_identity
 from virtual_bus.device.encoding import encode
 from virtual_bus.device.object_dictionary import (
@@ -160,8 +161,7 @@ def _access(text: str) -> Access:
 
 def _default(data_type: DataType, member: Any) -> Any:
     """The file's value, a DCF's ParameterValue first; None where it does not fit its type."""
-    configured = getattr(member, "value", None)
-    value = configured if configured is not None else member.default
+    value = held_by(member)
     if data_type not in BITS:
         if isinstance(value, str):
             wide = data_type is DataType.UNICODE_STRING

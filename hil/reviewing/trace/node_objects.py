@@ -13,6 +13,7 @@ from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from drivers.sheets.dictionary import held_by
 from drivers.vendors.families import known_families, quirks_for
 from hil.reviewing.trace.object_names import is_word_of_bits, standard_name, type_by_standard
 from hil.reviewing.trace.object_value import ObjectValue, value_of
@@ -95,10 +96,7 @@ class NodeObjects:
         told = self._told.get((index, sub))
         if told is not None or (index, sub) in self._lacking:
             return told
-        variable = self._variable(index, sub)
-        if variable is None:
-            return None
-        value = variable.default if variable.value is None else variable.value
+        value = held_by(self._variable(index, sub))
         return value if isinstance(value, int) else None
 
     def pdo_numbers(self, base: int) -> Iterator[int]:
