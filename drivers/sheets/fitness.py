@@ -10,8 +10,7 @@ from typing import NamedTuple
 import canopen.objectdictionary as od
 
 from drivers.canopen.objects301 import Cia301
-from drivers.canopen.pdo import mapping_text
-from drivers.canopen.pdo_capability import PdoCapability
+from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
 from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
@@ -70,20 +69,6 @@ class FileIdentity(NamedTuple):
         return None if self.device_type is None else self.device_type & 0xFFFF
 
 
-class SheetPdo(NamedTuple):
-    """A PDO as the drive has it before anybody writes to it."""
-
-    name: str
-    cob_id: int | None
-    valid: bool
-    transmission_type: int | None
-    inhibit_time_us: int | None
-    event_timer_ms: int | None
-    mapping: tuple[str, ...]
-    mapping_writable: bool
-    entries_max: int
-
-
 @dataclass(frozen=True, slots=True)
 class ModeFitness:
     """One mode that the drive has, or seems to have."""
@@ -108,7 +93,7 @@ class Fitness:
     """"6502h", or what they were concluded from."""
     usable: tuple[ModeFitness, ...]
     """The modes that a bench could use, the best first."""
-    pdos: tuple[SheetPdo, ...]
+    pdos: tuple[PdoSlot, ...]
     lacks: tuple[Lack, ...]
     obstacles: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -175,7 +160,7 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
         modes=modes,
         modes_told_by=told_by,
         usable=usable,
-        pdos=_pdo_defaults(capability),
+        pdos=capability.slots,
         lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
         obstacles=_obstacles(dictionary, identity, modes, usable),
         remarks=(*_remarks(dictionary, identity.profile, usable), *doubts(dictionary, capability)),
@@ -236,27 +221,6 @@ def _mode_fitness(
         return ModeFitness(mode, plan_pdos(capability, node_id, PlanWish(mode)))
     except PlanImpossible as error:
         return ModeFitness(mode, None, error.evidence or error.summary)
-
-
-def _pdo_defaults(capability: PdoCapability) -> tuple[SheetPdo, ...]:
-    made = []
-    for slot in capability.slots:
-        mapping = tuple(mapping_text(slot.mapping).split())
-        inhibit = None if slot.inhibit_time is None else slot.inhibit_time * 100
-        made.append(
-            SheetPdo(
-                slot.name,
-                slot.identifier,
-                slot.valid,
-                slot.transmission_type,
-                inhibit,
-                slot.event_timer,
-                mapping,
-                slot.mapping_writable,
-                slot.entries_max,
-            )
-        )
-    return tuple(made)
 
 
 def _obstacles(
