@@ -133,7 +133,7 @@ def read_dummies(sections: Sections) -> tuple[int, ...]:
 
 def check_lists(sections: Sections, log: RepairLog) -> None:
     """Hold the lists of objects against the objects; those that are defined count."""
-    defined = {found.index for found in map(object_of, sections) if found is not None}
+    defined = {named.index for named in map(object_of, sections) if named is not None}
     defined = {index for index in defined if index >= FIRST_OBJECT}
     lists = [sections[name] for name in LISTS if name in sections]
     if not lists:
