@@ -134,15 +134,15 @@ def _opened(path: Path, what: str, named_by: NamedBy | None, size_max_bytes: int
     except (FileNotFoundError, NotADirectoryError):
         raise _no_such_file(path, what, blamed) from None
     except OSError as error:
-        found = error.strerror or str(error)
-        raise BadInput(blamed.source, blamed.key, found, f"a readable {what}", f"see {path}") from None
+        reason = error.strerror or str(error)
+        raise BadInput(blamed.source, blamed.key, reason, f"a readable {what}", f"see {path}") from None
     except ValueError:  # a NUL in the name
         raise _no_such_file(path, what, blamed) from None
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            found = _kind(status.st_mode)
-            raise BadInput(blamed.source, blamed.key, found, f"a {what}, a regular file", f"see {path}")
+            kind = _kind(status.st_mode)
+            raise BadInput(blamed.source, blamed.key, kind, f"a {what}, a regular file", f"see {path}")
         if status.st_size > size_max_bytes:
             _refuse_size(path, what, status.st_size, size_max_bytes)
         with open(descriptor, "rb", closefd=False) as file:
@@ -216,13 +216,13 @@ def _check_form(text: str, source: str, place: str) -> None:
             depth += (kind == "open") - (kind == "close")
             dots = 0
         if kind == "word":
-            found, expected = "a key or number without end", f"at most {WORD_MAX} characters"
+            what, expected = "a key or number without end", f"at most {WORD_MAX} characters"
         elif depth > DEPTH_MAX or dots > DEPTH_MAX:
-            found, expected = "tables or lists in one another", f"at most {DEPTH_MAX} of them"
+            what, expected = "tables or lists in one another", f"at most {DEPTH_MAX} of them"
         else:
             continue
         line = f"line {text.count(chr(10), 0, token.start()) + 1}"
-        raise BadInput(source, place or line, found, expected)
+        raise BadInput(source, place or line, what, expected)
 
 
 def _check_values(node: Any, source: str, place: str) -> None:

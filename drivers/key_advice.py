@@ -52,12 +52,12 @@ def split_unit(key: str) -> tuple[str, str]:
 
 def converted(value: Any, found_key: str, expected_key: str) -> str | None:
     """``value`` of ``found_key`` in the unit of ``expected_key``, as it would be typed, or None."""
-    found, expected = (UNITS.get(split_unit(key)[1]) for key in (found_key, expected_key))
-    if found is None or expected is None or found[0] != expected[0]:
+    given, wanted = (UNITS.get(split_unit(key)[1]) for key in (found_key, expected_key))
+    if given is None or wanted is None or given[0] != wanted[0]:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return f"{value * found[1] / expected[1]:.9g}"
+    return f"{value * given[1] / wanted[1]:.9g}"
 
 
 class UnknownKey(BadInput):

@@ -12,11 +12,11 @@ from typing import Final
 from drivers.canopen.cob_ids import BROADCASTS, RPDOS, SDO_ANSWER, SDO_REQUEST, SERVICES, TPDOS
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import Cia301
 from drivers.errors import NoAnswer, TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
 NODES: Final = range(1, 128)
-DEVICE_TYPE, ERROR_REGISTER, DEVICE_NAME, HEARTBEAT, IDENTITY = 0x1000, 0x1001, 0x1008, 0x1017, 0x1018
 KNOCK_EVERY_NS: Final = Duration(2 * NS_PER_MS)
 """From one request to the next: two frames of 8 bytes, 13 % of a bus at 1 Mbit/s, and more at lower rates."""
 KNOCK_WAIT_NS: Final = Duration(150 * NS_PER_MS)
@@ -28,7 +28,7 @@ SDO_TIMEOUT_S: Final = 0.2
 SDO_ATTEMPTS: Final = 3
 """As for :data:`ROUNDS`, and the device is known to be there: it may be busy."""
 _UPLOAD = 0x40
-_ASKED_FOR = bytes((DEVICE_TYPE & 0xFF, DEVICE_TYPE >> 8, 0))
+_ASKED_FOR = bytes((Cia301.DEVICE_TYPE & 0xFF, Cia301.DEVICE_TYPE >> 8, 0))
 """Index and sub-index as they stand in a request and in its answer."""
 
 PROFILES = {
@@ -213,14 +213,14 @@ class BusScan:
 
     def _read(self, node: NodeFound) -> None:
         try:
-            node.device_type = self._number(node.node_id, DEVICE_TYPE)
-            node.error_register = self._number(node.node_id, ERROR_REGISTER)
-            node.vendor_id = self._number(node.node_id, IDENTITY, 1)
-            node.product_code = self._number(node.node_id, IDENTITY, 2)
-            node.revision_number = self._number(node.node_id, IDENTITY, 3)
-            node.serial_number = self._number(node.node_id, IDENTITY, 4)
-            node.heartbeat_ms = self._number(node.node_id, HEARTBEAT)
-            name = self._value(node.node_id, DEVICE_NAME)
+            node.device_type = self._number(node.node_id, Cia301.DEVICE_TYPE)
+            node.error_register = self._number(node.node_id, Cia301.ERROR_REGISTER)
+            node.vendor_id = self._number(node.node_id, Cia301.IDENTITY, 1)
+            node.product_code = self._number(node.node_id, Cia301.IDENTITY, 2)
+            node.revision_number = self._number(node.node_id, Cia301.IDENTITY, 3)
+            node.serial_number = self._number(node.node_id, Cia301.IDENTITY, 4)
+            node.heartbeat_ms = self._number(node.node_id, Cia301.PRODUCER_HEARTBEAT_TIME)
+            name = self._value(node.node_id, Cia301.DEVICE_NAME)
             node.name = "" if name is None else name.rstrip(b"\0").decode("latin-1")
         except NoAnswer as error:
             node.note = f"fell silent while it was read: {error.summary}"

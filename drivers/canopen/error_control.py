@@ -9,14 +9,11 @@ node guarding   for a node that lacks one of the two: the host asks for its NMT 
 from typing import Final, NamedTuple
 
 from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
-CONSUMER_HEARTBEAT_TIME: Final = 0x1016
-PRODUCER_HEARTBEAT_TIME: Final = 0x1017
-GUARD_TIME: Final = 0x100C
-LIFE_TIME_FACTOR: Final = 0x100D
 _REQUESTS: Final = 5
 """Of node guarding within a time-out. A lost answer costs two: its own, and the next, whose toggle bit then
 does not fit; a lost request costs one."""
@@ -71,12 +68,12 @@ class ErrorControl:
         objects, network = self._objects, self._network
         if not network.produces_heartbeat:
             network.produce_heartbeat(Duration(times.host_heartbeat * NS_PER_MS))
-        produced = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H") is not None
-        consumes = objects.read_if_there(CONSUMER_HEARTBEAT_TIME, 0, "B") is not None
+        produced = objects.read_if_there(Cia301.PRODUCER_HEARTBEAT_TIME, 0, "H") is not None
+        consumes = objects.read_if_there(Cia301.CONSUMER_HEARTBEAT_TIME, 0, "B") is not None
         refusal: SettingRefused | TransferAborted | None = None
         self._host_watch = ()
         if produced and (consumes or unwatched):
-            objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", times.node_heartbeat)
+            objects.write_verified(Cia301.PRODUCER_HEARTBEAT_TIME, 0, "H", times.node_heartbeat)
         if consumes:
             try:
                 self._host_watch = (self._watch_host(times.host_timeout),)
@@ -92,7 +89,7 @@ class ErrorControl:
         if not guarded:
             network.guard(self._node_id, Duration(0))
             if produced and not watched:  # an attempt at guarding may have ended it
-                objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", times.node_heartbeat)
+                objects.write_verified(Cia301.PRODUCER_HEARTBEAT_TIME, 0, "H", times.node_heartbeat)
         self.told = produced or guarded
         watch_ms = times.node_timeout if self.told else 0
         network.watch(self._node_id, Duration(watch_ms * NS_PER_MS))
@@ -131,7 +128,7 @@ class ErrorControl:
     def _watch_host(self, timeout_ms: int) -> HeldSetting:
         entry = consumer_entry(self._objects)
         word = self._network.node_id << 16 | timeout_ms
-        setting = HeldSetting(CONSUMER_HEARTBEAT_TIME, entry, "I", word)
+        setting = HeldSetting(Cia301.CONSUMER_HEARTBEAT_TIME, entry, "I", word)
         self._objects.write_verified(*setting)
         return setting
 
@@ -145,14 +142,14 @@ class ErrorControl:
         guard_ms = max(1, times.host_timeout // factor)
         # Rounded down, so that the life time is no longer than was asked for.
         settings = (
-            HeldSetting(GUARD_TIME, 0, "H", guard_ms),
-            HeldSetting(LIFE_TIME_FACTOR, 0, "B", min(_FACTOR_MAX, times.host_timeout // guard_ms)),
+            HeldSetting(Cia301.GUARD_TIME, 0, "H", guard_ms),
+            HeldSetting(Cia301.LIFE_TIME_FACTOR, 0, "B", min(_FACTOR_MAX, times.host_timeout // guard_ms)),
         )
         if any(objects.read_if_there(each.of_object, each.sub, each.code) is None for each in settings):
             return False
         try:
             if produced:
-                objects.write_verified(PRODUCER_HEARTBEAT_TIME, 0, "H", 0)
+                objects.write_verified(Cia301.PRODUCER_HEARTBEAT_TIME, 0, "H", 0)
             if not self._host_watch:
                 for each in settings:
                     objects.write_verified(*each)
@@ -160,7 +157,7 @@ class ErrorControl:
             return False
         if not self._answers_remote_frames():
             if not self._host_watch:
-                objects.write(LIFE_TIME_FACTOR, 0, "B", 0)
+                objects.write(Cia301.LIFE_TIME_FACTOR, 0, "B", 0)
             return False
         if not self._host_watch:
             self._host_watch = settings
@@ -209,8 +206,8 @@ def consumer_entry(objects: RemoteObjects) -> int:
     A second entry for one node is forbidden, so the first search goes first.
     """
     host = objects.network.node_id
-    count = objects.read(CONSUMER_HEARTBEAT_TIME, 0, "B")
-    words = [objects.read(CONSUMER_HEARTBEAT_TIME, sub) for sub in range(1, count + 1)]
+    count = objects.read(Cia301.CONSUMER_HEARTBEAT_TIME, 0, "B")
+    words = [objects.read(Cia301.CONSUMER_HEARTBEAT_TIME, sub) for sub in range(1, count + 1)]
     for sub, word in enumerate(words, start=1):
         if word >> 16 & 0x7F == host:
             return sub

@@ -121,10 +121,6 @@ class LssMaster:
         finally:
             self.to_waiting()
 
-    def find_all(self, limit: int = DEVICES_MAX) -> list[LssAddress]:
-        """All that :meth:`search` finds; it raises what that raises."""
-        return list(self.search(limit))
-
     def assign(self, address: LssAddress, node_id: int, store: bool = False) -> bool:
         """Give the device its node-ID, have it store that if ``store``, and wait until it has booted; False:
         no boot-up message came.

@@ -206,14 +206,6 @@ class CanopenNetwork(canopen.Network):
         self._plan_housekeeping()
         return download
 
-    def posts_settled(self, node_id: int) -> bool:
-        """No posted download of this node is in flight or waiting."""
-        return self._post(node_id).in_flight is None
-
-    def failed_posts(self, node_id: int) -> int:
-        """How many posted downloads this node refused or never confirmed."""
-        return self._post(node_id).failed
-
     def refuse_two(self, node_id: int) -> None:
         """Raise AnswersTwice if a node gave more answers than it was asked for: two nodes are likely."""
         client = self._clients.get(node_id)

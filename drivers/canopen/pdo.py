@@ -12,11 +12,11 @@ from struct import Struct, calcsize
 
 from drivers.canopen.cob_ids import RPDOS, TPDOS
 from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drivers.canopen.sdo import object_name
 from drivers.errors import TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
 
-HIGH_RESOLUTION_TIME_STAMP = 0x1013
 EVENT_DRIVEN = 255
 EVERY_SYNC = 1
 SYNCHRONOUS_MAX = 240
@@ -46,8 +46,8 @@ def mapping_text(words: Iterable[int]) -> str:
 class PdoDirection(Enum):
     """Seen from the drive, as CANopen does; the value is the base of the communication parameter."""
 
-    TRANSMIT = 0x1800
-    RECEIVE = 0x1400
+    TRANSMIT = TPDO_COMMUNICATION
+    RECEIVE = RPDO_COMMUNICATION
 
     @property
     def letter(self) -> str:
@@ -57,7 +57,7 @@ class PdoDirection(Enum):
     @property
     def mapping_base(self) -> int:
         """Base index of the mapping parameters."""
-        return self.value + 0x200
+        return self.value + MAPPING_OFFSET
 
     def default_cob_id(self, number: int, node_id: int) -> int:
         """Predefined connection set (CiA 301 table 39), PDO 1 to 4."""

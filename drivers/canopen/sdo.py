@@ -168,8 +168,6 @@ class DownloadPost:
 
     def __init__(self, node_id: int, send: Callable[[int, bytes], Instant]) -> None:
         self.in_flight: PostedDownload | None = None
-        self.confirmed = 0
-        self.failed = 0
         self._node_id = node_id
         self._send = send
         self._waiting: deque[PostedDownload] = deque()
@@ -220,10 +218,6 @@ class DownloadPost:
     def _finish(self, at: Instant, failure: PeerFault | None) -> None:
         assert self.in_flight is not None
         self.in_flight.done_at, self.in_flight.failure = at, failure
-        if failure is None:
-            self.confirmed += 1
-        else:
-            self.failed += 1
         self.in_flight = None
         self._next()
 

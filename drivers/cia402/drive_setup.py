@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from drivers.canopen.error_control import WatchTimes
 from drivers.canopen.objects import RemoteObjects, SettingRefused
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoPlan, write_plan
 from drivers.canopen.pdo_capability import PdoCapability, capability_of_drive
 from drivers.canopen.sdo import object_name
@@ -42,11 +43,6 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_MS, NS_PER_US, Duration
 from drivers.vendors.families import quirks_for
 
-DEVICE_TYPE = 0x1000
-COMMUNICATION_CYCLE_PERIOD = 0x1006
-DEVICE_NAME = 0x1008
-IDENTITY = 0x1018
-ERROR_BEHAVIOUR = 0x1029
 NO_CHANGE_OF_NMT_STATE = 1
 """1029h:01. In PRE-OPERATIONAL, the default, or STOPPED a drive would still come to rest by 6007h, but its
 PDOs would be silent: the host could not see the statusword fall, nor the speed go down."""
@@ -158,22 +154,24 @@ REACTIONS = (
 
 def read_identity(objects: RemoteObjects) -> Identity:
     """Device name, identity object and device type; raises PeerFault if it is no CiA 402 device."""
-    device_type = objects.read(DEVICE_TYPE)
+    device_type = objects.read(Cia301.DEVICE_TYPE)
     if device_type & 0xFFFF != DRIVE_PROFILE:
         raise PeerFault(
             f"node {objects.node_id} on {objects.network.link.name} is no servo drive",
             other_profile(device_type),
             f"check the node id; hil scan --bus {objects.network.link.name} shows who is there",
         )
-    vendor, product, revision, serial = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2, 3, 4))
-    return Identity(objects.read_text(DEVICE_NAME), vendor, product, revision, serial, device_type)
+    vendor, product, revision, serial = (
+        objects.read_if_there(Cia301.IDENTITY, sub) or 0 for sub in (1, 2, 3, 4)
+    )
+    return Identity(objects.read_text(Cia301.DEVICE_NAME), vendor, product, revision, serial, device_type)
 
 
 def read_scaling(objects: RemoteObjects, override: ScaleOverride) -> Scaling:
     """The drive's units, from those of the factor objects that it has, and from what is known of its make."""
     values = {(index, sub): objects.read_if_there(index, sub) for index, sub in FACTOR_OBJECTS}
-    vendor, product = (objects.read_if_there(IDENTITY, sub) or 0 for sub in (1, 2))
-    quirks = quirks_for(vendor, product, objects.read_text(DEVICE_NAME))
+    vendor, product = (objects.read_if_there(Cia301.IDENTITY, sub) or 0 for sub in (1, 2))
+    quirks = quirks_for(vendor, product, objects.read_text(Cia301.DEVICE_NAME))
     known = apply_quirks(quirks, values, override, objects.read_if_there)
     scaling = scaling_from(known.values, known.override)
     notes = (*known.notes, *_polarity_notes(objects.read_if_there(Object.POLARITY, 0, "B") or 0))
@@ -195,9 +193,9 @@ def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
         if index in (Object.QUICK_STOP_OPTION, Object.FAULT_REACTION_OPTION):
             value = int(stop)
         notes += write_optional(objects, index, "h", value, text)
-    if objects.read_if_there(ERROR_BEHAVIOUR, 1, "B") is not None:
+    if objects.read_if_there(Cia301.ERROR_BEHAVIOUR, 1, "B") is not None:
         text = "NMT state kept when the host is lost"
-        notes += write_optional(objects, ERROR_BEHAVIOUR, "B", NO_CHANGE_OF_NMT_STATE, text, sub=1)
+        notes += write_optional(objects, Cia301.ERROR_BEHAVIOUR, "B", NO_CHANGE_OF_NMT_STATE, text, sub=1)
     return notes
 
 
@@ -214,7 +212,7 @@ def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scali
         raw = max(1, round(settings.quick_stop_deceleration_rad_s2 / scaling.acceleration_rad_s2))
         notes += write_optional(objects, Object.QUICK_STOP_DECELERATION, "I", raw, "quick stop deceleration")
     period_us = settings.sync_period_ns // NS_PER_US
-    notes += write_optional(objects, COMMUNICATION_CYCLE_PERIOD, "I", period_us, "SYNC period, us")
+    notes += write_optional(objects, Cia301.CYCLE_PERIOD, "I", period_us, "SYNC period, us")
     return notes + _write_interpolation_time(objects, settings.sync_period_ns)
 
 

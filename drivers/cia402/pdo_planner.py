@@ -203,10 +203,10 @@ class _Planner:
         for group in groups:
             filled: list[_Bin] = []
             for key in group.keys:
-                found = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
-                if found is None:
+                able = self._capability.flexible_object(key, PdoDirection.TRANSMIT)
+                if able is None:
                     return None
-                entry = PdoEntry(*key, found.code)
+                entry = PdoEntry(*key, able.code)
                 taking = next((made for made in filled if made.takes(entry)), None)
                 if taking is None:
                     slot = next((slot for slot in free if _serves(slot, group)), None)
@@ -268,8 +268,8 @@ class _Planner:
         """First fit in order."""
         free = self._free(direction)
         bins: list[_Bin] = []
-        for key, found in flexible.items():
-            entry = PdoEntry(*key, found.code)
+        for key, able in flexible.items():
+            entry = PdoEntry(*key, able.code)
             taking = next((made for made in bins if made.takes(entry)), None)
             if taking is None and free:
                 taking = _Bin(free.pop(0))

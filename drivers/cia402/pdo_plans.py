@@ -13,10 +13,10 @@ The layouts of the TPDOs, the best first:
 
 from typing import Final, NamedTuple
 
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import (
     EVENT_DRIVEN,
     EVERY_SYNC,
-    HIGH_RESOLUTION_TIME_STAMP,
     SYNCHRONOUS_MAX,
     Key,
     PdoDirection,
@@ -33,7 +33,7 @@ TORQUE: Final[Key] = (Object.TORQUE_ACTUAL_VALUE, 0)
 CURRENT: Final[Key] = (Object.CURRENT_ACTUAL_VALUE, 0)
 POSITION: Final[Key] = (Object.POSITION_ACTUAL_VALUE, 0)
 DEMAND: Final[Key] = (Object.TORQUE_DEMAND, 0)
-STAMP: Final[Key] = (HIGH_RESOLUTION_TIME_STAMP, 0)
+STAMP: Final[Key] = (Cia301.HIGH_RESOLUTION_TIME_STAMP, 0)
 
 STATUS_INHIBIT_100US: Final = 10
 """1 ms: a bit of the statusword that chatters costs no more than a statusword in every cycle would."""
@@ -160,6 +160,11 @@ TARGETS: dict[Mode, PdoEntry] = {
     Mode.CYCLIC_SYNCHRONOUS_TORQUE: _TORQUE,
 }
 """The set-point of a mode; homing has none."""
+NEEDED_OBJECTS: Final[dict[Mode, int]] = {
+    **{mode: target.index for mode, target in TARGETS.items()},
+    Mode.HOMING: Object.HOMING_METHOD,
+}
+"""What a drive cannot have a mode without: the object of its set-point, or of the method of homing."""
 
 
 def mode_plan(
@@ -246,7 +251,7 @@ def _actual_values(
 
 def _demand_changes(node_id: int) -> PdoMap:
     transmit = PdoDirection.TRANSMIT
-    entries = (PdoEntry(*DEMAND, "h"), PdoEntry(HIGH_RESOLUTION_TIME_STAMP, 0, "I"))
+    entries = (PdoEntry(*DEMAND, "h"), PdoEntry(Cia301.HIGH_RESOLUTION_TIME_STAMP, 0, "I"))
     return PdoMap(transmit, 4, transmit.default_cob_id(4, node_id), entries, EVENT_DRIVEN)
 
 

@@ -3,7 +3,8 @@
 from typing import Final
 
 from drivers.canopen.network import CanopenNetwork
-from drivers.canopen.pdo import HIGH_RESOLUTION_TIME_STAMP, PdoMap, PdoPlan
+from drivers.canopen.objects301 import Cia301
+from drivers.canopen.pdo import PdoMap, PdoPlan
 from drivers.cia402.command_watch import CommandWatch
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Status
@@ -235,7 +236,7 @@ class ReadingAssembler:
         assert speed is not None
         assert position is not None
         self._leads = position.cob_id <= speed.cob_id
-        self._stamped = speed.place_of(HIGH_RESOLUTION_TIME_STAMP) is not None
+        self._stamped = speed.place_of(Cia301.HIGH_RESOLUTION_TIME_STAMP) is not None
         watched = (
             Object.TORQUE_DEMAND
             if any(pdo.synchronous and pdo.place_of(Object.TORQUE_DEMAND) is not None for pdo in plan.tpdos)
@@ -260,7 +261,7 @@ class _Inlet:
         self._torque = _place(pdo, Object.TORQUE_ACTUAL_VALUE, Object.CURRENT_ACTUAL_VALUE)
         self._position = _place(pdo, Object.POSITION_ACTUAL_VALUE)
         self._velocity = _place(pdo, Object.VELOCITY_ACTUAL_VALUE)
-        self._stamp = _place(pdo, HIGH_RESOLUTION_TIME_STAMP)
+        self._stamp = _place(pdo, Cia301.HIGH_RESOLUTION_TIME_STAMP)
         self._demand = _place(pdo, Object.TORQUE_DEMAND)
         self._watched = _place(pdo, watched)
         self._on_change = not pdo.synchronous and self._demand >= 0 and self._stamp >= 0

@@ -7,6 +7,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_control import CHANGE_LIMIT, change_nmt, nobody_there
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.drive_setup import (
     DriveSettings,
@@ -70,7 +71,7 @@ class ServoDrive(Drive):
         self.status = network.status(node_id)
         self.identity: Identity | None = None
         self.notes: list[str] = []
-        """What the drive has not, refused or holds otherwise, in words; of the last ``configure``."""
+        """What the drive lacks, refused or holds otherwise, in words; of the last ``configure``."""
         self.unsent_commands = 0
         """Commands that had expired when ``write`` was called."""
         self.plan: PdoPlan | None = None
@@ -93,7 +94,7 @@ class ServoDrive(Drive):
         clock = self.network.clock
         while True:
             try:
-                self.network.upload(self.node_id, 0x1000, timeout_s=_CONNECT_TRY_S, attempts=1)
+                self.network.upload(self.node_id, Cia301.DEVICE_TYPE, timeout_s=_CONNECT_TRY_S, attempts=1)
                 break
             except NoAnswer as error:
                 if clock.now() >= deadline:
@@ -245,7 +246,8 @@ class ServoDrive(Drive):
     def write(self, command: Command) -> SentCommand | None:
         """Send a set-point, torque and speed clipped to their limits; None and nothing sent if it expired.
         Raises ValueError for what is no number, RuntimeError for another quantity than the plan's."""
-        if self._expired(command.expires_at):
+        if self._now() > command.expires_at:
+            self.unsent_commands += 1
             return None
         frames = self._configured()
         if isinstance(command, SpeedCommand):
@@ -350,12 +352,6 @@ class ServoDrive(Drive):
         self._moving().resume()
 
     # ---- inside ---------------------------------------------------------------------------------------
-
-    def _expired(self, expires_at: Instant) -> bool:
-        if self._now() <= expires_at:
-            return False
-        self.unsent_commands += 1
-        return True
 
     def _change_nmt(self, command: NmtCommand, wanted: NmtState, settings: DriveSettings) -> None:
         if not self.error_control.told:

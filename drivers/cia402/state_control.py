@@ -7,6 +7,7 @@ from contextlib import suppress
 from drivers.canopen.error_codes import fault_text, register_text
 from drivers.canopen.nmt import Emergency
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoPlan
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import (
@@ -21,7 +22,6 @@ from drivers.cia402.setpoint import SetPointFrames
 from drivers.errors import DriveInFault, PeerFault
 from drivers.timebase import NS_PER_MS, Duration, Instant
 
-ERROR_REGISTER, ERROR_HISTORY = 0x1001, 0x1003
 NONE_SENT = -1
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 POLL_NS = NS_PER_MS
@@ -173,11 +173,11 @@ class StateControl:
         """0x603F, or in its place the newest entry of 0x1003; and 0x1001."""
         parts = []
         code = self.objects.read_if_there(Object.ERROR_CODE, 0, "H")
-        if code is None and self.objects.read_if_there(ERROR_HISTORY, 0, "B"):
-            code = (self.objects.read_if_there(ERROR_HISTORY, 1) or 0) & 0xFFFF
+        if code is None and self.objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B"):
+            code = (self.objects.read_if_there(Cia301.ERROR_HISTORY, 1) or 0) & 0xFFFF
         if code is not None:
             parts.append(f"error code {code:04X}h ({fault_text(code, *self.make)})")
-        register = self.objects.read_if_there(ERROR_REGISTER, 0, "B")
+        register = self.objects.read_if_there(Cia301.ERROR_REGISTER, 0, "B")
         if register:
             parts.append(f"error register {register:02X}h ({register_text(register)})")
         return parts

@@ -6,9 +6,10 @@ from typing import Any
 import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, STRUCT_CODES
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.canopen.pdo import PdoDirection
 from drivers.canopen.pdo_capability import ENTRIES_MAX, MappedObject, PdoCapability, PdoSlot
-from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.dictionary import LoadedDictionary, held_by
 
 _PDOS_MAX = 64
 _WRITABLE = ("rw", "wo", "rwr", "rww")
@@ -21,7 +22,7 @@ def capability_of(loaded: LoadedDictionary) -> PdoCapability:
     dictionary = loaded.dictionary
     objects = {}
     for index, entry in dictionary.items():
-        if index < 0x1000:
+        if index < FIRST_OBJECT:
             continue
         members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
         for sub, variable in members.items():
@@ -114,8 +115,5 @@ def _members(dictionary: Any, index: int) -> dict[int, Any]:
 
 
 def _number(variable: Any) -> int | None:
-    """What the drive holds by the file: a DCF's parameter value first."""
-    if variable is None:
-        return None
-    held = variable.value if variable.value is not None else variable.default
+    held = held_by(variable)
     return held if isinstance(held, int) else None

@@ -7,8 +7,9 @@ How a file is read stands in :mod:`drivers.sheets.eds`. Each thing that was mend
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from canopen.objectdictionary import ObjectDictionary
+from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from drivers.bounded_file import read_bytes
 from drivers.errors import BadInput
@@ -25,13 +26,12 @@ from drivers.sheets.eds.information import (
 )
 from drivers.sheets.eds.model import to_canopen
 from drivers.sheets.eds.objects import EdsObject, build_objects
-from drivers.sheets.eds.repairs import NoDataSheet, Repair, RepairLog
+from drivers.sheets.eds.repairs import NoDataSheet, RepairLog
+from drivers.sheets.eds.repairs import Repair as Repair
 from drivers.sheets.eds.resolved_node import free_of_node
 from drivers.sheets.eds.sections import Sections, object_of, read_sections
 from drivers.sheets.eds.text import lines_of
 from drivers.sheets.eds.xml_sections import NoXmlSheet, read_xml_sections
-
-__all__ = ["LoadedDictionary", "Repair", "load_dictionary", "parse_dictionary"]
 
 _WHAT = "EDS or DCF file (CiA 306-1), or XDD or XDC file (CiA 311)"
 _KINDS = {(False, False): "EDS", (False, True): "DCF", (True, False): "XDD", (True, True): "XDC"}
@@ -57,6 +57,27 @@ class LoadedDictionary:
     """As the file has them: formulas of $NODEID, denotations, flags."""
     kind: str = "EDS"
     """EDS, DCF, XDD or XDC."""
+
+
+def held_by(variable: Any) -> Any:
+    """The value of a variable by its file: a DCF's parameter value first; None if it gives none."""
+    if variable is None:
+        return None
+    return variable.default if variable.value is None else variable.value
+
+
+def held(dictionary: ObjectDictionary, index: int, sub: int = 0) -> Any:
+    """As :func:`held_by`, of an object, which need not be there."""
+    entry = dictionary.get(index)
+    if isinstance(entry, ODVariable):
+        return None if sub else held_by(entry)
+    return None if entry is None else held_by(entry.subindices.get(sub))
+
+
+def held_number(dictionary: ObjectDictionary, index: int, sub: int = 0) -> int | None:
+    """As :func:`held`; None if that is no integer."""
+    value = held(dictionary, index, sub)
+    return value if isinstance(value, int) else None
 
 
 def load_dictionary(path: Path, node_id: int | None = None) -> LoadedDictionary:

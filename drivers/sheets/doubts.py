@@ -5,14 +5,12 @@ from typing import Any
 
 import canopen.objectdictionary as od
 
+from drivers.canopen.objects301 import FIRST_OBJECT, Cia301, is_mapping
 from drivers.canopen.pdo import key_of, mapping_text
 from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 
-_COUNTS_ITSELF = (range(0x1003, 0x1004), range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-"""Objects whose sub-index 0 counts the entries in use (CiA 301 7.5.2.3, 7.5.2.36, 7.5.2.38)."""
 _NAMED_MAX = 4
 _PDO_BITS = 64
-_FIRST_OBJECT = 0x1000
 
 
 def doubts(dictionary: od.ObjectDictionary, capability: PdoCapability) -> tuple[str, ...]:
@@ -28,7 +26,7 @@ def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
     wrong = []
     for word in slot.mapping:
         key, bits, named = key_of(word), word & 0xFF, mapping_text([word])
-        if key[0] < _FIRST_OBJECT:
+        if key[0] < FIRST_OBJECT:
             if key[0] not in capability.dummies:
                 wrong.append(f"{named} is no placeholder that it offers")
             continue
@@ -45,7 +43,9 @@ def _of_mapping(slot: PdoSlot, capability: PdoCapability) -> Iterable[str]:
 
 
 def _of_count(index: int, entry: Any) -> str:
-    if isinstance(entry, od.ODVariable) or any(index in known for known in _COUNTS_ITSELF):
+    # sub-index 0 of these counts the entries in use (CiA 301 7.5.2.3, 7.5.2.36, 7.5.2.38)
+    in_use = index == Cia301.ERROR_HISTORY or is_mapping(index)
+    if isinstance(entry, od.ODVariable) or in_use:
         return ""
     first = entry.subindices.get(0)
     if first is None or first.access_type not in ("ro", "const") or not isinstance(first.default, int):

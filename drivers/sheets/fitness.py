@@ -5,19 +5,20 @@ lost: of real dictionaries of drives one in four defines 603Fh, one in three 609
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import canopen.objectdictionary as od
 
-from drivers.canopen.pdo import mapping_text
-from drivers.canopen.pdo_capability import PdoCapability
+from drivers.canopen.objects301 import Cia301
+from drivers.canopen.pdo_capability import PdoCapability, PdoSlot
 from drivers.canopen.sdo import object_name
 from drivers.cia402.bench_modes import run_words
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_planner import PlanImpossible, PlanResult, PlanWish, plan_pdos
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS
 from drivers.cia402.profile import DRIVE_PROFILE, Mode, other_profile, supported_mode_bit
 from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary
+from drivers.sheets.dictionary import LoadedDictionary, held, held_number
 from drivers.sheets.doubts import doubts
 from drivers.sheets.identity import told_identity
 
@@ -34,15 +35,6 @@ PREFERENCE = (
 )
 """Modes that a bench can use, the best first: torque closes the loop on the host."""
 _TORQUE_MODES = PREFERENCE[:2]
-_NEEDED_OBJECTS = {
-    Mode.CYCLIC_SYNCHRONOUS_TORQUE: Object.TARGET_TORQUE,
-    Mode.PROFILE_TORQUE: Object.TARGET_TORQUE,
-    Mode.CYCLIC_SYNCHRONOUS_VELOCITY: Object.TARGET_VELOCITY,
-    Mode.PROFILE_VELOCITY: Object.TARGET_VELOCITY,
-    Mode.CYCLIC_SYNCHRONOUS_POSITION: Object.TARGET_POSITION,
-    Mode.PROFILE_POSITION: Object.TARGET_POSITION,
-    Mode.HOMING: Object.HOMING_METHOD,
-}
 _SUPPOSED_MODES = (Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING)
 """What the set-point objects alone are evidence of; the cyclic modes share them."""
 
@@ -77,20 +69,6 @@ class FileIdentity(NamedTuple):
         return None if self.device_type is None else self.device_type & 0xFFFF
 
 
-class SheetPdo(NamedTuple):
-    """A PDO as the drive has it before anybody writes to it."""
-
-    name: str
-    cob_id: int | None
-    valid: bool
-    transmission_type: int | None
-    inhibit_time_us: int | None
-    event_timer_ms: int | None
-    mapping: tuple[str, ...]
-    mapping_writable: bool
-    entries_max: int
-
-
 @dataclass(frozen=True, slots=True)
 class ModeFitness:
     """One mode that the drive has, or seems to have."""
@@ -115,7 +93,7 @@ class Fitness:
     """"6502h", or what they were concluded from."""
     usable: tuple[ModeFitness, ...]
     """The modes that a bench could use, the best first."""
-    pdos: tuple[SheetPdo, ...]
+    pdos: tuple[PdoSlot, ...]
     lacks: tuple[Lack, ...]
     obstacles: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -182,33 +160,17 @@ def assess(loaded: LoadedDictionary, node_id: int) -> Fitness:
         modes=modes,
         modes_told_by=told_by,
         usable=usable,
-        pdos=_pdo_defaults(capability),
+        pdos=capability.slots,
         lacks=tuple(Lack(*known) for known in RECOMMENDED if known[0] not in dictionary),
         obstacles=_obstacles(dictionary, identity, modes, usable),
         remarks=(*_remarks(dictionary, identity.profile, usable), *doubts(dictionary, capability)),
     )
 
 
-def held(dictionary: od.ObjectDictionary, index: int, sub: int = 0) -> Any:
-    """The value of an object by its file: a DCF's parameter value first; None if it gives none."""
-    entry = dictionary.get(index)
-    if entry is None:
-        return None
-    if not isinstance(entry, od.ODVariable):
-        entry = entry.subindices.get(sub)
-    elif sub:
-        return None
-    if entry is None:
-        return None
-    return entry.value if entry.value is not None else entry.default
-
-
 def _identity(loaded: LoadedDictionary) -> FileIdentity:
     dictionary, device = loaded.dictionary, loaded.device
-
     told = told_identity(dictionary)
-    device_type = held(dictionary, 0x1000)
-    name = held(dictionary, 0x1008)
+    name = held(dictionary, Cia301.DEVICE_NAME)
     return FileIdentity(
         vendor_name=device.vendor_name,
         product_name=device.product_name,
@@ -217,7 +179,7 @@ def _identity(loaded: LoadedDictionary) -> FileIdentity:
         product=next(iter(told.product), None),
         revision=next(iter(told.revision), None),
         device_name=name if isinstance(name, str) else "",
-        device_type=device_type if isinstance(device_type, int) else None,
+        device_type=held_number(dictionary, Cia301.DEVICE_TYPE),
     )
 
 
@@ -228,11 +190,11 @@ def _axes(dictionary: od.ObjectDictionary) -> int:
 
 def _modes(dictionary: od.ObjectDictionary) -> tuple[tuple[Mode, ...], str]:
     """What 6502h tells; else what the set-point objects are evidence of."""
-    word = held(dictionary, Object.SUPPORTED_DRIVE_MODES)
-    if isinstance(word, int) and word & 0x3FF:
+    word = held_number(dictionary, Object.SUPPORTED_DRIVE_MODES)
+    if word and word & 0x3FF:
         return tuple(mode for mode in Mode if word & supported_mode_bit(mode)), "6502h"
     supposed = [*_SUPPOSED_MODES, *_cyclic_modes(dictionary)]
-    supposed = [mode for mode in supposed if _NEEDED_OBJECTS[mode] in dictionary]
+    supposed = [mode for mode in supposed if NEEDED_OBJECTS[mode] in dictionary]
     if INTERPOLATION_DATA in dictionary:
         supposed.append(Mode.INTERPOLATED_POSITION)
     return tuple(sorted(set(supposed))), "its set-point objects (6502h gives no value)"
@@ -252,34 +214,13 @@ def _cyclic_modes(dictionary: od.ObjectDictionary) -> list[Mode]:
 def _mode_fitness(
     mode: Mode, dictionary: od.ObjectDictionary, capability: PdoCapability, node_id: int
 ) -> ModeFitness:
-    needed = _NEEDED_OBJECTS[mode]
+    needed = NEEDED_OBJECTS[mode]
     if needed not in dictionary:
         return ModeFitness(mode, None, f"{object_name(needed, 0)} is not in the dictionary")
     try:
         return ModeFitness(mode, plan_pdos(capability, node_id, PlanWish(mode)))
     except PlanImpossible as error:
         return ModeFitness(mode, None, error.evidence or error.summary)
-
-
-def _pdo_defaults(capability: PdoCapability) -> tuple[SheetPdo, ...]:
-    made = []
-    for slot in capability.slots:
-        mapping = tuple(mapping_text(slot.mapping).split())
-        inhibit = None if slot.inhibit_time is None else slot.inhibit_time * 100
-        made.append(
-            SheetPdo(
-                slot.name,
-                slot.identifier,
-                slot.valid,
-                slot.transmission_type,
-                inhibit,
-                slot.event_timer,
-                mapping,
-                slot.mapping_writable,
-                slot.entries_max,
-            )
-        )
-    return tuple(made)
 
 
 def _obstacles(
@@ -315,8 +256,8 @@ def _remarks(
     served = [mode.mode for mode in usable if mode.plan is not None]
     if served and not any(mode in _TORQUE_MODES for mode in served):
         texts.append(f"no torque mode; {run_words(served)}")
-    guarded = 0x100C in dictionary and 0x100D in dictionary
-    if 0x1016 not in dictionary:
+    guarded = Cia301.GUARD_TIME in dictionary and Cia301.LIFE_TIME_FACTOR in dictionary
+    if Cia301.CONSUMER_HEARTBEAT_TIME not in dictionary:
         texts.append(
             "without 1016h the drive watches its host by life guarding (100Ch, 100Dh)"
             if guarded

@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import canopen.objectdictionary as od
 
-IDENTITY = 0x1018
+from drivers.canopen.objects301 import Cia301
+from drivers.sheets.dictionary import held_number
+
 _PARTS = ("vendor", "product", "revision")
 
 
@@ -38,8 +40,5 @@ def told_identity(dictionary: od.ObjectDictionary) -> ToldIdentity:
 
 
 def _numbers(dictionary: od.ObjectDictionary, sub: int, informed: int | None) -> tuple[int, ...]:
-    entry = dictionary.get(IDENTITY)
-    member = None if entry is None or isinstance(entry, od.ODVariable) else entry.subindices.get(sub)
-    held = None if member is None else member.value if member.value is not None else member.default
-    numbers = (held if isinstance(held, int) else 0, informed or 0)
+    numbers = (held_number(dictionary, Cia301.IDENTITY, sub), informed)
     return tuple(dict.fromkeys(number & 0xFFFF_FFFF for number in numbers if number))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+from drivers.canopen.objects301 import Cia301
 from drivers.errors import BenchError, PeerFault
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration
@@ -14,7 +15,7 @@ from hil.commissioning.sequence import Step, run_sequence
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World
-from hil.restoring.journaled import STORE_PARAMETERS, JournaledNetwork
+from hil.restoring.journaled import JournaledNetwork
 from hil.restoring.restore import restore
 from hil.rows.run_files import COMMISSIONING_RECORDING
 
@@ -117,7 +118,7 @@ def _store(session: Session, result: Commissioned) -> None:
     before = network.sdo_timeout_s
     network.sdo_timeout_s = _STORE_LIMIT / NS_PER_S
     try:
-        network.download(node, STORE_PARAMETERS, 1, SAVE)
+        network.download(node, Cia301.STORE_PARAMETERS, 1, SAVE)
     except PeerFault as error:
         result.not_stored = str(error)
         session.dialog.tell(

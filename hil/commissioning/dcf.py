@@ -5,13 +5,13 @@ from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
+from drivers.canopen.objects301 import MANDATORY, MANUFACTURER
 from drivers.cia402.drive_setup import Identity
 from hil.restoring.journal import ObjectKey
 
 _UNSIGNED: Final = {1: 0x05, 2: 0x06, 4: 0x07, 8: 0x1B}
 _SIGNED_TYPES: Final = {0x02: 1, 0x03: 2, 0x04: 4, 0x15: 8}
 _OCTETS: Final = 0x0A
-_MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 
 
 def dcf_text(
@@ -26,7 +26,7 @@ def dcf_text(
 
     ``defaults`` of mandatory objects are written even if they were not set.
     """
-    shown: dict[ObjectKey, bytes | None] = {key: None for key in defaults if key.index in _MANDATORY}
+    shown: dict[ObjectKey, bytes | None] = {key: None for key in defaults if key.index in MANDATORY}
     shown |= values
     indices = sorted({key.index for key in shown})
     lines = [
@@ -37,9 +37,9 @@ def dcf_text(
         ),
     ]
     for title, members in (
-        ("MandatoryObjects", [index for index in indices if index in _MANDATORY]),
-        ("OptionalObjects", [i for i in indices if i not in _MANDATORY and not 0x2000 <= i < 0x6000]),
-        ("ManufacturerObjects", [index for index in indices if 0x2000 <= index < 0x6000]),
+        ("MandatoryObjects", [index for index in indices if index in MANDATORY]),
+        ("OptionalObjects", [i for i in indices if i not in MANDATORY and i not in MANUFACTURER]),
+        ("ManufacturerObjects", [index for index in indices if index in MANUFACTURER]),
     ):
         listed = {str(number): f"0x{index:04X}" for number, index in enumerate(members, start=1)}
         lines += _section(title, {"SupportedObjects": len(members), **listed})

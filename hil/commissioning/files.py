@@ -3,6 +3,7 @@
 import math
 from typing import Any, Final
 
+from drivers.canopen.objects301 import MANDATORY
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
@@ -65,11 +66,7 @@ def write_files(session: Session) -> None:
 def _mandatory(session: Session) -> dict[ObjectKey, bytes]:
     """1000h, 1001h and 1018h, which a DCF cannot do without, as they were read."""
     dump = session.found.dump
-    return {
-        ObjectKey(index, sub): value
-        for (index, sub), value in dump.items()
-        if index in (0x1000, 0x1001, 0x1018)
-    }
+    return {ObjectKey(index, sub): value for (index, sub), value in dump.items() if index in MANDATORY}
 
 
 def set_objects(session: Session) -> dict[ObjectKey, bytes]:

@@ -8,6 +8,7 @@ from typing import Final
 from pydantic import Field
 
 from drivers.bounded_file import NamedBy
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.config_files import Section, load_file
 from hil.configuration.quantities import Current, Inductance, Resistance, Speed, Torque, Voltage
@@ -62,7 +63,7 @@ class PlateLimits(Section):
 class PlateTemperature(Section):
     """``[temperature]``: the drive's own object for it, for the profile has none."""
 
-    index: int = Field(ge=0x1000, le=0xFFFF, description="the object's index")
+    index: int = Field(ge=FIRST_OBJECT, le=0xFFFF, description="the object's index")
     sub: int = Field(default=0, ge=0, le=255)
     celsius: float = Field(default=1.0, gt=0)
     """Degrees of one raw unit."""

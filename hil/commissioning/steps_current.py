@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from drivers.canopen.objects import SettingRefused
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.pdo import PdoDirection, PdoEntry, PdoMap, PdoPlan, bus_load_percent_max
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import mode_plan
@@ -133,7 +134,7 @@ def _plan_with_current(session: Session) -> PdoPlan:
     mode = session.torque_mode()
     assert mode is not None
     node = session.request.node
-    stamped = session.objects.read_if_there(0x1013) is not None
+    stamped = session.objects.read_if_there(Cia301.HIGH_RESOLUTION_TIME_STAMP) is not None
     base = mode_plan(node, mode, device_stamp=stamped, coherent=True)
     actual, speed = base.tpdos
     status, *rest = actual.entries

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.drive_setup import read_scaling
 from drivers.cia402.objects402 import Object
 from drivers.cia402.pdo_plans import TARGETS
@@ -61,7 +62,7 @@ class BusCheck(Step):
         trips_us = []
         for _ in range(ROUND_TRIPS):
             asked_at = session.clock_now
-            network.upload(session.request.node, 0x1000)
+            network.upload(session.request.node, Cia301.DEVICE_TYPE)
             trips_us.append((session.clock_now - asked_at) / 1e3)
         errors = session.world.error_frames()
         frames = f"{heard} frame{'' if heard == 1 else 's'}"
@@ -90,7 +91,7 @@ class IdentityCheck(Step):
     def run(self, session: Session, outcome: StepOutcome) -> None:
         identity = session.drive.connect(session.deadline(CONNECT_LIMIT_S))
         session.found.identity = identity
-        versions = {"hardware (1009h)": 0x1009, "firmware (100Ah)": 0x100A}
+        versions = {"hardware (1009h)": Cia301.HARDWARE_VERSION, "firmware (100Ah)": Cia301.SOFTWARE_VERSION}
         told = {name: session.objects.read_text(index) for name, index in versions.items()}
         session.found.versions = {name: text for name, text in told.items() if text}
         outcome.say(str(identity))

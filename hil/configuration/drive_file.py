@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from drivers.bounded_file import NamedBy
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.cia402.scaling import ScaleOverride
 from hil.configuration.config_files import Section, load_file
 
@@ -48,7 +49,7 @@ class Signs(Section):
 class SetObject(Section):
     """``[[object]]``: a setting that the run rests on, written before the drive is set up."""
 
-    index: int = Field(ge=0x1000, le=0xFFFF)
+    index: int = Field(ge=FIRST_OBJECT, le=0xFFFF)
     sub: int = Field(default=0, ge=0, le=255)
     bytes: str = Field(pattern=r"^([0-9a-f]{2}){1,8}$", description="octets in hexadecimal, as on the wire")
 

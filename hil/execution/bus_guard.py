@@ -19,6 +19,7 @@ from drivers.canopen.frame_pump import Handler
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt import Emergency, parse_emergency
 from drivers.canopen.nmt_states import NODE_ID_MAX
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.owed import Owed
 from drivers.canopen.pdo import PdoMap
 from drivers.canopen.sdo import object_name
@@ -36,7 +37,6 @@ ERRORS_A_SECOND_MAX: Final = 16
 """A transmitter that meets so many errors in a row is error passive (8 are counted for each, 128 is the
 limit: ISO 11898-1, 12.1.4); a bus in order has less than one an hour."""
 _BOOT_UP: Final = b"\x00"
-_CONSUMER_HEARTBEAT: Final = 0x1016
 _SDO_WRITE: Final = 1
 """Client command specifier of initiate download, CiA 301 7.2.4.3.3."""
 _MESSAGE_BYTES: Final = 8
@@ -232,7 +232,7 @@ class BusGuard:
             writes = len(data) == _MESSAGE_BYTES and data[0] >> 5 == _SDO_WRITE
             index = int.from_bytes(data[1:3], "little")
             what = f"SDO request to node {node_id} ({SDO_REQUEST + node_id:03X}h) that the bench did not send"
-            if writes and index == _CONSUMER_HEARTBEAT:
+            if writes and index == Cia301.CONSUMER_HEARTBEAT_TIME:
                 what = f"1016h of node {node_id} changed by another: it may watch the bench no more"
             written = f"writes {object_name(index, data[3])}, " if writes else ""
             self._note(self._rules.on_foreign, what, at, f"{written}data {data.hex(' ').upper()}")

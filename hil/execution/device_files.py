@@ -9,13 +9,13 @@ from typing import NamedTuple
 from canopen import ObjectDictionary as VendorDictionary
 
 from design.motor import PmsmParameters
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride
 from drivers.errors import BadInput
-from drivers.sheets.dictionary import load_dictionary
+from drivers.sheets.dictionary import held, load_dictionary
 from drivers.sheets.eds.information import Commissioning
-from drivers.sheets.fitness import held
 from drivers.sheets.identity import told_identity
 from drivers.vendors.families import quirks_for
 from virtual_bus.device.eds_export import export_eds
@@ -27,7 +27,7 @@ from virtual_bus.drive.motor_data import tell_motor
 from virtual_bus.drive.servo_parameters import DriveParameters
 
 REPAIRS_SHOWN = 5
-IDENTITY, SERIAL_NUMBER = 0x1018, 4
+_SERIAL_NUMBER = 4
 
 
 class DeviceFiles(NamedTuple):
@@ -144,7 +144,7 @@ def _lay_over(
     lay_over(dictionary, vendor)
     if motor is not None:
         tell_motor(dictionary, motor)
-    variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
+    variable = dictionary.get(Cia301.IDENTITY, _SERIAL_NUMBER)
     if serial_number is not None and variable is not None:
         variable.default = variable.value = serial_number
 
@@ -155,7 +155,7 @@ def _number_one(
     """The data sheet, and a serial number that goes before its own."""
     if vendor is not None:
         vendor(dictionary)
-    variable = dictionary.get(IDENTITY, SERIAL_NUMBER)
+    variable = dictionary.get(Cia301.IDENTITY, _SERIAL_NUMBER)
     if variable is None:
         raise BadInput("--serial", "", serial_number, "a data sheet that has the serial number, 1018h:04")
     variable.default = variable.value = serial_number

@@ -11,6 +11,7 @@ from typing import Any, Final
 from drivers.canopen.cob_ids import NODE_BITS, SENT_BY_NODES
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NODE_ID_MAX
+from drivers.canopen.objects301 import Cia301
 from drivers.errors import BadInput, NoAnswer, PeerFault
 from drivers.printable import printable
 from drivers.timebase import NS_PER_S, Clock, Duration, Instant
@@ -21,8 +22,6 @@ LISTEN_FOR: Final = Duration(NS_PER_S)
 ANSWER_LIMIT_S: Final = 0.1
 """For one answer: a node that boots, or a full bus, takes less. Asked twice, as a frame may be lost."""
 ATTEMPTS: Final = 2
-DEVICE_TYPE: Final = 0x1000
-DEVICE_NAME: Final = 0x1008
 
 
 def refuse_taken(
@@ -71,7 +70,7 @@ def _who_is(network: CanopenNetwork, node: int, heard: str) -> str | None:
     """The node in words; None if nobody has that id."""
     answers = True
     try:
-        network.upload(node, DEVICE_TYPE, 0, ANSWER_LIMIT_S, ATTEMPTS)
+        network.upload(node, Cia301.DEVICE_TYPE, 0, ANSWER_LIMIT_S, ATTEMPTS)
     except NoAnswer:
         answers = False
     except PeerFault:
@@ -80,6 +79,6 @@ def _who_is(network: CanopenNetwork, node: int, heard: str) -> str | None:
         return f"node {node} is there: {heard} was heard" if heard else None
     name = b""
     with suppress(PeerFault):
-        name = network.upload(node, DEVICE_NAME, 0, ANSWER_LIMIT_S, ATTEMPTS)
+        name = network.upload(node, Cia301.DEVICE_NAME, 0, ANSWER_LIMIT_S, ATTEMPTS)
     text = printable(name.split(b"\0", 1)[0].decode("latin-1").strip())
     return f"node {node} is there: {text or 'an unnamed device'} answers"

@@ -5,9 +5,10 @@ from typing import Any
 
 from drivers.canopen.error_codes import fault_text, history_text, register_text
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.servo import ServoDrive
-from drivers.cia402.state_control import ERROR_HISTORY, ERROR_REGISTER, FAULTY
+from drivers.cia402.state_control import FAULTY
 from drivers.timebase import NS_PER_S, Duration
 
 _CONNECT_NS = Duration(2 * NS_PER_S)
@@ -83,7 +84,7 @@ def _asked(drive: ServoDrive, device: str, was_reset: bool) -> DriveDiagnosis:
         in_fault=state in FAULTY,
         error_code=code,
         error="" if code is None else fault_text(code, *make),
-        register=objects.read_if_there(ERROR_REGISTER, 0, "B"),
+        register=objects.read_if_there(Cia301.ERROR_REGISTER, 0, "B"),
         history=history,
         was_reset=was_reset,
     )
@@ -91,7 +92,9 @@ def _asked(drive: ServoDrive, device: str, was_reset: bool) -> DriveDiagnosis:
 
 def _history(drive: ServoDrive) -> tuple[tuple[int, str], ...]:
     objects = drive.objects
-    count = objects.read_if_there(ERROR_HISTORY, 0, "B") or 0
-    entries = [objects.read_if_there(ERROR_HISTORY, sub) for sub in range(1, min(count, _HISTORY_MAX) + 1)]
+    count = objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B") or 0
+    entries = [
+        objects.read_if_there(Cia301.ERROR_HISTORY, sub) for sub in range(1, min(count, _HISTORY_MAX) + 1)
+    ]
     make = drive.control.make
     return tuple((entry, history_text(entry, *make)) for entry in entries if entry)

@@ -3,6 +3,7 @@
 from typing import Final
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects301 import Cia301
 from drivers.canopen.sdo import PostedDownload
 from drivers.cia402.objects402 import Object
 from drivers.errors import TransferAborted
@@ -10,9 +11,7 @@ from drivers.timebase import Clock
 from drivers.wire.link import BusLink
 from hil.restoring.journal import Journal, ObjectKey, ObjectWrite
 
-STORE_PARAMETERS: Final = 0x1010
-RESTORE_DEFAULTS: Final = 0x1011
-COMMANDS: Final = frozenset({Object.CONTROLWORD, STORE_PARAMETERS, RESTORE_DEFAULTS})
+COMMANDS: Final = frozenset({Object.CONTROLWORD, Cia301.STORE_PARAMETERS, Cia301.RESTORE_DEFAULTS})
 """What is written to these is an order, not a setting: there is nothing to put back."""
 SET_POINTS: Final = (
     Object.MODES_OF_OPERATION,

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.canopen.error_control import PRODUCER_HEARTBEAT_TIME
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand, NmtState
 from drivers.canopen.objects import RemoteObjects
+from drivers.canopen.objects301 import MAPPING_OFFSET, PDO_PARAMETERS, Cia301
 from drivers.cia402.drive_setup import Identity
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
@@ -24,13 +24,9 @@ from hil.restoring.journal import DriveMark, JournalContents, JournalHead, Objec
 REST_LIMIT: Final = Duration(5 * NS_PER_S)
 _REST_COUNTS: Final = 3
 """Readings in a row without a change of position, 20 ms apart, that count as rest."""
-ERROR_HISTORY: Final = 0x1003
 _BEATS_HEARD: Final = 2.5
 """Heartbeat periods in which one comes for certain, though one be lost."""
 _NOT_VALID: Final = 1 << 31
-_RECEIVE: Final = range(0x1400, 0x1600)
-_TRANSMIT: Final = range(0x1800, 0x1A00)
-_MAPPING_OFFSET: Final = 0x200
 _OUT_OF_THE_WAY: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
 _NMT_OF_STATE: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -87,7 +83,7 @@ def restore(
 def head_of(objects: RemoteObjects, bus: str, identity: Identity) -> JournalHead:
     """How a drive is found, for the head of its journal; waits for its heartbeat, if it sends one."""
     mark = DriveMark(identity.vendor, identity.product, identity.serial)
-    errors = objects.read_if_there(ERROR_HISTORY, 0, "B")
+    errors = objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B")
     return JournalHead(bus, objects.node_id, mark, _nmt_heard(objects), errors)
 
 
@@ -95,7 +91,7 @@ def _nmt_heard(objects: RemoteObjects) -> int | None:
     """The NMT state by the drive's heartbeat; None if it sends none."""
     network = objects.network
     try:
-        period_ms = objects.read_if_there(PRODUCER_HEARTBEAT_TIME, 0, "H")
+        period_ms = objects.read_if_there(Cia301.PRODUCER_HEARTBEAT_TIME, 0, "H")
     except NoAnswer:
         period_ms = None
     if not period_ms:
@@ -131,12 +127,7 @@ def bring_to_rest(objects: RemoteObjects, limit: Duration = REST_LIMIT) -> None:
 
 def pdo_of(index: int) -> int | None:
     """The communication parameter of the PDO that an object belongs to; None for any other object."""
-    for kind in (_RECEIVE, _TRANSMIT):
-        if index in kind:
-            return index
-        if index - _MAPPING_OFFSET in kind:
-            return index - _MAPPING_OFFSET
-    return None
+    return index & ~MAPPING_OFFSET if index in PDO_PARAMETERS else None
 
 
 def _clear_history(objects: RemoteObjects) -> None:
@@ -144,8 +135,8 @@ def _clear_history(objects: RemoteObjects) -> None:
 
     Writing 0 clears it (CiA 301 7.5.2.3); a drive that does not let it be cleared keeps it.
     """
-    if objects.read_if_there(ERROR_HISTORY, 0, "B"):
-        _attempt(objects.network, objects.node_id, ObjectKey(ERROR_HISTORY, 0), b"\0")
+    if objects.read_if_there(Cia301.ERROR_HISTORY, 0, "B"):
+        _attempt(objects.network, objects.node_id, ObjectKey(Cia301.ERROR_HISTORY, 0), b"\0")
 
 
 def _put_back_pdos(objects: RemoteObjects, originals: dict[ObjectKey, bytes], result: Restoration) -> None:
@@ -166,7 +157,7 @@ def _put_back_pdos(objects: RemoteObjects, originals: dict[ObjectKey, bytes], re
         own = {key: value for key, value in originals.items() if pdo_of(key.index) == pdo}
         mapping = {key: value for key, value in own.items() if key.index != pdo}
         if mapping:
-            count = ObjectKey(pdo + _MAPPING_OFFSET, 0)
+            count = ObjectKey(pdo + MAPPING_OFFSET, 0)
             size = own.get(count) or _held(network, node, count) or b"\0"
             _attempt(network, node, count, b"\0")
             for key in sorted(key for key in mapping if key.sub):
@@ -217,7 +208,7 @@ def await_answer(network: CanopenNetwork, node: int, limit: Duration) -> None:
     deadline = network.deadline_after(limit)
     while True:
         try:
-            network.upload(node, 0x1000, timeout_s=0.1, attempts=1)
+            network.upload(node, Cia301.DEVICE_TYPE, timeout_s=0.1, attempts=1)
         except NoAnswer:
             if network.clock.now() >= deadline:
                 raise

@@ -4,11 +4,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.pdo import PdoMap
+from drivers.canopen.objects301 import MANUFACTURER
+from drivers.canopen.pdo import PdoMap, mapping_text
 from drivers.canopen.pdo_budget import Budget, content_of
+from drivers.canopen.pdo_capability import PdoSlot
 from drivers.sheets.dictionary import LoadedDictionary
 from drivers.sheets.eds.sections import section_name
-from drivers.sheets.fitness import FileIdentity, Fitness, SheetPdo
+from drivers.sheets.fitness import FileIdentity, Fitness
 from hil.terminal.eds_sheet import Planned, unit_lines
 
 
@@ -72,9 +74,18 @@ def _identity(identity: FileIdentity) -> dict[str, Any]:
     return {**texts, **numbers}
 
 
-def _pdo(pdo: SheetPdo) -> dict[str, Any]:
-    identifier = None if pdo.cob_id is None else f"0x{pdo.cob_id:03X}"
-    return {**pdo._asdict(), "cob_id": identifier, "mapping": list(pdo.mapping)}
+def _pdo(pdo: PdoSlot) -> dict[str, Any]:
+    return {
+        "name": pdo.name,
+        "cob_id": None if pdo.identifier is None else f"0x{pdo.identifier:03X}",
+        "valid": pdo.valid,
+        "transmission_type": pdo.transmission_type,
+        "inhibit_time_us": None if pdo.inhibit_time is None else pdo.inhibit_time * 100,
+        "event_timer_ms": pdo.event_timer,
+        "mapping": mapping_text(pdo.mapping).split(),
+        "mapping_writable": pdo.mapping_writable,
+        "entries_max": pdo.entries_max,
+    }
 
 
 def _counts(loaded: LoadedDictionary) -> dict[str, int]:
@@ -82,7 +93,7 @@ def _counts(loaded: LoadedDictionary) -> dict[str, int]:
     return {
         "total": len(indices),
         "communication": sum(index < 0x2000 for index in indices),
-        "manufacturer": sum(0x2000 <= index < 0x6000 for index in indices),
+        "manufacturer": sum(index in MANUFACTURER for index in indices),
         "profile": sum(index >= 0x6000 for index in indices),
         "entries": sum(len(described.entries) for described in loaded.objects.values()),
     }

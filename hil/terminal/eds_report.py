@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.canopen.bus_scan import profile_title
+from drivers.canopen.pdo import mapping_text
 from drivers.canopen.pdo_budget import LOAD_LIMIT_PERCENT, Budget
 from drivers.cia402.bench_modes import BENCH_MODES, run_words
 from drivers.sheets.dictionary import LoadedDictionary
@@ -115,11 +116,11 @@ def _pdo_table(fitness: Fitness) -> Table | Text:
     figures = ("type", "inhibit", "event")
     table = columns("PDO", "COB-ID", *figures, "mapping", right=figures)
     for pdo in fitness.pdos:
-        identifier = "-" if pdo.cob_id is None else f"{pdo.cob_id:03X}h"
-        inhibit = "-" if not pdo.inhibit_time_us else f"{pdo.inhibit_time_us / 1000:g} ms"
-        event = "-" if not pdo.event_timer_ms else f"{pdo.event_timer_ms} ms"
+        identifier = "-" if pdo.identifier is None else f"{pdo.identifier:03X}h"
+        inhibit = "-" if not pdo.inhibit_time else f"{pdo.inhibit_time / 10:g} ms"
+        event = "-" if not pdo.event_timer else f"{pdo.event_timer} ms"
         kind = "-" if pdo.transmission_type is None else str(pdo.transmission_type)
-        mapping = " ".join(pdo.mapping) or "nothing"
+        mapping = mapping_text(pdo.mapping) or "nothing"
         room = f"{pdo.entries_max} entries" if pdo.mapping_writable else "fixed"
         state = identifier if pdo.valid else f"{identifier} off"
         table.add_row(pdo.name, state, kind, inhibit, event, Text(f"{mapping} ({room})"))

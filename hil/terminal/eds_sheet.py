@@ -10,8 +10,8 @@ from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
 from drivers.sheets.capability import capability_of
-from drivers.sheets.dictionary import LoadedDictionary
-from drivers.sheets.fitness import Fitness, held
+from drivers.sheets.dictionary import LoadedDictionary, held
+from drivers.sheets.fitness import Fitness
 from drivers.timebase import NS_PER_US, Duration
 from drivers.vendors.families import quirks_for
 

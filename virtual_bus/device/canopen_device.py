@@ -14,6 +14,7 @@ from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED, NmtState
+from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import Application, CommunicationLoss
 from virtual_bus.device.communication_objects import add_communication_objects
@@ -35,7 +36,7 @@ RECOVERED_FROM_BUS_OFF: Final = 0x8140
 """EMCY (CiA 301, table 26)."""
 
 _NOTHING: Final[tuple[Frame, ...]] = ()
-_COMMUNICATION_PROFILE: Final = (0x1000, 0x1FFF)
+_COMMUNICATION_PROFILE: Final = (FIRST_OBJECT, 0x1FFF)
 _APPLICATION: Final = (0x2000, 0xFFFF)
 
 
@@ -84,7 +85,7 @@ class CanopenDevice:
         self._attach_clock()
 
     def _attach_clock(self) -> None:
-        variable = self._station.dictionary.get(0x1013)
+        variable = self._station.dictionary.get(Cia301.HIGH_RESOLUTION_TIME_STAMP)
         if variable is not None:
             station, clock = self._station, self.clock
             variable.provider = lambda: clock.stamp_us(station.now)

@@ -3,6 +3,15 @@
 from collections.abc import Iterable, Iterator, Sequence
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.objects301 import (
+    MANDATORY,
+    MANUFACTURER,
+    RPDO_COMMUNICATION,
+    RPDO_MAPPING,
+    TPDO_COMMUNICATION,
+    TPDO_MAPPING,
+    Cia301,
+)
 from virtual_bus.device.object_dictionary import (
     DictionaryObject,
     ObjectCode,
@@ -10,8 +19,7 @@ from virtual_bus.device.object_dictionary import (
     Variable,
 )
 
-MANDATORY = (0x1000, 0x1001, 0x1018)
-SERIAL_NUMBER = (0x1018, 4)
+SERIAL_NUMBER = (Cia301.IDENTITY, 4)
 """Each device's own; the sheet is of them all."""
 _TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 
@@ -25,7 +33,7 @@ def export_eds(dictionary: ObjectDictionary) -> str:
     lines += _section("DummyUsage", [f"Dummy{index:04X}=1" for index in range(1, 8)])
     lines += _object_list("MandatoryObjects", (i for i in _indices(dictionary) if i in MANDATORY))
     lines += _object_list("OptionalObjects", (i for i in _indices(dictionary) if _optional(i)))
-    lines += _object_list("ManufacturerObjects", (i for i in _indices(dictionary) if 0x2000 <= i < 0x6000))
+    lines += _object_list("ManufacturerObjects", (i for i in _indices(dictionary) if i in MANUFACTURER))
     for entry in dictionary:
         lines += _object(entry)
     return "\n".join(lines) + "\n"
@@ -36,7 +44,7 @@ def _indices(dictionary: ObjectDictionary) -> Iterator[int]:
 
 
 def _optional(index: int) -> bool:
-    return index not in MANDATORY and not 0x2000 <= index < 0x6000
+    return index not in MANDATORY and index not in MANUFACTURER
 
 
 def _section(title: str, entries: Iterable[str]) -> list[str]:
@@ -63,18 +71,18 @@ def _file_info(dictionary: ObjectDictionary) -> Sequence[str]:
 
 
 def _device_name(dictionary: ObjectDictionary) -> str:
-    variable = dictionary.get(0x1008)
+    variable = dictionary.get(Cia301.DEVICE_NAME)
     return "device" if variable is None else bytes(variable.default).decode("latin-1")
 
 
 def _identity(dictionary: ObjectDictionary, subindex: int) -> int:
-    variable = dictionary.get(0x1018, subindex)
+    variable = dictionary.get(Cia301.IDENTITY, subindex)
     return 0 if variable is None else int(variable.default)
 
 
 def _device_info(dictionary: ObjectDictionary) -> Sequence[str]:
-    receive = sum(1 for index in _indices(dictionary) if 0x1400 <= index < 0x1600)
-    transmit = sum(1 for index in _indices(dictionary) if 0x1800 <= index < 0x1A00)
+    receive = sum(1 for index in _indices(dictionary) if RPDO_COMMUNICATION <= index < RPDO_MAPPING)
+    transmit = sum(1 for index in _indices(dictionary) if TPDO_COMMUNICATION <= index < TPDO_MAPPING)
     rates = (f"BaudRate_{rate}=1" for rate in (10, 20, 50, 125, 250, 500, 800, 1000))
     return (
         "VendorName=servobench",

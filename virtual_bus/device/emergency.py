@@ -8,6 +8,7 @@ from collections import deque
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import Cia301
 from drivers.timebase import Instant
 from virtual_bus.device import cob_id
 from virtual_bus.device.object_dictionary import Provider
@@ -35,12 +36,12 @@ class EmergencyProducer:
 
     def _attach(self) -> None:
         dictionary = self._station.dictionary
-        cob = dictionary.get(0x1014)
+        cob = dictionary.get(Cia301.EMCY_COB_ID)
         if cob is not None:
             cob.check = self._check_cob_id
-        if 0x1003 not in dictionary:
+        if Cia301.ERROR_HISTORY not in dictionary:
             return
-        members = dictionary.object(0x1003).members
+        members = dictionary.object(Cia301.ERROR_HISTORY).members
         members[0].provider = lambda: len(self._history)
         members[0].check = lambda value: None if value == 0 else AbortCode.INVALID_VALUE
         members[0].on_write = lambda _value: self._history.clear()
@@ -108,7 +109,7 @@ class EmergencyProducer:
         for bits in self._active.values():
             # Bit 0 is set with every error, 7.5.2.2.
             register |= bits | ErrorRegister.GENERIC
-        variable = self._station.dictionary.get(0x1001)
+        variable = self._station.dictionary.get(Cia301.ERROR_REGISTER)
         if variable is not None:
             variable.value = int(register)
         return int(register)
@@ -120,9 +121,9 @@ class EmergencyProducer:
 
     def _send_queued(self, now: Instant) -> None:
         station = self._station
-        inhibit_ns = station.value(0x1015) * NS_PER_100_US
+        inhibit_ns = station.value(Cia301.EMCY_INHIBIT_TIME) * NS_PER_100_US
         while self._queue and station.state in _MAY_SEND and now >= self._free_at:
-            cob = station.value(0x1014)
+            cob = station.value(Cia301.EMCY_COB_ID)
             message = self._queue.popleft()
             if cob and not cob & cob_id.NOT_VALID:
                 station.out.append(Frame(cob & cob_id.CAN_ID, message))
@@ -132,7 +133,7 @@ class EmergencyProducer:
 
     def _check_cob_id(self, value: int) -> AbortCode | None:
         """1014h, 7.5.2.17: bits 0..29 stay while the EMCY exists."""
-        present = self._station.value(0x1014)
+        present = self._station.value(Cia301.EMCY_COB_ID)
         valid = not value & cob_id.NOT_VALID
         if value & (cob_id.EXTENDED | cob_id.NO_RTR):
             return AbortCode.INVALID_VALUE

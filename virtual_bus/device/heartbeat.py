@@ -7,6 +7,7 @@ from typing import Final
 from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NODE_ID_MAX, NmtState
+from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
@@ -28,7 +29,7 @@ class HeartbeatProducer:
         self._period_ns = 0
         self._due = Instant(0)
         self._timer = station.timers.create(self._on_due)
-        variable = station.dictionary.get(0x1017)
+        variable = station.dictionary.get(Cia301.PRODUCER_HEARTBEAT_TIME)
         if variable is not None:
             variable.on_write = self._on_write
 
@@ -44,7 +45,7 @@ class HeartbeatProducer:
 
     def reset_communication(self) -> None:
         """Take the period from the dictionary; called when the boot-up message is about to be sent."""
-        self._period_ns = self._station.value(0x1017) * NS_PER_MS
+        self._period_ns = self._station.value(Cia301.PRODUCER_HEARTBEAT_TIME) * NS_PER_MS
         self._timer.stop()
         if self._station.node_id > NODE_ID_MAX:
             self._period_ns = 0
@@ -144,9 +145,9 @@ class HeartbeatConsumers:
         self._station = station
         self._consumers: list[HeartbeatConsumer] = []
         self._variables: list[Variable] = []
-        if 0x1016 not in station.dictionary:
+        if Cia301.CONSUMER_HEARTBEAT_TIME not in station.dictionary:
             return
-        for subindex, variable in station.dictionary.object(0x1016).members.items():
+        for subindex, variable in station.dictionary.object(Cia301.CONSUMER_HEARTBEAT_TIME).members.items():
             if subindex:
                 self._variables.append(variable)
                 self._consumers.append(HeartbeatConsumer(station, emergency, nmt, variable))
@@ -200,7 +201,7 @@ class NodeGuarding:
         self._lost = False
         self._can_id: int | None = None
         self._timer = station.timers.create(self._on_timeout)
-        for index in (0x100C, 0x100D):
+        for index in (Cia301.GUARD_TIME, Cia301.LIFE_TIME_FACTOR):
             variable = station.dictionary.get(index)
             if variable is not None:
                 variable.on_write = self._on_write
@@ -217,7 +218,8 @@ class NodeGuarding:
 
     @property
     def _life_time_ns(self) -> int:
-        return self._station.value(0x100C) * self._station.value(0x100D) * NS_PER_MS
+        value = self._station.value
+        return value(Cia301.GUARD_TIME) * value(Cia301.LIFE_TIME_FACTOR) * NS_PER_MS
 
     def _on_write(self, _value: int) -> None:
         self._timer.stop()

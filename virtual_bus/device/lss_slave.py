@@ -19,6 +19,7 @@ from enum import IntEnum
 
 from drivers.canopen.cob_ids import LSS_ANSWER, LSS_REQUEST
 from drivers.canopen.nmt_states import NODE_ID_MAX, UNCONFIGURED
+from drivers.canopen.objects301 import Cia301
 from drivers.errors import BenchError
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.parameter_storage import ParameterStore
@@ -122,7 +123,7 @@ class LssSlave:
 
     def _identity(self, part: int) -> int:
         """Vendor-ID, product code, revision number, serial number."""
-        return self._station.value(0x1018, part + 1)
+        return self._station.value(Cia301.IDENTITY, part + 1)
 
     def _switch(self, request: bytes, now: Instant) -> None:
         was_configuring = self.configuring

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 from drivers.canopen.cob_ids import ERROR_CONTROL
 from drivers.canopen.nmt_states import NmtCommand, NmtState
+from drivers.canopen.objects301 import Cia301
 from drivers.timebase import Instant
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
@@ -58,7 +59,7 @@ class NmtSlave:
         }
         self._listeners: list[StateListener] = []
         station.listen(NMT_CAN_ID, self._on_command)
-        behaviour = station.dictionary.get(0x1029, 1)
+        behaviour = station.dictionary.get(Cia301.ERROR_BEHAVIOUR, 1)
         if behaviour is not None:
             behaviour.check = _check_behaviour
 
@@ -83,7 +84,7 @@ class NmtSlave:
 
     def on_communication_error(self, now: Instant) -> None:
         """Error behaviour of 1029h:1."""
-        table = ERROR_BEHAVIOUR.get(self._station.value(0x1029, 1), {})
+        table = ERROR_BEHAVIOUR.get(self._station.value(Cia301.ERROR_BEHAVIOUR, 1), {})
         state = self._station.state
         self.enter(table.get(state, state), now)
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.bounded_file import NoSuchFile, parse_json, read_text
+from drivers.canopen.objects301 import FIRST_OBJECT, Cia301
 from drivers.errors import BadInput, BenchError
 from virtual_bus.device.encoding import decode, encode
 from virtual_bus.device.object_dictionary import Check, ObjectDictionary, Variable
@@ -30,14 +31,21 @@ ON_COMMAND = 1
 """What 1010h and 1011h read: stores on command; restores."""
 
 GROUPS = {
-    1: range(0x1000, 0x10000),
-    2: range(0x1000, 0x2000),
+    1: range(FIRST_OBJECT, 0x10000),
+    2: range(FIRST_OBJECT, 0x2000),
     3: range(0x6000, 0xA000),
     4: range(0x2000, 0x6000),
 }
 """Indices of each sub-index."""
 
-_NEVER_STORED = frozenset({0x1003, 0x1010, 0x1011, 0x1013})
+_NEVER_STORED = frozenset(
+    {
+        Cia301.ERROR_HISTORY,
+        Cia301.STORE_PARAMETERS,
+        Cia301.RESTORE_DEFAULTS,
+        Cia301.HIGH_RESOLUTION_TIME_STAMP,
+    }
+)
 
 
 Parameters = dict[tuple[int, int], bytes]
@@ -117,7 +125,10 @@ class ParameterStorage:
     def __init__(self, dictionary: ObjectDictionary, store: ParameterStore) -> None:
         self._dictionary = dictionary
         self._store = store
-        for index, signature, act in ((0x1010, SAVE, self._save), (0x1011, LOAD, self._forget)):
+        for index, signature, act in (
+            (Cia301.STORE_PARAMETERS, SAVE, self._save),
+            (Cia301.RESTORE_DEFAULTS, LOAD, self._forget),
+        ):
             if index not in dictionary:
                 continue
             for subindex, variable in dictionary.object(index).members.items():

@@ -3,6 +3,7 @@
 from typing import Final
 
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.object_dictionary import ObjectDictionary
@@ -21,17 +22,14 @@ class PdoEngine:
 
     def __init__(self, station: Station, emergency: EmergencyProducer) -> None:
         dictionary = station.dictionary
-        numbers = range(1, PDOS_MAX + 1)
         self._station = station
-        self.receive = [
-            ReceivePdo(station, emergency, n) for n in numbers if _complete(dictionary, 0x1400 + n - 1)
-        ]
+        self.receive = [ReceivePdo(station, emergency, n) for n in _numbers(dictionary, RPDO_COMMUNICATION)]
         self.watching: list[TransmitPdo] = []
         """Those that are sent because of a change. What the device does costs nothing while it is empty."""
         self.look_at: Instant = NEVER
         """When to look for a change at the latest."""
         self.transmit = [
-            TransmitPdo(station, self.watching, n) for n in numbers if _complete(dictionary, 0x1800 + n - 1)
+            TransmitPdo(station, self.watching, n) for n in _numbers(dictionary, TPDO_COMMUNICATION)
         ]
 
     def reset_communication(self) -> None:
@@ -80,7 +78,11 @@ class PdoEngine:
         self.look_at = Instant(self._station.now + LOOK_NS) if runs else NEVER
 
 
-def _complete(dictionary: ObjectDictionary, communication: int) -> bool:
-    """COB-ID, transmission type and mapping are there; a vendor's file may lack some."""
-    wanted = ((communication, 1), (communication, 2), (communication + 0x200, 0))
-    return all(dictionary.get(index, subindex) is not None for index, subindex in wanted)
+def _numbers(dictionary: ObjectDictionary, first: int) -> list[int]:
+    """PDOs whose COB-ID, transmission type and mapping are there; a vendor's file may lack some."""
+    needed = ((first, 1), (first, 2), (first + MAPPING_OFFSET, 0))
+    return [
+        place + 1
+        for place in range(PDOS_MAX)
+        if all(dictionary.get(index + place, subindex) is not None for index, subindex in needed)
+    ]

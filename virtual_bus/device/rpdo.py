@@ -4,6 +4,7 @@ from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import RPDO_COMMUNICATION, RPDO_MAPPING
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
@@ -28,7 +29,7 @@ class ReceivePdo(PdoParameters):
 
     def __init__(self, station: Station, emergency: EmergencyProducer, number: int) -> None:
         """``number``: 1.. as in RPDO1."""
-        super().__init__(station, 0x1400 + number - 1, 0x1600 + number - 1)
+        super().__init__(station, RPDO_COMMUNICATION + number - 1, RPDO_MAPPING + number - 1)
         self.refused = 0
         self._emergency = emergency
         self._number = number

@@ -17,6 +17,7 @@ from collections.abc import Callable
 
 from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import SDO_SERVER
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.encoding import byte_length
 from virtual_bus.device.object_dictionary import Variable
@@ -54,8 +55,8 @@ class SdoServer:
         """Take the COB-IDs from 1200h; a running transfer is gone."""
         if self._request_id is not None:
             self._station.ignore(self._request_id, self._on_frame)
-        self._request_id = self._station.value(0x1200, 1) or SDO_REQUEST + self._station.node_id
-        self._response_id = self._station.value(0x1200, 2) or SDO_ANSWER + self._station.node_id
+        self._request_id = self._station.value(SDO_SERVER, 1) or SDO_REQUEST + self._station.node_id
+        self._response_id = self._station.value(SDO_SERVER, 2) or SDO_ANSWER + self._station.node_id
         self._station.listen(self._request_id, self._on_frame)
         self._forget()
 

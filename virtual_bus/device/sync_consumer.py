@@ -7,6 +7,7 @@ from typing import Final
 
 from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import Cia301
 from drivers.timebase import NS_PER_US, Instant
 from virtual_bus.device import cob_id
 from virtual_bus.device.emergency import EmergencyProducer
@@ -37,9 +38,9 @@ class SyncConsumer:
         self._wrong_length = False
         dictionary = station.dictionary
         for index, check in (
-            (0x1005, self._check_cob_id),
-            (0x1007, None),
-            (0x1019, self._check_counter_overflow),
+            (Cia301.SYNC_COB_ID, self._check_cob_id),
+            (Cia301.SYNC_WINDOW, None),
+            (Cia301.SYNC_COUNTER_OVERFLOW, self._check_counter_overflow),
         ):
             variable = dictionary.get(index)
             if variable is not None:
@@ -56,8 +57,8 @@ class SyncConsumer:
         if self._listening is not None:
             station.ignore(self._listening, self._on_sync)
         self._listening = self._cob_id() & cob_id.CAN_ID or None
-        self._length = 1 if station.value(0x1019) else 0
-        self._window_ns = station.value(0x1007) * NS_PER_US
+        self._length = 1 if station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
+        self._window_ns = station.value(Cia301.SYNC_WINDOW) * NS_PER_US
         self._window.stop()
         self._pdos.open_window(True)
         if self._listening is not None:
@@ -66,7 +67,7 @@ class SyncConsumer:
     def _cob_id(self) -> int:
         """Of 1005h; a vendor's data sheet may lack the object, and the drive knows 080h all the same."""
         try:
-            return int(self._station.dictionary.variable(0x1005).read())
+            return int(self._station.dictionary.variable(Cia301.SYNC_COB_ID).read())
         except KeyError:
             return 0
 
@@ -107,7 +108,7 @@ class SyncConsumer:
 
     def _check_counter_overflow(self, value: int) -> AbortCode | None:
         # 7.5.2.22: 08000022h while the communication cycle period is not 0; 1 and 241.. are reserved.
-        if self._station.value(0x1006):
+        if self._station.value(Cia301.CYCLE_PERIOD):
             return AbortCode.DEVICE_STATE
         return AbortCode.INVALID_VALUE if value == 1 or value > COUNTER_MAX else None
 
@@ -124,14 +125,14 @@ class TimeConsumer:
     def __init__(self, station: Station) -> None:
         self._station = station
         self._listening: int | None = None
-        variable = station.dictionary.get(0x1012)
+        variable = station.dictionary.get(Cia301.TIME_COB_ID)
         if variable is not None:
             variable.check = _check_cob_id
             variable.on_write = self._configure
 
     def reset_communication(self) -> None:
         """Take the COB-ID from the dictionary."""
-        self._configure(self._station.value(0x1012))
+        self._configure(self._station.value(Cia301.TIME_COB_ID))
 
     def _configure(self, value: int) -> None:
         if self._listening is not None:

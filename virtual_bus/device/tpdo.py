@@ -17,6 +17,7 @@ event: a clock that runs tells nothing.
 from typing import Any, Final
 
 from drivers.canopen.nmt_states import NmtState
+from drivers.canopen.objects301 import TPDO_COMMUNICATION, TPDO_MAPPING, Cia301
 from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device import cob_id
 from virtual_bus.device.object_dictionary import Variable
@@ -31,7 +32,6 @@ SYNCHRONOUS_CYCLIC_MAX: Final = 240
 REMOTE_SYNCHRONOUS: Final = 252
 REMOTE_EVENT: Final = 253
 NS_PER_100_US: Final = 100_000
-HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
 
 
 class TransmitPdo(PdoParameters):
@@ -43,7 +43,7 @@ class TransmitPdo(PdoParameters):
     def __init__(self, station: Station, watching: "list[TransmitPdo]", number: int) -> None:
         """``watching``: it is in there while changes of what it maps are events. ``number``: 1.. as in
         TPDO1."""
-        super().__init__(station, 0x1800 + number - 1, 0x1A00 + number - 1)
+        super().__init__(station, TPDO_COMMUNICATION + number - 1, TPDO_MAPPING + number - 1)
         self._watching = watching
         self._sample = compile_packer([])
         self._can_id = 0
@@ -83,7 +83,9 @@ class TransmitPdo(PdoParameters):
         fields = self.fields()
         self._sample = compile_packer(fields)
         mapped = [field.variable for field in fields if field.variable is not None]
-        self._mapped = [variable for variable in mapped if variable.index != HIGH_RESOLUTION_TIME_STAMP]
+        self._mapped = [
+            variable for variable in mapped if variable.index != Cia301.HIGH_RESOLUTION_TIME_STAMP
+        ]
         self.runs = any(variable.runs or variable.provider is not None for variable in self._mapped)
         self._can_id = self.can_id
         self._type = self.parameter(2)
@@ -110,7 +112,7 @@ class TransmitPdo(PdoParameters):
         self._active = True
         self.follows_sync = self._type <= REMOTE_SYNCHRONOUS
         self._left = self._type
-        self._start_at = self.parameter(6) if self.station.value(0x1019) else 0
+        self._start_at = self.parameter(6) if self.station.value(Cia301.SYNC_COUNTER_OVERFLOW) else 0
         self._latched = self._sample()
         self._free_at = now
         self._event = self._type == SYNCHRONOUS_ACYCLIC

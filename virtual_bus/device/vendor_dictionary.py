@@ -17,7 +17,9 @@ from typing import Any
 import canopen.objectdictionary as od
 
 from drivers.canopen.data_types import BITS, REAL_BITS, SIGNED_BITS, DataType
-from drivers.sheets.identity import IDENTITY, told_identity
+from drivers.canopen.objects301 import FIRST_OBJECT, MANUFACTURER, PDO_PARAMETERS, Cia301
+from drivers.sheets.dictionary import held_by
+from drivers.sheets.identity import told_identity
 from virtual_bus.device.encoding import encode
 from virtual_bus.device.object_dictionary import (
     Access,
@@ -30,20 +32,15 @@ from virtual_bus.device.object_dictionary import (
 BASE_NODE_ID = 1
 """The node-ID to load the file with; it is taken off the defaults again that depend on it."""
 
-_MANDATORY = frozenset({0x1000, 0x1001})
-_DEVICE_NAME = 0x1008
-_FIRST_OBJECT = 0x1000
-_MANUFACTURER = range(0x2000, 0x6000)
+_MANDATORY = frozenset({Cia301.DEVICE_TYPE, Cia301.ERROR_REGISTER})
 _PROFILE = range(0x6000, 0x10000)
-_PDO_PARAMETERS = range(0x1400, 0x1C00)
-"""What is mapped by default stands in the file, or nothing is."""
 
 
 def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     """Make ``dictionary`` what ``vendor``, loaded for BASE_NODE_ID, says."""
-    entries: Mapping[int, Any] = {index: entry for index, entry in vendor.items() if index >= _FIRST_OBJECT}
+    entries: Mapping[int, Any] = {index: entry for index, entry in vendor.items() if index >= FIRST_OBJECT}
     for own in list(dictionary):
-        if own.index in _MANUFACTURER or (own.index not in entries and own.index not in _MANDATORY):
+        if own.index in MANUFACTURER or (own.index not in entries and own.index not in _MANDATORY):
             dictionary.conceal(own.index)
     for index, entry in entries.items():
         made = _object(index, entry)
@@ -57,17 +54,18 @@ def overlay(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
 def _identify(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     """1018h:1 to 3 and 1008h by all that the file says of the device: the simulated drive's own would lie."""
     for subindex, numbers in enumerate(told_identity(vendor), start=1):
-        variable = dictionary.get(IDENTITY, subindex)
+        variable = dictionary.get(Cia301.IDENTITY, subindex)
         if variable is not None:
             variable.default = variable.value = next(iter(numbers), 0)
-    name, product = dictionary.get(_DEVICE_NAME), vendor.device_information.product_name
-    if name is not None and product and _DEVICE_NAME in vendor and 0 in _silent(vendor[_DEVICE_NAME]):
+    name, product = dictionary.get(Cia301.DEVICE_NAME), vendor.device_information.product_name
+    told = vendor.get(Cia301.DEVICE_NAME)
+    if name is not None and product and told is not None and 0 in _silent(told):
         name.default = name.value = product.encode("latin-1", errors="replace")
 
 
 def _silent(entry: Any) -> frozenset[int]:
     """Sub-indices to which the file gives no value: there the device's own stays, PDO parameters apart."""
-    if entry.index in _PDO_PARAMETERS:
+    if entry.index in PDO_PARAMETERS:  # what is mapped by default stands in the file, or nothing is
         return frozenset()
     members = {0: entry} if isinstance(entry, od.ODVariable) else entry.subindices
     return frozenset(
@@ -163,8 +161,7 @@ def _access(text: str) -> Access:
 
 def _default(data_type: DataType, member: Any) -> Any:
     """The file's value, a DCF's ParameterValue first; None where it does not fit its type."""
-    configured = getattr(member, "value", None)
-    value = configured if configured is not None else member.default
+    value = held_by(member)
     if data_type not in BITS:
         if isinstance(value, str):
             wide = data_type is DataType.UNICODE_STRING

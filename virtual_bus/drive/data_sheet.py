@@ -1,20 +1,17 @@
 """The simulated drive behind another drive's data sheet: a rehearsal of that drive (CiA 306-1, CiA 402-2)."""
 
-from typing import Any, Final
+from typing import Final
 
 import canopen.objectdictionary as od
 
 from drivers.cia402.objects402 import Object
-from drivers.cia402.pdo_plans import TARGETS
+from drivers.cia402.pdo_plans import NEEDED_OBJECTS
 from drivers.cia402.profile import Mode, supported_mode_bit
+from drivers.sheets.dictionary import held_number
 from virtual_bus.device.object_dictionary import ObjectDictionary, Variable
 from virtual_bus.device.vendor_dictionary import overlay
 from virtual_bus.drive.shown import show_instead
 
-_NEEDED: Final[dict[Mode, int]] = {
-    **{mode: target.index for mode, target in TARGETS.items()},
-    Mode.HOMING: Object.HOMING_METHOD,
-}
 _STANDARD_MODES: Final = 0x3FF
 """Of 6502h; the rest is reserved, and the maker's."""
 ENCODER_COUNTS_MIN: Final = 4
@@ -38,10 +35,10 @@ def lay_over(dictionary: ObjectDictionary, vendor: od.ObjectDictionary) -> None:
     resolution = [dictionary.variable(Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     counts = [variable.default for variable in resolution]
     overlay(dictionary, vendor)
-    _take_modes(dictionary, modes, _told(vendor, Object.SUPPORTED_DRIVE_MODES))
-    told = [_told(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
+    _take_modes(dictionary, modes, held_number(vendor, Object.SUPPORTED_DRIVE_MODES))
+    told = [held_number(vendor, Object.POSITION_ENCODER_RESOLUTION, sub) for sub in (1, 2)]
     _take_resolution(resolution, counts, told)
-    if _told(vendor, Object.QUICK_STOP_DECELERATION) == 0:
+    if held_number(vendor, Object.QUICK_STOP_DECELERATION) == 0:
         quick_stop.default = quick_stop.value = 1
         quick_stop.low = 0
         show_instead(quick_stop, 0)
@@ -55,7 +52,7 @@ def only_modes(dictionary: ObjectDictionary, bits: int, *further: Variable) -> N
             word.default = word.value = bits
     mode = dictionary.variable(Object.MODES_OF_OPERATION)
     if mode.refusal(mode.default) is not None:
-        first = next((each for each in sorted(_NEEDED) if mode.refusal(each) is None), Mode.NONE)
+        first = next((each for each in sorted(NEEDED_OBJECTS) if mode.refusal(each) is None), Mode.NONE)
         for shown in (mode, dictionary.variable(Object.MODES_OF_OPERATION_DISPLAY)):
             shown.default = shown.value = int(first)
 
@@ -64,7 +61,7 @@ def _take_modes(dictionary: ObjectDictionary, own: Variable, told: int | None) -
     allowed = own.default if told is None or not told & _STANDARD_MODES else own.default & told
     bits = sum(
         supported_mode_bit(mode)
-        for mode, index in _NEEDED.items()
+        for mode, index in NEEDED_OBJECTS.items()
         if allowed & supported_mode_bit(mode) and index in dictionary
     )
     only_modes(dictionary, bits, own)
@@ -79,12 +76,3 @@ def _take_resolution(own: list[Variable], counts: list[int], told: list[int | No
         variable.default = variable.value = number if real else count
         if not real:
             show_instead(variable, number)
-
-
-def _told(vendor: od.ObjectDictionary, index: int, sub: int = 0) -> int | None:
-    """An integer of the sheet, a DCF's parameter value first."""
-    entry: Any = vendor.get(index)
-    if entry is not None and sub:
-        entry = entry.subindices.get(sub)
-    word = None if entry is None else entry.value if entry.value is not None else entry.default
-    return word if isinstance(word, int) else None

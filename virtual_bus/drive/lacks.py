@@ -9,15 +9,12 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+from drivers.canopen.objects301 import MANDATORY, TPDO_COMMUNICATION, TPDO_MAPPING, is_mapping
 from virtual_bus.device.object_dictionary import DictionaryObject, ObjectDictionary
 
 TPDO_EVENTS: Final = "tpdo events"
 PATTERN: Final = rf"^([0-9A-Fa-f]{{4}}(:[0-9]{{1,3}})?|{TPDO_EVENTS})$"
-MANDATORY: Final = (0x1000, 0x1001, 0x1018)
-"""CiA 301, 7.5.2."""
-
-_COMMUNICATION: Final = range(0x1800, 0x1A00)
-_MAPPINGS: Final = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_TPDOS: Final = range(TPDO_COMMUNICATION, TPDO_MAPPING)
 _REMOTE_EVENT: Final = 253
 
 
@@ -35,14 +32,14 @@ def take_away(dictionary: ObjectDictionary, lacks: Sequence[str]) -> None:
             index, _, subindex = lack.partition(":")
             _remove(dictionary, int(index, 16), int(subindex or 0), lack)
     for entry in dictionary:
-        if any(entry.index in mappings for mappings in _MAPPINGS):
+        if is_mapping(entry.index):
             _map_what_is_left(dictionary, entry)
 
 
 def _refuse_events(dictionary: ObjectDictionary) -> None:
     for entry in dictionary:
         kind = entry.members.get(2)
-        if entry.index in _COMMUNICATION and kind is not None:
+        if entry.index in _TPDOS and kind is not None:
             kind.high = _REMOTE_EVENT
             kind.default = min(kind.default, 1)
 

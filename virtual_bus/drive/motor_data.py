@@ -4,12 +4,11 @@ import math
 from typing import Final
 
 from design.motor import PmsmParameters, Transform
+from drivers.canopen.objects301 import Cia301
 from drivers.vendors.families import motor_objects_for
 from virtual_bus.device.object_dictionary import ObjectDictionary
 from virtual_bus.drive.shown import show_instead
 
-_IDENTITY: Final = 0x1018
-_DEVICE_NAME: Final = 0x1008
 _PROFILE: Final = 0x6000
 
 
@@ -19,8 +18,8 @@ def tell_motor(dictionary: ObjectDictionary, motor: PmsmParameters) -> None:
     What a data sheet has there is of another motor, or of none. Objects of the profile rule inside the drive
     by the standard's convention, and only show the maker's.
     """
-    vendor, product = (_held(dictionary, _IDENTITY, sub) or 0 for sub in (1, 2))
-    name = _held(dictionary, _DEVICE_NAME, 0)
+    vendor, product = (_held(dictionary, Cia301.IDENTITY, sub) or 0 for sub in (1, 2))
+    name = _held(dictionary, Cia301.DEVICE_NAME, 0)
     text = name.split(b"\0", 1)[0].decode("latin-1").strip() if isinstance(name, bytes) else ""
     figures = motor_figures(motor)
     for _, known in motor_objects_for(int(vendor), int(product), text):

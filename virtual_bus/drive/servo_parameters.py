@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from design.motor import PmsmParameters
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import AbortConnectionOption
 from virtual_bus.device.device_options import (
@@ -22,7 +23,6 @@ from virtual_bus.drive.load_table import LoadTable
 
 SERVO_DRIVE: Final = 0x0002_0192
 """Device type 1000h: device profile 402, servo drive (CiA 402-1)."""
-HIGH_RESOLUTION_TIME_STAMP: Final = 0x1013
 _CLOCK_RANGE_US: Final = 1 << 32
 
 
@@ -107,7 +107,7 @@ TPDO2: Final = PdoDefault(
     1,
     (
         mapping_word(Object.POSITION_ACTUAL_VALUE, 0, 32),
-        mapping_word(HIGH_RESOLUTION_TIME_STAMP, 0, 32),
+        mapping_word(Cia301.HIGH_RESOLUTION_TIME_STAMP, 0, 32),
     ),
 )
 RPDO1: Final = PdoDefault(

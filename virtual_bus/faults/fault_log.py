@@ -186,17 +186,17 @@ def read_line(text: str, source: str, line: int) -> FaultEntry:
 class _Line:
     """Takes the fields out of one line's object."""
 
-    def __init__(self, found: Mapping[str, Any], source: str, place: str) -> None:
-        self._found = found
+    def __init__(self, fields: Mapping[str, Any], source: str, place: str) -> None:
+        self._fields = fields
         self._source = source
         self._place = place
 
     def entry(self) -> FaultEntry:
-        code = KIND_CODES[self._found["kind"]]
+        code = KIND_CODES[self._fields["kind"]]
         kind = LOG_KINDS[code]
         can_id = n = link = 0
         if kind.tells == "frame":
-            extended = self._found.get("extended", False) is True
+            extended = self._fields.get("extended", False) is True
             can_id = self._whole("can_id", 0, EXTENDED_ID_MAX if extended else STANDARD_ID_MAX)
             can_id |= EXTENDED_FLAG if extended else 0
         if kind.tells != "nothing":
@@ -210,13 +210,13 @@ class _Line:
         return FaultEntry(at_ns, a, b, c, can_id, n, code, link)
 
     def _numbers(self, numbers: tuple[LogNumber, ...]) -> list[int]:
-        if numbers and numbers[0].optional and numbers[0].name not in self._found:
+        if numbers and numbers[0].optional and numbers[0].name not in self._fields:
             return [NONE, 0, 0]
         return [self._number(number) for number in numbers] + [0] * (3 - len(numbers))
 
     def _number(self, number: LogNumber) -> int:
         unsaid = number.unsaid if number.usual is None else number.usual
-        if unsaid is not None and number.name not in self._found:
+        if unsaid is not None and number.name not in self._fields:
             return unsaid
         return (
             self._one_of(number.name, number.words)
@@ -226,24 +226,24 @@ class _Line:
 
     def _link(self) -> int:
         direction = self._one_of("direction", _LABELS)
-        if "side" not in self._found:
+        if "side" not in self._fields:
             return direction
-        if self._found["side"] != "drive":
+        if self._fields["side"] != "drive":
             raise self._bad("side", "drive, or no side")
         return direction + AT_NODE * self._whole("node", 1, 127)
 
     def _one_of(self, name: str, words: tuple[bool | str, ...]) -> int:
         """The number that a word stands for."""
-        value = self._found.get(name)
+        value = self._fields.get(name)
         if value not in words:
             raise self._bad(name, f"one of {', '.join(map(str, words))}")
         return words.index(value)
 
     def _whole(self, name: str, least: int, most: int) -> int:
-        value = self._found.get(name)
+        value = self._fields.get(name)
         if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
             raise self._bad(name, f"a whole number from {least} to {most}")
         return value
 
     def _bad(self, name: str, expected: str) -> BadInput:
-        return BadInput(self._source, f"{self._place}: {name}", self._found.get(name), expected)
+        return BadInput(self._source, f"{self._place}: {name}", self._fields.get(name), expected)

@@ -67,8 +67,8 @@ class Injection:
                 return device
             source = DrawnNode(FaultPlan(), node, self._seed)
         if source.needs_drive and not hasattr(device.application, "fail"):
-            found = f"node {node}"
-            raise BadInput("fault plan", source.needs_drive, found, "a simulated drive, with a motor inside")
+            here = f"node {node}"
+            raise BadInput("fault plan", source.needs_drive, here, "a simulated drive, with a motor inside")
         made = FaultyDevice(device, source, self.log, fates)
         self._devices.append(made)
         return made

@@ -1,6 +1,7 @@
 """PDOs that have no sections of their own: CompactPDO in [DeviceInfo] (CiA 306-1 clause 4.5.3)."""
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.objects301 import MAPPING_OFFSET, RPDO_COMMUNICATION, TPDO_COMMUNICATION
 from drivers.canopen.pdo import NOT_VALID
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry
@@ -28,14 +29,14 @@ def add_compact_pdos(objects: dict[int, EdsObject], device: DeviceInformation) -
     if not device.compact_pdo:
         return
     for base, first_id, count, name in (
-        (0x1400, 0x200, device.receive_pdos, "RPDO"),
-        (0x1800, 0x180, device.transmit_pdos, "TPDO"),
+        (RPDO_COMMUNICATION, 0x200, device.receive_pdos, "RPDO"),
+        (TPDO_COMMUNICATION, 0x180, device.transmit_pdos, "TPDO"),
     ):
         for number in range(min(count or 0, _PDOS_MAX)):
             title = f"{name}{number + 1}"
             made = _communication(base + number, first_id + 0x100 * number, device.compact_pdo, title)
             objects.setdefault(made.index, made)
-            mapping = _mapping(base + 0x200 + number, device.granularity or 8, title)
+            mapping = _mapping(base + MAPPING_OFFSET + number, device.granularity or 8, title)
             objects.setdefault(mapping.index, mapping)
 
 

@@ -4,12 +4,12 @@ import re
 from dataclasses import dataclass, field
 
 from drivers.canopen.data_types import BITS, DataType
+from drivers.canopen.objects301 import Cia301
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import Spelled, integer
 from drivers.sheets.eds.sections import EdsSection, Option, Sections, section_name
 from drivers.sheets.eds.values import NOTHING, Place, Scalar, Value, read_value
 
-CONSUMER_HEARTBEAT = 0x1016
 ACCESS_TYPES = ("ro", "wo", "rw", "rwr", "rww", "const")
 _SPELLINGS = {
     "ro": "r read readonly",
@@ -122,7 +122,12 @@ class EntryReader:
             fault = f"LowLimit {low!r} is above HighLimit {high!r}"
         elif low == high == 0 and default and made.access not in ("ro", "const"):
             fault = "both limits are 0, the default is not"
-        elif made.index == CONSUMER_HEARTBEAT and made.sub and isinstance(high, int) and high <= 0xFFFF:
+        elif (
+            made.index == Cia301.CONSUMER_HEARTBEAT_TIME
+            and made.sub
+            and isinstance(high, int)
+            and high <= 0xFFFF
+        ):
             fault = f"HighLimit {high} leaves no room for a node-ID in bits 16 to 22"
         elif _beyond(default, low, high):
             beyond = f"DefaultValue {default!r} is beyond the limits {low!r} to {high!r}"

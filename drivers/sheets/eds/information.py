@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.sheets.eds.numbers import integer
-from drivers.sheets.eds.objects import FIRST_OBJECT
 from drivers.sheets.eds.repairs import RepairLog
 from drivers.sheets.eds.sections import COMMISSIONING, EdsSection, Sections, object_of, section_name
 
@@ -133,7 +133,7 @@ def read_dummies(sections: Sections) -> tuple[int, ...]:
 
 def check_lists(sections: Sections, log: RepairLog) -> None:
     """Hold the lists of objects against the objects; those that are defined count."""
-    defined = {found.index for found in map(object_of, sections) if found is not None}
+    defined = {named.index for named in map(object_of, sections) if named is not None}
     defined = {index for index in defined if index >= FIRST_OBJECT}
     lists = [sections[name] for name in LISTS if name in sections]
     if not lists:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from drivers.canopen.data_types import DataType
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.sheets.eds import types
 from drivers.sheets.eds.entries import Entry, EntryReader
 from drivers.sheets.eds.numbers import integer
@@ -18,7 +19,6 @@ from drivers.sheets.eds.sections import (
 )
 from drivers.sheets.eds.values import Place, Value, read_value
 
-FIRST_OBJECT = 0x1000
 """Below are data types."""
 _SUBS_MAX = 254
 ENTRIES_MAX = 100_000
@@ -46,14 +46,14 @@ def build_objects(sections: Sections, node_id: int | None, log: RepairLog) -> di
     builder = _Builder(sections, node_id, log)
     heads: dict[int, EdsSection | None] = {}
     for name, section in sections.items():
-        found = object_of(name)
-        if found is None or found.index < FIRST_OBJECT:
+        named = object_of(name)
+        if named is None or named.index < FIRST_OBJECT:
             continue
-        if found.sub is None:
-            heads[found.index] = section
+        if named.sub is None:
+            heads[named.index] = section
         else:
-            heads.setdefault(found.index, None)
-            builder.subs.setdefault(found.index, {})[found.sub] = section
+            heads.setdefault(named.index, None)
+            builder.subs.setdefault(named.index, {})[named.sub] = section
     objects: dict[int, EdsObject] = {}
     entries = 0
     for index in sorted(heads):

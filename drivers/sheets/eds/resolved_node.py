@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Final
 
+from drivers.canopen.cob_ids import EMERGENCY, RPDOS, TPDOS
+from drivers.canopen.objects301 import RPDO_COMMUNICATION, TPDO_COMMUNICATION, Cia301
 from drivers.sheets.eds.entries import Entry
 from drivers.sheets.eds.numbers import Formula
 from drivers.sheets.eds.objects import EdsObject
@@ -11,9 +13,9 @@ from drivers.sheets.eds.sections import Sections, section_name
 from drivers.sheets.eds.values import Value
 
 _PREDEFINED: Final[dict[tuple[int, int], int]] = {
-    (0x1014, 0): 0x80,
-    **{(0x1400 + number, 1): 0x200 + 0x100 * number for number in range(4)},
-    **{(0x1800 + number, 1): 0x180 + 0x100 * number for number in range(4)},
+    (Cia301.EMCY_COB_ID, 0): EMERGENCY,
+    **{(RPDO_COMMUNICATION + number, 1): cob_id for number, cob_id in enumerate(RPDOS)},
+    **{(TPDO_COMMUNICATION + number, 1): cob_id for number, cob_id in enumerate(TPDOS)},
 }
 """COB-IDs of the predefined connection set without the node-ID (CiA 301, 7.3.5)."""
 _WITNESSES_MIN: Final = 3

@@ -6,6 +6,7 @@ CiA 301 clause 7.5.2, CiA 402-2.
 import re
 
 from drivers.canopen.data_types import SIGNED_BITS, UNSIGNED_BITS, DataType
+from drivers.canopen.objects301 import Cia301, is_communication, is_mapping
 
 TEXT_TYPES = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 BYTE_TYPES = (DataType.OCTET_STRING, DataType.DOMAIN)
@@ -66,23 +67,11 @@ _ARRAYS_OF = {
     **dict.fromkeys((0x1003, 0x1010, 0x1011, 0x1016, 0x1018, 0x608F, 0x6090, 0x6091, 0x6092, 0x6096), _U32),
     **dict.fromkeys((0x6099,), _U32),
     **dict.fromkeys((0x607B, 0x607D), _I32),
-    0x1029: _U8,
+    Cia301.ERROR_BEHAVIOUR: _U8,
 }
 _COMMUNICATION = {1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
-_RECEIVE, _TRANSMIT = range(0x1400, 0x1600), range(0x1800, 0x1A00)
-_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 
-COB_ID_OBJECTS = frozenset({0x1005, 0x1012, 0x1014})
-
-
-def is_mapping(index: int) -> bool:
-    """A PDO mapping parameter."""
-    return any(index in block for block in _MAPPINGS)
-
-
-def is_communication(index: int) -> bool:
-    """A PDO communication parameter."""
-    return index in _RECEIVE or index in _TRANSMIT
+COB_ID_OBJECTS = frozenset({Cia301.SYNC_COB_ID, Cia301.TIME_COB_ID, Cia301.EMCY_COB_ID})
 
 
 def standard_type(index: int, sub: int | None) -> int | None:
@@ -104,8 +93,8 @@ def standard_object_type(index: int) -> int | None:
     """VARIABLE, ARRAY, RECORD or DOMAIN as the standards have it."""
     if index in _TYPE_OF_VARIABLE:
         return VARIABLE
-    if index == 0x1021:
+    if index == Cia301.STORE_EDS:
         return DOMAIN_OBJECT
-    if index == 0x1018 or index == 0x60C2 or is_mapping(index) or is_communication(index):
+    if index == Cia301.IDENTITY or index == 0x60C2 or is_mapping(index) or is_communication(index):
         return RECORD
     return ARRAY if index in _ARRAYS_OF else None

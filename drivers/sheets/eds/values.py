@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS, TIME_BITS, UNSIGNED_BITS, DataType
+from drivers.canopen.objects301 import Cia301, is_communication, is_mapping
 from drivers.sheets.eds import types
 from drivers.sheets.eds.numbers import LENGTH_MAX, Formula, Spelled, formula, integer, is_formula, real
 from drivers.sheets.eds.sections import EdsSection, Option
 
 Scalar = int | float | str | bytes
 _NO_NUMBER = frozenset({"-", "--", "n/a", "na", "none", "null", "?", "unknown", "var", "variable"})
-_DEVICE_TYPE = 0x1000
 _DRIVE_PROFILE = 402
 
 
@@ -137,11 +137,11 @@ def _spelled(text: str, place: Place) -> Spelled | None:
         return spelled
     digits = text.strip()
     wide = int(digits, 16)
-    if types.is_mapping(place.index) and place.sub:
+    if is_mapping(place.index) and place.sub:
         hexadecimal = len(digits) == 8 and wide >> 16 >= 0x1000 and 1 <= wide & 0xFF <= 64
-    elif place.index == _DEVICE_TYPE:
+    elif place.index == Cia301.DEVICE_TYPE:
         hexadecimal = wide & 0xFFFF == _DRIVE_PROFILE and spelled.value & 0xFFFF != _DRIVE_PROFILE
-    elif (types.is_communication(place.index) and place.sub == 1) or place.index in types.COB_ID_OBJECTS:
+    elif (is_communication(place.index) and place.sub == 1) or place.index in types.COB_ID_OBJECTS:
         # Bits 11 to 29 of a COB-ID of 11 bits are 0.
         hexadecimal = len(digits) == 8 and wide & 0x3FFF_F800 == 0
     else:

@@ -81,8 +81,8 @@ _FILE: Final = {"fileName": "FileName", "fileVersion": "FileVersion", "fileCreat
 class NoXmlSheet(Exception):
     """An XML text that is no XDD: where, and what was found there."""
 
-    def __init__(self, line: int, found: str) -> None:
-        super().__init__(found)
+    def __init__(self, line: int, what: str) -> None:
+        super().__init__(what)
         self.line = line
 
 

@@ -15,6 +15,7 @@ from drivers.canopen.cob_ids import (
     SYNC,
     TIME,
 )
+from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
 from drivers.canopen.sdo import abort_text, object_name
 from hil.reviewing.trace.known_nodes import KnownNodes
 from hil.reviewing.trace.log_frame import LogFrame
@@ -34,7 +35,6 @@ from hil.reviewing.trace.trace_entry import TraceEntry
 
 _NO_OBJECT: Final = (0x0602_0000, 0x0609_0011)
 """Abort codes of an object or a sub-index that is not there (CiA 301 table 22)."""
-_IDENTITY: Final = 0x1018
 _SDO_BYTES: Final = 8
 
 
@@ -171,9 +171,9 @@ class BusDecoder:
         index, sub, data = transfer.index, transfer.sub, bytes(transfer.data)
         if transfer.whole and (data or not transfer.download):
             objects.take(index, sub, data)
-            if index == _IDENTITY and self._known.identified(objects, node):
+            if index == Cia301.IDENTITY and self._known.identified(objects, node):
                 self._pdos.stale = True
-            self._pdos.stale |= 0x1400 <= index < 0x1C00
+            self._pdos.stale |= index in PDO_PARAMETERS
         elif not transfer.download and transfer.abort_code in _NO_OBJECT:
             objects.lacks(index, sub)
         value = objects.value(index, sub, data)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from drivers.canopen.objects301 import Cia301
 from drivers.cia402.scaling import ScaleOverride
 from drivers.sheets.dictionary import load_dictionary
 from hil.reviewing.trace.node_objects import NodeObjects
@@ -64,7 +65,7 @@ class KnownNodes:
         """Whether the node, which has told its identity 1018h, has a sheet now and had none before."""
         if objects.sheet is not None:
             return False
-        identity = objects.held(0x1018, _VENDOR), objects.held(0x1018, _PRODUCT)
+        identity = objects.held(Cia301.IDENTITY, _VENDOR), objects.held(Cia301.IDENTITY, _PRODUCT)
         for candidate in self._candidates:
             if identity == (candidate.vendor, candidate.product):
                 objects.use_sheet(load_dictionary(candidate.path, node).dictionary)

@@ -6,12 +6,14 @@ from typing import Final, NamedTuple
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable
 
 from drivers.canopen.error_codes import fault_text, history_text, register_text
+from drivers.canopen.objects301 import PDO_PARAMETERS, Cia301
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import Mode, commands_in, state_of
 from drivers.cia402.quirky_units import apply_quirks
 from drivers.cia402.scaling import FACTOR_OBJECTS, ScaleOverride, Scaling, scaling_from
 from drivers.errors import PeerFault
 from drivers.rotation import RAD_PER_REVOLUTION, RAD_S_PER_RPM
+from drivers.sheets.dictionary import held_by
 from drivers.vendors.families import known_families, quirks_for
 from hil.reviewing.trace.object_names import is_word_of_bits, standard_name, type_by_standard
 from hil.reviewing.trace.object_value import ObjectValue, value_of
@@ -71,12 +73,12 @@ class NodeObjects:
 
     def take(self, index: int, sub: int, data: bytes) -> None:
         """The node holds ``data`` there: it told so, or confirmed it."""
-        if index == 0x1008:
+        if index == Cia301.DEVICE_NAME:
             self._device_name = str(value_of(data, 0x09) or "")
             self._stale = True
         if len(data) > 8:
             return
-        if index in _NEEDED or 0x1400 <= index < 0x1C00:
+        if index in _NEEDED or index in PDO_PARAMETERS:
             value = value_of(data, self._type(index, sub))
             if isinstance(value, int):
                 self._told[index, sub] = value
@@ -94,10 +96,7 @@ class NodeObjects:
         told = self._told.get((index, sub))
         if told is not None or (index, sub) in self._lacking:
             return told
-        variable = self._variable(index, sub)
-        if variable is None:
-            return None
-        value = variable.default if variable.value is None else variable.value
+        value = held_by(self._variable(index, sub))
         return value if isinstance(value, int) else None
 
     def pdo_numbers(self, base: int) -> Iterator[int]:
@@ -112,7 +111,7 @@ class NodeObjects:
     @property
     def make(self) -> tuple[int, str]:
         """Vendor-ID and device name, as far as they are known."""
-        return self.held(0x1018, 1) or 0, self._device_name
+        return self.held(Cia301.IDENTITY, 1) or 0, self._device_name
 
     def value(self, index: int, sub: int, data: bytes) -> ObjectValue:
         """``data`` of an object in words."""
@@ -167,9 +166,9 @@ class NodeObjects:
             return Mode(raw).title if raw in Mode.__members__.values() else "mode of the maker"
         if index == Object.ERROR_CODE:
             return fault_text(raw, *self.make)
-        if index == 0x1001:
+        if index == Cia301.ERROR_REGISTER:
             return register_text(raw)
-        if index == 0x1003 and sub:
+        if index == Cia301.ERROR_HISTORY and sub:
             return history_text(raw, *self.make)
         return ""
 
@@ -206,7 +205,7 @@ class NodeObjects:
         """What can be said of the units; a part that is not told does not hide the other."""
         values = {key: self.held(*key) for key in FACTOR_OBJECTS}
         vendor, name = self.make
-        quirks = quirks_for(vendor, self.held(0x1018, 2) or 0, name) if vendor else ()
+        quirks = quirks_for(vendor, self.held(Cia301.IDENTITY, 2) or 0, name) if vendor else ()
         applied = apply_quirks(quirks, values, self._override, self.held)
         given = applied.override
         torque = bool(applied.values.get((_RATED, 0)) or given.rated_torque_nm)
@@ -225,7 +224,7 @@ class NodeObjects:
 
 
 _NEEDED: Final = frozenset(
-    {0x1018, *(index for index, _ in FACTOR_OBJECTS)}
+    {Cia301.IDENTITY, *(index for index, _ in FACTOR_OBJECTS)}
     | {quirk.increments_index for family in known_families() for quirk in family.quirks}
 )
 """Objects on which the units rest."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from drivers.canopen.data_types import REAL_BITS, SIGNED_BITS
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.canopen.pdo import NOT_VALID, PdoDirection, key_of
 from hil.reviewing.trace.node_objects import NodeObjects
 from hil.reviewing.trace.object_value import ObjectValue
 
 _PREDEFINED: Final = 4
-_FIRST_OBJECT: Final = 0x1000
 """Lower indices are data types: what they map is a gap."""
 _EXTENDED: Final = 1 << 29
 _MAPPED_MAX: Final = 64
@@ -47,7 +47,7 @@ class PdoLayout(NamedTuple):
         """What the data hold; what does not reach into them is left out."""
         word, numbers = int.from_bytes(data, "little"), []
         for one in self.objects or ():
-            if one.index >= _FIRST_OBJECT and one.shift + one.bits <= 8 * len(data):
+            if one.index >= FIRST_OBJECT and one.shift + one.bits <= 8 * len(data):
                 numbers.append(objects.number(one.index, one.sub, _number(word, one)))
         return tuple(numbers)
 

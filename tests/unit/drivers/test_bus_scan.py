@@ -194,10 +194,10 @@ def test_devices_without_node_id_are_found_and_left_as_they_were() -> None:
     bench.add(UNCONFIGURED, 0x00000002)
     master = LssMaster(bench.network)
     assert master.any_unconfigured()
-    found = master.find_all()
+    found = list(master.search())
     assert [address.serial_number for address in found] == [0x00000002, 0x80000001], "lowest number first"
     assert {address.product_code for address in found} == {0x00010402}
-    assert master.find_all() == found
+    assert list(master.search()) == found
     master.close()
 
 
@@ -205,13 +205,13 @@ def test_an_assigned_device_boots_with_its_node_id() -> None:
     bench = Bench([1])
     servo = bench.add(UNCONFIGURED, 77)
     master = LssMaster(bench.network)
-    (address,) = master.find_all()
+    (address,) = master.search()
     bench.frames.clear()
     servo.follow_boot_time(lambda: 2 * NS_PER_S)
     assert master.assign(address, 9, store=True)
     assert bench.frames[-1] == Frame(0x709, b"\x00"), "it was left to boot, and not asked meanwhile"
     assert not master.any_unconfigured()
-    assert master.find_all() == []
+    assert list(master.search()) == []
     assert bench.network.upload(9, 0x1018, 4) == (77).to_bytes(4, "little")
     assert servo.node_id == 9
 
@@ -220,7 +220,7 @@ def test_a_device_that_does_not_boot_with_its_node_id_is_told() -> None:
     bench = Bench()
     bench.add(UNCONFIGURED, 77).follow_boot_time(lambda: 60 * NS_PER_S)
     master = LssMaster(bench.network)
-    (address,) = master.find_all()
+    (address,) = master.search()
     began = bench.timeline.now
     assert not master.assign(address, 9)
     assert BOOT_NS <= bench.timeline.now - began < BOOT_NS + NS_PER_S
@@ -229,7 +229,7 @@ def test_a_device_that_does_not_boot_with_its_node_id_is_told() -> None:
 def test_a_search_gets_through_where_frames_are_lost() -> None:
     bench = Bench([], drop_every=40)
     bench.add(UNCONFIGURED, 0x12345678)
-    (address,) = LssMaster(bench.network).find_all()
+    (address,) = LssMaster(bench.network).search()
     assert address.serial_number == 0x12345678
 
 
@@ -243,14 +243,14 @@ def test_a_search_that_leads_nowhere_is_an_error() -> None:
 
     scared = bench.segment.attach("scared", answer)
     with pytest.raises(NoAnswer, match="but none was found"):
-        LssMaster(bench.network).find_all()
+        list(LssMaster(bench.network).search())
 
 
 def test_a_device_that_refuses_or_is_gone_is_named() -> None:
     bench = Bench([])
     bench.add(UNCONFIGURED, 3)
     master = LssMaster(bench.network)
-    (address,) = master.find_all()
+    (address,) = master.search()
     with pytest.raises(PeerFault, match="refuses node-ID 200"):
         master.assign(address, 200)
     with pytest.raises(NoAnswer, match="serial 00000004h does not answer"):
@@ -263,7 +263,7 @@ def test_nobody_to_find() -> None:
     master = LssMaster(bench.network)
     began = bench.timeline.now
     assert not master.any_unconfigured()
-    assert master.find_all() == []
+    assert list(master.search()) == []
     assert bench.timeline.now - began < 400 * NS_PER_MS
 
 

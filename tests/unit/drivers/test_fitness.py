@@ -118,6 +118,6 @@ def test_what_is_recommended_and_missing_is_listed_with_its_consequence() -> Non
 def test_pdo_defaults_are_those_of_the_file() -> None:
     pdos = [Pdo(0x1400, kind=1, kind_access="ro"), Pdo(0x1801, (0x60410010,), False, cob_id="0xC0000285")]
     tpdo, rpdo = fitness(pdos).pdos
-    assert (rpdo.name, rpdo.cob_id, rpdo.valid, rpdo.transmission_type) == ("RPDO1", 0x205, True, 1)
-    assert (tpdo.name, tpdo.cob_id, tpdo.valid) == ("TPDO2", 0x285, False)
-    assert (tpdo.mapping, tpdo.mapping_writable) == (("6041h:00/16",), False)
+    assert (rpdo.name, rpdo.identifier, rpdo.valid, rpdo.transmission_type) == ("RPDO1", 0x205, True, 1)
+    assert (tpdo.name, tpdo.identifier, tpdo.valid) == ("TPDO2", 0x285, False)
+    assert (tpdo.mapping, tpdo.mapping_writable) == ((0x6041_0010,), False)

@@ -38,7 +38,7 @@ def test_one_device_that_answers_fast_scan_in_configuration_is_found_once() -> N
     """CiA 305, fastscan: a service of the LSS state waiting; CANopenNode answers it in the other one, too."""
     bench = yes_sayers(77)
     began = bench.timeline.now
-    found = LssMaster(bench.network).find_all()
+    found = list(LssMaster(bench.network).search())
     assert [address.serial_number for address in found] == [77]
     assert bench.timeline.now - began < 15 * NS_PER_S
 
@@ -46,9 +46,9 @@ def test_one_device_that_answers_fast_scan_in_configuration_is_found_once() -> N
 def test_several_such_devices_are_all_found_and_left_as_they_were() -> None:
     bench = yes_sayers(*SERIALS)
     master = LssMaster(bench.network)
-    found = master.find_all()
+    found = list(master.search())
     assert [address.serial_number for address in found] == SERIALS
-    assert master.find_all() == found
+    assert list(master.search()) == found
 
 
 def test_they_get_their_node_ids_one_after_another() -> None:
@@ -64,7 +64,7 @@ def test_they_get_their_node_ids_one_after_another() -> None:
 def test_a_device_that_was_left_in_configuration_is_called_back_first() -> None:
     bench = yes_sayers(77)
     bench.network.link.send(0x7E5, b"\x04\x01".ljust(8, b"\0"))
-    (address,) = LssMaster(bench.network).find_all()
+    (address,) = LssMaster(bench.network).search()
     assert address.serial_number == 77
 
 
@@ -73,7 +73,7 @@ def test_several_are_found_where_frames_are_lost(drop_every: int) -> None:
     bench = Bench([], drop_every=drop_every)
     for serial in SERIALS:
         bench.add(UNCONFIGURED, serial)
-    assert [address.serial_number for address in LssMaster(bench.network).find_all()] == SERIALS
+    assert [address.serial_number for address in list(LssMaster(bench.network).search())] == SERIALS
 
 
 def test_a_slave_that_says_yes_to_whatever_it_is_asked_is_no_device_of_identity_zero() -> None:
@@ -96,7 +96,7 @@ def test_a_slave_that_says_yes_to_whatever_it_is_asked_is_no_device_of_identity_
 def test_a_slave_that_only_says_yes_is_none_at_all() -> None:
     bench = with_slave(lambda request: b"\x4f" if request[0] == 0x51 else None)
     with pytest.raises(NoAnswer, match="does not answer to its LSS address"):
-        LssMaster(bench.network).find_all()
+        list(LssMaster(bench.network).search())
 
 
 def test_two_devices_of_one_identity_are_told() -> None:
@@ -104,4 +104,4 @@ def test_two_devices_of_one_identity_are_told() -> None:
     for _ in range(2):
         bench.add(UNCONFIGURED, 77)
     with pytest.raises(PeerFault, match=r"2 devices .* serial 0000004Dh"):
-        LssMaster(bench.network).find_all()
+        list(LssMaster(bench.network).search())

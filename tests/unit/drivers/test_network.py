@@ -237,7 +237,6 @@ def test_posted_download_is_confirmed_without_waiting(rig: Rig) -> None:
     assert posted.done_at == NS_PER_MS // 10
     assert posted.failure is None
     assert servo.values[0x2100, 1] == 600
-    assert network.posts_settled(1)
 
 
 def test_posted_download_is_repeated(rig: Rig) -> None:
@@ -247,7 +246,6 @@ def test_posted_download_is_repeated(rig: Rig) -> None:
     network.pump(Instant(NS_PER_S))
     assert posted.failure is None
     assert posted.attempts == 3
-    assert network.failed_posts(1) == 0
 
 
 def test_posted_download_is_given_up(rig: Rig) -> None:
@@ -257,7 +255,6 @@ def test_posted_download_is_given_up(rig: Rig) -> None:
     network.pump(Instant(NS_PER_S))
     assert isinstance(posted.failure, NoAnswer)
     assert posted.done_at == 100 * NS_PER_MS
-    assert network.failed_posts(1) == 1
 
 
 def test_posted_download_that_is_refused(rig: Rig) -> None:

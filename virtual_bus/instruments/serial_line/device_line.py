@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from drivers.timebase import Instant
+from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.instruments.serial_line.line_faults import LineFaults, LineSpoiler
 from virtual_bus.instruments.serial_line.pseudo_terminal import READ_BYTES, PseudoTerminal
 
@@ -10,7 +10,6 @@ OUTPUT_BYTES_MAX = 1 << 16
 """What waits for a host that does not read; a line beyond it is lost."""
 _PACED_BYTES = 16
 """Read at a time from a line that has a speed, as from the FIFO of a UART."""
-_NS_PER_MS = 1_000_000
 
 
 class DeviceLine:
@@ -51,7 +50,7 @@ class DeviceLine:
         if self._output_bytes + len(data) > OUTPUT_BYTES_MAX:
             self.lines_lost += 1
             return False
-        start = max(Instant(now + round(self._faults.late_ms * _NS_PER_MS)), self._output_free_at)
+        start = max(Instant(now + round(self._faults.late_ms * NS_PER_MS)), self._output_free_at)
         self._output_free_at = due = Instant(start + self._faults.time_on_line(len(data)))
         if data:
             self._output.append((due, data))
