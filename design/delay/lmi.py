@@ -4,7 +4,6 @@ A problem is: minimise c'y over y, subject to F_j(y) = F_j0 + sum_k y_k F_jk >= 
 where y holds the free entries of the unknown matrices. Building knows nothing of the solver.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -215,8 +214,3 @@ def _matrix(vector: Array, m: int) -> Array:
     matrix = np.zeros((m, m))
     matrix[rows, columns] = matrix[columns, rows] = vector / weights
     return matrix
-
-
-def named(values: Mapping[str, Array]) -> dict[str, list[list[float]]]:
-    """Matrices as nested lists, for a file."""
-    return {name: np.asarray(value).tolist() for name, value in values.items()}

@@ -20,7 +20,7 @@ from scipy.linalg import eigvals
 from design.delay.delay_loop import Array
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
-from design.sampled.held_loop import HeldLoop, Jump, Operation
+from design.sampled.held_loop import Jump, Operation
 
 NODES = 5
 _PIECE_TURN = 2.0
@@ -77,16 +77,11 @@ def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) ->
     return DiscreteSystem(A[:kept, :kept], B[:kept], C[:, :kept], D)
 
 
-def sampled_gain(loop: HeldLoop, chain: Sequence[Operation]) -> float:
-    """Gain from load torque to speed error of the loop that repeats ``chain``, rad/s per N m.
-
-    inf if it is unstable. Raises NoSolution if the norm found cannot be shown to be one.
-    """
-    return discrete_norm(lifted(loop, chain))
-
-
 def discrete_norm(system: DiscreteSystem, tolerance: float = NORM_TOLERANCE) -> float:
-    """sup over theta of the largest singular value at e^{j theta}; inf if the system is unstable."""
+    """sup over theta of the largest singular value at e^{j theta}; inf if the system is unstable.
+
+    Of a :func:`lifted` loop: its gain. Raises NoSolution if the norm found cannot be shown to be one.
+    """
     poles = np.linalg.eigvals(system.A)
     if len(poles) and np.max(np.abs(poles)) >= 1.0:
         return math.inf
