@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import eigvals
 
 from design.delay.delay_loop import Array
+from design.delay.delay_response import integrals_to
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
 from design.sampled.held_loop import Jump, Operation
@@ -118,16 +119,7 @@ class _Collocation:
         x, w = np.polynomial.legendre.leggauss(nodes)
         self._times = 0.5 * (x + 1.0)
         self._weights = 0.5 * w
-        # integral from 0 to t_i of the polynomial through values at the nodes
-        V = np.polynomial.legendre.legvander(x, nodes - 1)
-        integrals = np.stack(
-            [
-                np.polynomial.legendre.legval(x, np.polynomial.legendre.legint(row, lbnd=-1.0))
-                for row in np.eye(nodes)
-            ],
-            axis=1,
-        )
-        self._integral = 0.5 * integrals @ np.linalg.inv(V)
+        self._integral = integrals_to(x)
         self._pieces: dict[float, _Piece] = {}
         self.rate = float(np.linalg.norm(self._balanced(), 2))
 
