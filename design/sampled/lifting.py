@@ -12,16 +12,14 @@ an error that falls geometrically with the number of nodes.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import eigvals
 
 from design.delay.delay_loop import Array
 from design.delay.delay_response import integrals_to
-from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
-from design.sampled.held_loop import Jump, Operation
+from design.sampled.held_loop import HeldInput, Jump, Operation
 
 NODES = 5
 _PIECE_TURN = 2.0
@@ -40,26 +38,7 @@ class DiscreteSystem:
     D: Array
 
 
-class SampledLoop(Protocol):
-    """A loop whose plant runs under an input that is held between jumps: xi begins with x and that input."""
-
-    @property
-    def model(self) -> SpeedModel:
-        """Of the plant."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """Entries of xi."""
-        ...
-
-    @property
-    def kept(self) -> int:
-        """So many of them, the first, matter from one sample to the next."""
-        ...
-
-
-def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
+def lifted(loop: HeldInput, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
     """The loop over one period of a pattern, from weighted disturbance to weighted output."""
     collocation = _Collocation(loop, nodes)
     A, B = np.eye(loop.size), np.zeros((loop.size, 0))
@@ -113,7 +92,7 @@ class _Piece:
 class _Collocation:
     """Flows of one plant by Gauss-Legendre collocation."""
 
-    def __init__(self, loop: SampledLoop, nodes: int) -> None:
+    def __init__(self, loop: HeldInput, nodes: int) -> None:
         self._model = loop.model
         self._size = loop.size
         x, w = np.polynomial.legendre.leggauss(nodes)

@@ -27,6 +27,7 @@ from design.speed.hinf_problem import (
     weighted_norms,
 )
 from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
+from design.speed.plant_loop import later_s
 from design.speed.predictor_design import INERTIAS, PHASES, PredictorRequest
 
 _MARGIN_STEP = 0.1
@@ -49,8 +50,6 @@ _INTEGRAL = 0.3
 _EVALUATIONS = 60
 _ORDER_PRICE = 2e-3
 """What the reduction may add to the cost."""
-_SEARCH = 20
-"""Steps of a period in which the delay margin is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,30 +176,27 @@ class HinfRobustness(LoopRobustness):
 
 def hinf_robustness(made: HinfDesign) -> HinfRobustness:
     """The figures."""
-    h = made.request.period_s
+    request, h = made.request, made.request.period_s
+
+    def gain(loop: HinfLoop) -> float:
+        return loop.gain(loop.chain())
+
+    def stable(delay_s: float) -> bool:
+        return HinfLoop(made.controller, request.plant, delay_s).spectral_radius() < 1.0
+
     omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
     return HinfRobustness(
         peak_over_floor=made.ratio(),
         peak_over_floor_inertia_less=made.ratio(0.7),
         peak_over_floor_inertia_more=made.ratio(1.3),
         peak_over_floor_lost=made.ratio(lost=LOST),
-        gain=made.loop().gain(),
-        gain_inertia_less=made.loop(inertia=0.7).gain(),
-        gain_inertia_more=made.loop(inertia=1.3).gain(),
-        gain_current_loop_slower=made.loop(current=0.5).gain(),
+        gain=gain(made.loop()),
+        gain_inertia_less=gain(made.loop(inertia=0.7)),
+        gain_inertia_more=gain(made.loop(inertia=1.3)),
+        gain_current_loop_slower=gain(made.loop(current=0.5)),
         bandwidths=stable_bandwidths(lambda share: made.loop(current=share).spectral_radius() < 1.0),
         uncertainty_norm=float(np.max(weighted_norms(made.problem, made.controller.K, omega))),
         margins=made.loop().margins(),
-        delay_margin_s=_delay_margin_s(made),
+        delay_margin_s=later_s(stable, request.delay_s, request.period_s),
         command_noise_nm=made.noise_nm,
     )
-
-
-def _delay_margin_s(made: HinfDesign) -> float:
-    """What the delay may be longer, to a twentieth of a period below."""
-    step_s = made.request.period_s / _SEARCH
-    most = round((made.request.delay_s + 5.0 * made.request.period_s) / step_s)
-    for more in range(1, most):
-        if made.loop(more_s=more * step_s).spectral_radius() >= 1.0:
-            return (more - 1) * step_s
-    return most * step_s
