@@ -195,16 +195,7 @@ def series(last: StateSpace, first: StateSpace) -> StateSpace:
 
 def append(*systems: StateSpace) -> StateSpace:
     """The systems side by side: block diagonal."""
-
-    def diagonal(parts: list[Array]) -> Array:
-        rows, columns = (sum(part.shape[axis] for part in parts) for axis in (0, 1))
-        joined, row, column = np.zeros((rows, columns)), 0, 0
-        for part in parts:
-            joined[row : row + part.shape[0], column : column + part.shape[1]] = part
-            row, column = row + part.shape[0], column + part.shape[1]
-        return joined
-
-    A, B, C, D = (diagonal([getattr(system, name) for system in systems]) for name in "ABCD")
+    A, B, C, D = (scipy.linalg.block_diag(*(getattr(each, name) for each in systems)) for name in "ABCD")
     return StateSpace(A, B, C, D, _period(*systems))
 
 

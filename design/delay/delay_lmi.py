@@ -109,31 +109,19 @@ def _positivity(unknowns: Unknowns, n: int, order: int) -> list[MatrixInequality
     moments.add(unknowns, "P", identity)
     for k in range(order):
         moments.add(unknowns, "Q", np.sqrt(2.0 * k + 1.0) * identity[:, (k + 1) * n : (k + 2) * n])
-    blocks = [moments]
-    for name in ("Q", "Z"):
-        part = MatrixInequality.zero(unknowns, n)
-        part.add(unknowns, name, np.eye(n))
-        blocks.append(part)
-    return blocks
+    return [moments, *(MatrixInequality.positive(unknowns, name) for name in ("Q", "Z"))]
 
 
 def _decrease(unknowns: Unknowns, signals: _Signals) -> MatrixInequality:
     """-V' as a form of the signals, without what the performance adds."""
     inequality = MatrixInequality.zero(unknowns, signals.m)
     inequality.add(unknowns, "P", -signals.moments, signals.moments_rate.T)
-    _add_form(inequality, unknowns, "Q", signals.now, -1.0)
-    _add_form(inequality, unknowns, "Q", signals.then, 1.0)
-    _add_form(inequality, unknowns, "Z", signals.rate, -1.0)
+    inequality.add_form(unknowns, "Q", signals.now, -1.0)
+    inequality.add_form(unknowns, "Q", signals.then, 1.0)
+    inequality.add_form(unknowns, "Z", signals.rate, -1.0)
     for k, projection in enumerate(signals.projections):
-        _add_form(inequality, unknowns, "Z", projection, 2.0 * k + 1.0)
+        inequality.add_form(unknowns, "Z", projection, 2.0 * k + 1.0)
     return inequality
-
-
-def _add_form(
-    inequality: MatrixInequality, unknowns: Unknowns, name: str, rows: Array, weight: float
-) -> None:
-    part = unknowns.slice_of(name)
-    inequality.coefficients[part] += weight * (rows @ unknowns.basis(name) @ rows.T)
 
 
 def gain_problem(loop: ScaledLoop, order: int, margin: float = STRICT) -> LmiProblem:
@@ -146,13 +134,15 @@ def gain_problem(loop: ScaledLoop, order: int, margin: float = STRICT) -> LmiPro
     unknowns.symmetric("gain_squared", 1)
     signals = _signals(loop, order, with_disturbance=True)
     decrease = _decrease(unknowns, signals)
-    output = signals.now @ loop.C
+    _count_gain(decrease, signals.now @ loop.C)
+    what = f"certificate of the gain at order {order}"
+    return LmiProblem(what, unknowns, [*_positivity(unknowns, n, order), decrease], unknowns.last, margin)
+
+
+def _count_gain(decrease: MatrixInequality, output: Array) -> None:
+    """Take z'z off and add gain_squared d'd; ``output``: (m,), of the signals, the last of which is d."""
     decrease.constant -= np.outer(output, output)
     decrease.coefficients[-1, -1, -1] += 1.0
-    objective = np.zeros(unknowns.count)
-    objective[-1] = 1.0
-    what = f"certificate of the gain at order {order}"
-    return LmiProblem(what, unknowns, [*_positivity(unknowns, n, order), decrease], objective, margin)
 
 
 def ordinary_gain_problem(loop: DelayLoop, state_scale: Array, gain_scale: float) -> LmiProblem:
@@ -164,18 +154,13 @@ def ordinary_gain_problem(loop: DelayLoop, state_scale: Array, gain_scale: float
     unknowns = Unknowns()
     unknowns.symmetric("P", n)
     unknowns.symmetric("gain_squared", 1)
-    positive = MatrixInequality.zero(unknowns, n)
-    positive.add(unknowns, "P", np.eye(n))
     rows = np.eye(n + 1)
     now, rate = rows[:, :n], rows[:, :n] @ A.T + np.outer(rows[:, n], E)
     decrease = MatrixInequality.zero(unknowns, n + 1)
     decrease.add(unknowns, "P", -now, rate.T)
-    decrease.constant -= np.outer(now @ C, now @ C)
-    decrease.coefficients[-1, -1, -1] += 1.0
-    objective = np.zeros(unknowns.count)
-    objective[-1] = 1.0
-    what = "certificate of the gain without delay"
-    return LmiProblem(what, unknowns, [positive, decrease], objective, STRICT)
+    _count_gain(decrease, now @ C)
+    inequalities = [MatrixInequality.positive(unknowns, "P"), decrease]
+    return LmiProblem("certificate of the gain without delay", unknowns, inequalities, unknowns.last, STRICT)
 
 
 def stability_problem(loop: ScaledLoop, order: int) -> LmiProblem:
@@ -196,6 +181,4 @@ def stability_problem(loop: ScaledLoop, order: int) -> LmiProblem:
     for inequality in inequalities:
         inequality.coefficients[-1] += np.eye(len(inequality.constant))
     inequalities.append(bound)
-    objective = np.zeros(unknowns.count)
-    objective[-1] = 1.0
-    return LmiProblem(f"certificate of stability at order {order}", unknowns, inequalities, objective)
+    return LmiProblem(f"certificate of stability at order {order}", unknowns, inequalities, unknowns.last)

@@ -133,15 +133,20 @@ def _radau(points: int) -> tuple[Array, Array]:
     last[points - 1], last[points] = 1.0, -1.0
     roots = np.sort(np.polynomial.legendre.legroots(last).real)  # numpy 2.5 tells them as complex
     roots[-1] = 1.0
-    V = np.polynomial.legendre.legvander(roots, points - 1)
+    return 0.5 * (roots + 1.0), integrals_to(roots)
+
+
+def integrals_to(nodes: Array) -> Array:
+    """(n, n), of ``nodes`` in [-1, 1] moved to [0, 1]: from values there to the integrals from 0 to each."""
+    V = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
     integrals = np.stack(
         [
-            np.polynomial.legendre.legval(roots, np.polynomial.legendre.legint(row, lbnd=-1.0))
-            for row in np.eye(points)
+            np.polynomial.legendre.legval(nodes, np.polynomial.legendre.legint(row, lbnd=-1.0))
+            for row in np.eye(len(nodes))
         ],
         axis=1,
     )
-    return 0.5 * (roots + 1.0), 0.5 * integrals @ np.linalg.inv(V)
+    return np.asarray(0.5 * integrals @ np.linalg.inv(V))
 
 
 def _interpolation(nodes: Array, at: Array) -> Array:

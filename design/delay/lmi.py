@@ -4,7 +4,6 @@ A problem is: minimise c'y over y, subject to F_j(y) = F_j0 + sum_k y_k F_jk >= 
 where y holds the free entries of the unknown matrices. Building knows nothing of the solver.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -51,6 +50,11 @@ class Unknowns:
         """The matrix ``name`` at ``y``."""
         return np.asarray(np.tensordot(y[self.slice_of(name)], self._bases[name], axes=1))
 
+    @property
+    def last(self) -> Array:
+        """(count,): the objective that is the last entry of y."""
+        return np.asarray(np.eye(1, self.count, self.count - 1)[0])
+
     def values(self, y: Array) -> dict[str, Array]:
         """Every matrix at ``y``."""
         return {name: self.value(name, y) for name in self._bases}
@@ -72,6 +76,18 @@ class MatrixInequality:
     def zero(cls, unknowns: Unknowns, m: int) -> "MatrixInequality":
         """F = 0, to be added to."""
         return cls(np.zeros((m, m)), np.zeros((unknowns.count, m, m)))
+
+    @classmethod
+    def positive(cls, unknowns: Unknowns, name: str) -> "MatrixInequality":
+        """F = V, symmetric."""
+        m = unknowns.basis(name).shape[-1]
+        part = cls.zero(unknowns, m)
+        part.add(unknowns, name, np.eye(m))
+        return part
+
+    def add_form(self, unknowns: Unknowns, name: str, rows: Array, weight: float) -> None:
+        """Add weight rows V rows'; rows is (m, rows of V)."""
+        self.coefficients[unknowns.slice_of(name)] += weight * (rows @ unknowns.basis(name) @ rows.T)
 
     def add(self, unknowns: Unknowns, name: str, left: Array, right: Array | None = None) -> None:
         """Add left V right + its transpose, or left V left' without ``right``; left is (m, rows of V)."""
@@ -215,8 +231,3 @@ def _matrix(vector: Array, m: int) -> Array:
     matrix = np.zeros((m, m))
     matrix[rows, columns] = matrix[columns, rows] = vector / weights
     return matrix
-
-
-def named(values: Mapping[str, Array]) -> dict[str, list[list[float]]]:
-    """Matrices as nested lists, for a file."""
-    return {name: np.asarray(value).tolist() for name, value in values.items()}

@@ -2,10 +2,7 @@
 
 Two questions, answered apart: does every motor of the box give a stable loop, and how large does the
 weighted sensitivity get. For one axis both have exact answers (:mod:`design.hinf.box_sensitivity`); the
-coupled axes are in :mod:`design.current.coupled_robustness`. For real parameters in a general matrix M,
-mu(M) <= beta if for scalings D > 0 and G
-
-    M* D M + j (G M - M* G) <= beta^2 D        (Fan, Tits, Doyle 1991), here diagonal and searched.
+coupled axes are in :mod:`design.current.coupled_robustness`.
 """
 
 import math
@@ -17,7 +14,7 @@ import scipy.optimize
 from design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
 from design.hinf.mixed_sensitivity import axis_plant
 from design.hinf.weights import Weights
-from design.statespace import Array, ComplexArray, StateSpace, connect, series
+from design.statespace import Array, StateSpace, connect, series
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,35 +91,3 @@ def axis_real_mu(
     target = -1.0 / closed
     x, y = target.real / (spread * resistance_ohm), target.imag / (spread * inductance_h * omega)
     return np.asarray(1.0 / np.maximum(np.abs(x), np.abs(y)), dtype=float)
-
-
-def real_mu_upper_bound(M: ComplexArray, starts: int = 3) -> float:
-    """Bound of mu of ``M`` (n, n) against diagonal real perturbations, by diagonal D and G scalings.
-
-    Every D and G gives a bound; the search only tightens it.
-    """
-    n = len(M)
-
-    def bound(theta: Array) -> float:
-        D = np.exp(np.clip(theta[:n], -20.0, 20.0))
-        scaled = M * D[:, None] / D
-        size = np.linalg.norm(scaled, 2)
-        low, high = 0.0, float(size)
-        G = np.clip(theta[n:], -1e6, 1e6)
-        if not np.any(G):
-            return high
-        root = 1.0 / np.sqrt(1.0 + G**2) ** 0.5
-        for _ in range(40):
-            beta = 0.5 * (low + high)
-            tested = (scaled / max(beta, 1e-300) - 1j * np.diag(G)) * root[:, None] * root
-            low, high = (low, beta) if np.linalg.norm(tested, 2) <= 1.0 else (beta, high)
-        return high
-
-    best = min(bound(np.zeros(2 * n)), float(np.linalg.norm(M, 2)))
-    generator = np.random.default_rng(0)
-    for k in range(starts):
-        start = np.zeros(2 * n) if k == 0 else generator.normal(scale=1.0, size=2 * n)
-        start[n:] += 0.1
-        optimum = scipy.optimize.minimize(bound, start, method="Nelder-Mead", options={"maxiter": 400})
-        best = min(best, float(optimum.fun))
-    return best

@@ -25,7 +25,6 @@ class StepFigures:
     rise_time_s: float
     settling_time_s: float
     overshoot_percent: float
-    final_value: float
 
 
 def step_response(system: StateSpace, time_s: Array) -> Array:
@@ -63,7 +62,7 @@ def step_figures(system: StateSpace) -> StepFigures:
         level = 1.0 - _SETTLED if values[k] < 1.0 else 1.0 + _SETTLED
         settling = _between(answer, time_s[k], time_s[min(k + 1, len(time_s) - 1)], level)
     overshoot = max(0.0, 100.0 * (float(values.max()) - 1.0))
-    return StepFigures(rise, settling, overshoot if overshoot > 1e-9 else 0.0, final)
+    return StepFigures(rise, settling, overshoot if overshoot > 1e-9 else 0.0)
 
 
 def _first(answer: Callable[[Array], Array], time_s: Array, values: Array, level: float) -> float:

@@ -8,16 +8,20 @@ grid holds 0, infinity and the poles' frequencies, because a peak may sit at res
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
+from design.hinf.bilinear import to_bilinear
 from design.statespace import Array, Peak, StateSpace, balanced, rebalanced
 
 _NEAR_AXIS = 1e-5
 """|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
 _STEPS_MAX = 60
+_OWN_PERIOD_S = 2.0
+"""With which the bilinear map is s = (z - 1)/(z + 1), whatever the period: crossings of all rates alike."""
 
 
 def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
@@ -121,20 +125,6 @@ def _crossings(system: StateSpace, level: float) -> Array:
 
 def _sampled_crossings(system: StateSpace, level: float) -> Array:
     """The same on the unit circle, through the bilinear map s = (z - 1)/(z + 1)."""
-    continuous = bilinear_image(system)
-    values = _crossings(continuous, level)
+    values = _crossings(to_bilinear(replace(system, period_s=_OWN_PERIOD_S)), level)
     assert system.period_s is not None
     return np.asarray(2.0 * np.arctan(values) / system.period_s)
-
-
-def bilinear_image(system: StateSpace) -> StateSpace:
-    """The continuous system with the same gains, whose s is (z - 1)/(z + 1) of the sampled ``system``."""
-    n = system.order
-    inverse = np.linalg.inv(system.A + np.eye(n))
-    root = math.sqrt(2.0)
-    return StateSpace(
-        (system.A - np.eye(n)) @ inverse,
-        root * inverse @ system.B,
-        root * system.C @ inverse,
-        system.D - system.C @ inverse @ system.B,
-    )

@@ -138,37 +138,24 @@ class PeriodStep:
     switches: tuple[Switch, ...]
 
 
-class SwitchedLoop(ABC):
-    """``model`` under an input that is held between jumps, over ``network``: xi = [x, w, ...]."""
+class HeldInput:
+    """``model`` under an input that is held between jumps: xi = [x, w, ...]."""
 
-    def __init__(self, model: SpeedModel, network: SampledNetwork, size: int, kept: int) -> None:
+    def __init__(self, model: SpeedModel, size: int, kept: int) -> None:
         self.model = model
-        self.network = network
         self.size = size
         """Of xi."""
         self.kept = kept
         """So many entries of xi, the first, matter from one sample to the next."""
 
-    @abstractmethod
-    def chain(self, step: PeriodStep) -> list[Operation]:
-        """The operations of one period: a jump, a flow, and so on."""
-
-    def variants(self, step: PeriodStep) -> list[list[Operation]]:
-        """The chains in whose hull that of ``step`` may lie: its own alone, unless the loop varies."""
-        return [self.chain(step)]
-
-    def differences(self, backs: Sequence[int]) -> Array:
-        """(switchings, kept): what each adds to the input, as a function of xi at the period's begin."""
-        return np.zeros((len(backs), self.kept))
-
-    def transition(self, chain: list[Operation]) -> Array:
+    def transition(self, chain: Sequence[Operation]) -> Array:
         """The product of a chain, (size, size)."""
         total = np.eye(self.size)
         for operation in chain:
             total = (operation.J if isinstance(operation, Jump) else self._flow(operation.length_s)) @ total
         return total
 
-    def kept_transition(self, chain: list[Operation]) -> Array:
+    def kept_transition(self, chain: Sequence[Operation]) -> Array:
         """The same between the entries that matter."""
         return self.transition(chain)[: self.kept, : self.kept]
 
@@ -185,6 +172,26 @@ class SwitchedLoop(ABC):
         total = np.eye(self.size)
         total[:n, :n] = expm(self.generator[:n, :n] * length_s)
         return total
+
+
+class SwitchedLoop(HeldInput, ABC):
+    """One whose jumps come as ``network`` has them."""
+
+    def __init__(self, model: SpeedModel, network: SampledNetwork, size: int, kept: int) -> None:
+        super().__init__(model, size, kept)
+        self.network = network
+
+    @abstractmethod
+    def chain(self, step: PeriodStep) -> list[Operation]:
+        """The operations of one period: a jump, a flow, and so on."""
+
+    def variants(self, step: PeriodStep) -> list[list[Operation]]:
+        """The chains in whose hull that of ``step`` may lie: its own alone, unless the loop varies."""
+        return [self.chain(step)]
+
+    def differences(self, backs: Sequence[int]) -> Array:
+        """(switchings, kept): what each adds to the input, as a function of xi at the period's begin."""
+        return np.zeros((len(backs), self.kept))
 
 
 class HeldLoop(SwitchedLoop):

@@ -12,15 +12,14 @@ an error that falls geometrically with the number of nodes.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import eigvals
 
 from design.delay.delay_loop import Array
-from design.delay.speed_loop import SpeedModel
+from design.delay.delay_response import integrals_to
 from design.errors import NoSolution
-from design.sampled.held_loop import HeldLoop, Jump, Operation
+from design.sampled.held_loop import HeldInput, Jump, Operation
 
 NODES = 5
 _PIECE_TURN = 2.0
@@ -39,26 +38,7 @@ class DiscreteSystem:
     D: Array
 
 
-class SampledLoop(Protocol):
-    """A loop whose plant runs under an input that is held between jumps: xi begins with x and that input."""
-
-    @property
-    def model(self) -> SpeedModel:
-        """Of the plant."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """Entries of xi."""
-        ...
-
-    @property
-    def kept(self) -> int:
-        """So many of them, the first, matter from one sample to the next."""
-        ...
-
-
-def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
+def lifted(loop: HeldInput, chain: Sequence[Operation], nodes: int = NODES) -> DiscreteSystem:
     """The loop over one period of a pattern, from weighted disturbance to weighted output."""
     collocation = _Collocation(loop, nodes)
     A, B = np.eye(loop.size), np.zeros((loop.size, 0))
@@ -77,16 +57,11 @@ def lifted(loop: SampledLoop, chain: Sequence[Operation], nodes: int = NODES) ->
     return DiscreteSystem(A[:kept, :kept], B[:kept], C[:, :kept], D)
 
 
-def sampled_gain(loop: HeldLoop, chain: Sequence[Operation]) -> float:
-    """Gain from load torque to speed error of the loop that repeats ``chain``, rad/s per N m.
-
-    inf if it is unstable. Raises NoSolution if the norm found cannot be shown to be one.
-    """
-    return discrete_norm(lifted(loop, chain))
-
-
 def discrete_norm(system: DiscreteSystem, tolerance: float = NORM_TOLERANCE) -> float:
-    """sup over theta of the largest singular value at e^{j theta}; inf if the system is unstable."""
+    """sup over theta of the largest singular value at e^{j theta}; inf if the system is unstable.
+
+    Of a :func:`lifted` loop: its gain. Raises NoSolution if the norm found cannot be shown to be one.
+    """
     poles = np.linalg.eigvals(system.A)
     if len(poles) and np.max(np.abs(poles)) >= 1.0:
         return math.inf
@@ -117,22 +92,13 @@ class _Piece:
 class _Collocation:
     """Flows of one plant by Gauss-Legendre collocation."""
 
-    def __init__(self, loop: SampledLoop, nodes: int) -> None:
+    def __init__(self, loop: HeldInput, nodes: int) -> None:
         self._model = loop.model
         self._size = loop.size
         x, w = np.polynomial.legendre.leggauss(nodes)
         self._times = 0.5 * (x + 1.0)
         self._weights = 0.5 * w
-        # integral from 0 to t_i of the polynomial through values at the nodes
-        V = np.polynomial.legendre.legvander(x, nodes - 1)
-        integrals = np.stack(
-            [
-                np.polynomial.legendre.legval(x, np.polynomial.legendre.legint(row, lbnd=-1.0))
-                for row in np.eye(nodes)
-            ],
-            axis=1,
-        )
-        self._integral = 0.5 * integrals @ np.linalg.inv(V)
+        self._integral = integrals_to(x)
         self._pieces: dict[float, _Piece] = {}
         self.rate = float(np.linalg.norm(self._balanced(), 2))
 

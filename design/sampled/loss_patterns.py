@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from design.delay.delay_loop import Array
-from design.sampled.admissible_steps import Delivery, Family, deliveries_of, families, steps_of
+from design.sampled.admissible_steps import Delivery, Family, families, steps_of
 from design.sampled.held_loop import Operation, PeriodStep, SwitchedLoop, decay_of
 from design.sampled.pattern_chains import (
     Chain,
@@ -115,11 +115,6 @@ def pattern_of(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Pattern:
 def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
     """The operations of one period of ``pattern``."""
     return list(itertools.chain.from_iterable(loop.chain(step) for step in pattern.steps))
-
-
-def named_deliveries(loop: SwitchedLoop, pattern: Pattern) -> tuple[Delivery, ...]:
-    """The deliveries of ``pattern``."""
-    return deliveries_of(loop.network, pattern.steps)
 
 
 def pattern_gain(loop: SwitchedLoop, pattern: Pattern) -> float:

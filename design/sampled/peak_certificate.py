@@ -25,7 +25,7 @@ from scipy.linalg import cholesky
 from scipy.optimize import nnls
 
 from design.delay.delay_loop import Array
-from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns
+from design.delay.lmi import LmiProblem, MatrixInequality
 from design.sampled.admissible_steps import node_count
 from design.sampled.held_loop import HeldLoop
 from design.sampled.loss_patterns import Pattern
@@ -40,7 +40,13 @@ from design.sampled.peak_steps import (
 )
 from design.sampled.sequence_certificate import ways_of
 from design.sampled.sequence_graph import Edge, edges_of
-from design.sampled.sequence_inequalities import Inequalities, coordinates, corner_inequality, exchanged
+from design.sampled.sequence_inequalities import (
+    Inequalities,
+    coordinates,
+    corner_inequalities,
+    exchanged,
+    node_unknowns,
+)
 from design.sampled.step_maps import corners_of
 
 _UNITS_AT = 1.2
@@ -140,29 +146,19 @@ def _problem(
     system: Inequalities, row: Array, starts: Sequence[Array], chosen: Sequence[Sequence[int]], growth: float
 ) -> LmiProblem:
     """Least b with start' P_i start <= b, P_i >= row' row, falling by ``growth`` at the chosen corners."""
-    k = len(system.L)
-    unknowns = Unknowns()
-    for node in range(system.nodes):
-        unknowns.symmetric(f"P{node}", k)
-    unknowns.symmetric("objective", 1)
+    unknowns = node_unknowns(system)
     inequalities = []
     for node in range(system.nodes):
-        above = MatrixInequality.zero(unknowns, k)
-        above.add(unknowns, f"P{node}", np.eye(k))
+        above = MatrixInequality.positive(unknowns, f"P{node}")
         above.constant -= np.outer(row, row)
         inequalities.append(above)
         for start in starts:
             below = MatrixInequality.zero(unknowns, 1)
-            below.add(unknowns, f"P{node}", start[None, :])
-            below.coefficients *= -1.0
+            below.add_form(unknowns, f"P{node}", start[None, :], -1.0)
             below.coefficients[-1] += 1.0
             inequalities.append(below)
-    for place in range(len(system.edges)):
-        for corner in chosen[place]:
-            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
-    objective = np.zeros(unknowns.count)
-    objective[-1] = 1.0
-    return LmiProblem("certificate of the peak", unknowns, inequalities, objective)
+    inequalities += corner_inequalities(system, unknowns, chosen, growth)
+    return LmiProblem("certificate of the peak", unknowns, inequalities, unknowns.last)
 
 
 def _starts(loop: HeldLoop, parts: int) -> Array:

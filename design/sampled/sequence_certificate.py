@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 
 from design.delay.delay_loop import Array
-from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality, Unknowns
+from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality
 from design.errors import NoSolution
 from design.sampled.admissible_steps import delivery_node_count, node_count
 from design.sampled.held_loop import SwitchedLoop
@@ -34,8 +34,9 @@ from design.sampled.sequence_inequalities import (
     MARGIN,
     Inequalities,
     coordinates,
-    corner_inequality,
+    corner_inequalities,
     exchanged,
+    node_unknowns,
     proved,
 )
 
@@ -79,31 +80,19 @@ class SequenceCertificate:
 def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: float) -> LmiProblem:
     """Least gain^2/level^2 that the chosen corners allow; without a level minus the largest margin."""
     k, nodes = len(system.L), system.nodes
-    unknowns = Unknowns()
-    for node in range(nodes):
-        unknowns.symmetric(f"P{node}", k)
-    unknowns.symmetric("objective", 1)
-    identity = np.eye(k)
-    inequalities = []
-    for node in range(nodes):
-        positive = MatrixInequality.zero(unknowns, k)
-        positive.add(unknowns, f"P{node}", identity)
-        inequalities.append(positive)
-    for place in range(len(system.edges)):
-        for corner in chosen[place]:
-            inequalities.append(corner_inequality(system, unknowns, place, corner, growth))
+    unknowns = node_unknowns(system)
+    inequalities = [MatrixInequality.positive(unknowns, f"P{node}") for node in range(nodes)]
+    inequalities += corner_inequalities(system, unknowns, chosen, growth)
     if system.level is None:
         for inequality in inequalities:
-            inequality.coefficients[-1] += identity
+            inequality.coefficients[-1] += np.eye(k)
         bound = MatrixInequality(np.full((1, 1), float(k * nodes)), np.zeros((unknowns.count, 1, 1)))
         for node in range(nodes):
             part = unknowns.slice_of(f"P{node}")
             bound.coefficients[part, 0, 0] -= np.trace(unknowns.basis(f"P{node}"), axis1=1, axis2=2)
         inequalities.append(bound)
-    objective = np.zeros(unknowns.count)
-    objective[-1] = 1.0
     margin = 0.0 if system.level is None else _STRICT
-    return LmiProblem("certificate for every sequence", unknowns, inequalities, objective, margin)
+    return LmiProblem("certificate for every sequence", unknowns, inequalities, unknowns.last, margin)
 
 
 def certify_gain(

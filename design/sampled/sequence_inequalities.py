@@ -156,7 +156,27 @@ class Inequalities:
         return bounds
 
 
-def corner_inequality(
+def node_unknowns(system: Inequalities) -> Unknowns:
+    """P0, P1 .., one for each node, and the objective last."""
+    unknowns = Unknowns()
+    for node in range(system.nodes):
+        unknowns.symmetric(f"P{node}", len(system.L))
+    unknowns.symmetric("objective", 1)
+    return unknowns
+
+
+def corner_inequalities(
+    system: Inequalities, unknowns: Unknowns, chosen: Sequence[Sequence[int]], growth: float
+) -> list[MatrixInequality]:
+    """Of the corners ``chosen`` of each edge."""
+    return [
+        _corner_inequality(system, unknowns, place, corner, growth)
+        for place, corners in enumerate(chosen)
+        for corner in corners
+    ]
+
+
+def _corner_inequality(
     system: Inequalities, unknowns: Unknowns, place: int, corner: int, growth: float
 ) -> MatrixInequality:
     """Schur's complement of P_i - growth * before((1 + epsilon) value of P_j + what lies between) >= 0.

@@ -166,7 +166,7 @@ def _with_equal(model: SpeedModel, delay_s: float, gamma: float) -> dict[str, Ar
         unknowns.symmetric(name, n)
     _free_matrices(unknowns, n)
     # the least trace of X keeps the set away from the edge of what numbers can tell apart
-    positive = [_positive(unknowns, name, n) for name in ("X", "Q")]
+    positive = [MatrixInequality.positive(unknowns, name) for name in ("X", "Q")]
     bounded = _closed_loop(plant, unknowns, S="X", M="X")
     objective = np.zeros(unknowns.count)
     objective[unknowns.slice_of("X")] = np.trace(unknowns.basis("X"), axis1=1, axis2=2)
@@ -206,14 +206,8 @@ def _inequalities(plant: _Plant) -> tuple[Unknowns, list[MatrixInequality]]:
     _free_matrices(unknowns, n)
     inequalities = [_closed_loop(plant, unknowns, S="S", M="M"), _pair(unknowns, "Z", "P", "N", n)]
     inequalities += [_pair(unknowns, a, None, b, n) for a, b in (("S", "Z"), ("N", "M"), ("P", "X"))]
-    inequalities.append(_positive(unknowns, "Q", n))
+    inequalities.append(MatrixInequality.positive(unknowns, "Q"))
     return unknowns, inequalities
-
-
-def _positive(unknowns: Unknowns, name: str, n: int) -> MatrixInequality:
-    part = MatrixInequality.zero(unknowns, n)
-    part.add(unknowns, name, np.eye(n))
-    return part
 
 
 def _pair(unknowns: Unknowns, first: str, between: str | None, second: str, n: int) -> MatrixInequality:
@@ -247,8 +241,7 @@ def _closed_loop(plant: _Plant, unknowns: Unknowns, S: str, M: str) -> MatrixIne
     inequality.add(unknowns, "W", two, two.T + three.T - one.T)
     inequality.add(unknowns, "F", -(one + five) @ B, two.T)
     for name, rows_of, sign in (("Q", one, -1.0), ("Q", two, 1.0), (M, three, 1.0), (S, five, 1.0)):
-        part = unknowns.slice_of(name)
-        inequality.coefficients[part] += sign * (rows_of @ unknowns.basis(name) @ rows_of.T)
+        inequality.add_form(unknowns, name, rows_of, sign)
     drive = one @ plant.E + five @ plant.E
     inequality.constant += np.outer(d, d) + np.outer(z, z) - np.outer(drive, d) - np.outer(d, drive)
     return inequality

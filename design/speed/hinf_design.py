@@ -16,7 +16,7 @@ import numpy as np
 import scipy.optimize
 
 from design.delay.delay_loop import Array
-from design.errors import DesignError, InfeasibleDesign
+from design.errors import DesignError
 from design.speed.conditioned import Conditioned, conditioned, truncated
 from design.speed.hinf_loop import HinfLoop
 from design.speed.hinf_problem import (
@@ -27,21 +27,14 @@ from design.speed.hinf_problem import (
     weighted_norms,
 )
 from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
-from design.speed.predictor_design import INERTIAS, PHASES, PredictorRequest
+from design.speed.plant_loop import later_s
+from design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
 
-_MARGIN_STEP = 0.1
-"""Of a period: where within the delay margin the loop must be stable. Between stable delays lie unstable
-ones, half a period wide."""
-_MARGIN_REACH = 1.1
-_INERTIAS_BORNE = (0.66, 0.7, 1.3, 1.35)
 _SETTLED = 0.999
 """Magnitude of the slowest pole that the loops above may have."""
 _NOISE_SHARE = 0.95
 """Of the torque noise that is allowed: that of an encoder on a drive is not quite white."""
-_ALLOWED, _TIE = 0.1, 0.1
-"""What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
 _PRICE = 30.0
-_WORST = 1e3
 _STARTS = ((1.0, 1.0), (1.0, 0.1), (0.3, 0.3))
 """Of sigma and nu, in sizes of the problem."""
 _INTEGRAL = 0.3
@@ -49,8 +42,6 @@ _INTEGRAL = 0.3
 _EVALUATIONS = 60
 _ORDER_PRICE = 2e-3
 """What the reduction may add to the cost."""
-_SEARCH = 20
-"""Steps of a period in which the delay margin is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +75,7 @@ class HinfDesign:
     def breach(self) -> float:
         """How much of what must be kept is not; 0: all is."""
         request = self.request
-        later = np.arange(0.0, _MARGIN_REACH * request.delay_margin_s, _MARGIN_STEP * request.period_s)
-        loops = [self.loop(more_s=float(more_s)) for more_s in later]
-        loops += [self.loop(inertia) for inertia in _INERTIAS_BORNE]
+        loops = (self.loop(inertia, more_s=more_s) for inertia, more_s in request.borne)
         radius = max(loop.spectral_radius() for loop in loops)
         if radius >= 1.0:
             return radius
@@ -96,9 +85,8 @@ class HinfDesign:
     @cached_property
     def cost(self) -> float:
         """What the search makes least."""
-        own, less, more = (self.ratio(inertia) for inertia in INERTIAS)
-        cost = max(own + _ALLOWED, less, more) + _TIE * own + _PRICE * self.breach
-        return min(cost, _WORST) if math.isfinite(cost) else _WORST
+        cost = peak_cost(self.ratio) + _PRICE * self.breach
+        return min(cost, WORST) if math.isfinite(cost) else WORST
 
 
 def problem_of(request: PredictorRequest) -> HinfProblem:
@@ -129,7 +117,7 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
         nonlocal best
         made = full(point)
         if made is None:
-            return _WORST
+            return WORST
         # what keeps all by a hair's breadth has neighbours that cost less and do not
         if made.breach == 0.0 and (best is None or made.cost < best.cost):
             best = made
@@ -149,12 +137,7 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
         },
     )
     if best is None:
-        raise InfeasibleDesign(
-            f"a delay margin of {1e3 * request.delay_margin_s:g} ms and a torque noise of "
-            f"{request.command_noise_nm:g} N m",
-            "no H-infinity controller that was tried keeps both",
-            "allow more noise of the torque, or shorten the delay",
-        )
+        raise request.unkept("H-infinity controller")
     return _reduced(best, unit)
 
 
@@ -177,30 +160,27 @@ class HinfRobustness(LoopRobustness):
 
 def hinf_robustness(made: HinfDesign) -> HinfRobustness:
     """The figures."""
-    h = made.request.period_s
+    request, h = made.request, made.request.period_s
+
+    def gain(loop: HinfLoop) -> float:
+        return loop.gain(loop.chain())
+
+    def stable(delay_s: float) -> bool:
+        return HinfLoop(made.controller, request.plant, delay_s).spectral_radius() < 1.0
+
     omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
     return HinfRobustness(
         peak_over_floor=made.ratio(),
         peak_over_floor_inertia_less=made.ratio(0.7),
         peak_over_floor_inertia_more=made.ratio(1.3),
         peak_over_floor_lost=made.ratio(lost=LOST),
-        gain=made.loop().gain(),
-        gain_inertia_less=made.loop(inertia=0.7).gain(),
-        gain_inertia_more=made.loop(inertia=1.3).gain(),
-        gain_current_loop_slower=made.loop(current=0.5).gain(),
+        gain=gain(made.loop()),
+        gain_inertia_less=gain(made.loop(inertia=0.7)),
+        gain_inertia_more=gain(made.loop(inertia=1.3)),
+        gain_current_loop_slower=gain(made.loop(current=0.5)),
         bandwidths=stable_bandwidths(lambda share: made.loop(current=share).spectral_radius() < 1.0),
         uncertainty_norm=float(np.max(weighted_norms(made.problem, made.controller.K, omega))),
         margins=made.loop().margins(),
-        delay_margin_s=_delay_margin_s(made),
+        delay_margin_s=later_s(stable, request.delay_s, request.period_s),
         command_noise_nm=made.noise_nm,
     )
-
-
-def _delay_margin_s(made: HinfDesign) -> float:
-    """What the delay may be longer, to a twentieth of a period below."""
-    step_s = made.request.period_s / _SEARCH
-    most = round((made.request.delay_s + 5.0 * made.request.period_s) / step_s)
-    for more in range(1, most):
-        if made.loop(more_s=more * step_s).spectral_radius() >= 1.0:
-            return (more - 1) * step_s
-    return most * step_s

@@ -24,12 +24,10 @@ from design.hinf.bilinear import from_bilinear, to_bilinear
 from design.hinf.plant import GeneralisedPlant
 from design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from design.hinf.weights import Weight, crossing_weight
-from design.speed.predictor_loop import split
+from design.speed.plant_loop import SHAFT, split
 from design.speed.predictor_plant import FILTERED, LOAD, PredictorPlant
 from design.statespace import StateSpace, balanced, series, state_space
 
-SHAFT = 3
-"""States of the plant: T, omega, w."""
 _INERTIA_LEAST = 0.7
 _UNCERTAIN_AT_REST = 1.0 / _INERTIA_LEAST - 1.0
 """Of the plant, by the least inertia."""

@@ -25,7 +25,7 @@ from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_
 from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_model, of_state, plant_of
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 
-INERTIAS = (1.0, 0.7, 1.3)
+_INERTIAS = (1.0, 0.7, 1.3)
 PHASES = (0.0, 0.2, 0.35, 0.5)
 """Of a period, between a sample and the load step; later ones are nearer to that of the next sample."""
 DELAY_MARGIN_S = 0.5e-3
@@ -45,10 +45,9 @@ in seven is taken for a step, and the gains calm down within some."""
 _SLOWEST, _FASTEST = 1e-2, 3e2
 """Walks that are looked at, in rated torques per root of s; they are the ends of a bisection."""
 _BISECTIONS = 10
-_ALLOWED = 0.1
-"""What another inertia may cost of the ratio beside the motor's own."""
-_TIE = 0.1
-_WORST = 1e3
+_ALLOWED, _TIE = 0.1, 0.1
+"""What another inertia may cost of the ratio beside the motor's own, and the weight of that alone."""
+WORST = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +83,21 @@ class PredictorRequest:
     def delay_margin_s(self) -> float:
         """That is asked for."""
         return max(DELAY_MARGIN_S, DELAY_MARGIN_SHARE * self.delay_s)
+
+    @property
+    def borne(self) -> list[tuple[float, float]]:
+        """Times the inertia, and by how much longer the delay, s: with each pair the loop must be stable."""
+        later = np.arange(0.0, _MARGIN_REACH * self.delay_margin_s, _MARGIN_STEP * self.period_s)
+        return [(1.0, float(more_s)) for more_s in later] + [(inertia, 0.0) for inertia in _INERTIAS_BORNE]
+
+    def unkept(self, kind: str) -> InfeasibleDesign:
+        """What to say where no controller of a ``kind`` keeps what is asked."""
+        return InfeasibleDesign(
+            f"a delay margin of {1e3 * self.delay_margin_s:g} ms and a torque noise of "
+            f"{self.command_noise_nm:g} N m",
+            f"no {kind} that was tried keeps both",
+            "allow more noise of the torque, or shorten the delay",
+        )
 
     def floor_rad_s(self, inertia: float = 1.0, lost: int = 0) -> float:
         """That no controller beats after the step, with so many samples lost in a row."""
@@ -140,9 +154,8 @@ def design_predictor(request: PredictorRequest) -> PredictorDesign:
     def cost(poles: Array) -> float:
         made = design(poles)
         if made is None:
-            return _WORST
-        own, less, more = (made.ratio(inertia) for inertia in INERTIAS)
-        return max(own + _ALLOWED, less, more) + _TIE * own
+            return WORST
+        return peak_cost(made.ratio)
 
     starts = [np.log([share / around_s, 1.2 * request.current_rate_rad_s]) for share in (0.9, 0.3)]
     start = min(starts, key=cost)
@@ -151,20 +164,22 @@ def design_predictor(request: PredictorRequest) -> PredictorDesign:
     )
     made = design(best.x)
     if made is None:
-        raise InfeasibleDesign(
-            f"a delay margin of {1e3 * request.delay_margin_s:g} ms and a torque noise of "
-            f"{request.command_noise_nm:g} N m",
-            "no predictor that was tried keeps both",
-            "allow more noise of the torque, or shorten the delay",
-        )
+        raise request.unkept("predictor")
     return made
+
+
+def peak_cost(ratio: Callable[[float], float]) -> float:
+    """What a search makes least: the largest ``ratio`` of three inertias, the motor's own favoured."""
+    own, less, more = (ratio(inertia) for inertia in _INERTIAS)
+    return max(own + _ALLOWED, less, more) + _TIE * own
 
 
 def _with_walks(request: PredictorRequest, F: Array) -> PredictorDesign | None:
     prediction = Prediction(request.plant, request.period_s, request.delay_s, F)
-    later = np.arange(0.0, _MARGIN_REACH * request.delay_margin_s, _MARGIN_STEP * request.period_s)
-    loops = [PredictorLoop(prediction, delay_s=request.delay_s + float(more_s)) for more_s in later]
-    loops += [PredictorLoop(prediction, request.plant.changed(inertia)) for inertia in _INERTIAS_BORNE]
+    loops = [
+        PredictorLoop(prediction, request.plant.changed(inertia), request.delay_s + more_s)
+        for inertia, more_s in request.borne
+    ]
     kalman, most_nm = request.kalman, request.command_noise_nm
 
     def robust(walk: float) -> bool:

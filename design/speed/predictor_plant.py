@@ -65,6 +65,17 @@ class PredictorPlant:
         """Transition (4, 4) and input (4,) under a command that is held for ``length_s``."""
         return _step(self, length_s)
 
+    def look(self, acts_s: float, at_s: float) -> tuple[Array, Array, Array]:
+        """The state ``at_s`` into a period, from that at its begin, the command before and the one after.
+
+        ``acts_s``: when the latter begins to act.
+        """
+        if at_s <= acts_s:
+            first, held = self.step(at_s)
+            return first, held, np.zeros(STATES)
+        (first, held), (second, entered) = self.step(acts_s), self.step(at_s - acts_s)
+        return second @ first, second @ held, entered
+
     def feedback(self, bandwidth_rad_s: float, torque_rate_rad_s: float) -> Array:
         """F (4,) of u = -F x: the plant without delay gets these two poles, and the load is cancelled."""
         J, B, a = self.inertia_kg_m2, self.viscous_friction_nm_s, self.current_rate_rad_s

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from design.delay.delay_loop import Array
-from design.speed.predictor_loop import Prediction, split
+from design.speed.plant_loop import split
+from design.speed.predictor_loop import Prediction
 from design.speed.predictor_plant import (
     FILTERED,
     LOAD,
@@ -23,7 +24,7 @@ from design.speed.predictor_plant import (
 
 STEP_SIGMAS = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load."""
-_WITHIN = 4
+WITHIN = 4
 """Instants of a period at which the shaft is looked at."""
 
 
@@ -99,7 +100,7 @@ def load_step(
     whole, rest_s = split(prediction.delay_s, h)
     behind, acts_s = split(prediction.delay_s if delay_s is None else delay_s, h)
     before, after, full = own.step(rest_s), own.step(h - rest_s), own.step(h)
-    looks = [_look(real, acts_s, h * (part + 1) / _WITHIN) for part in range(_WITHIN)]
+    looks = [real.look(acts_s, h * (part + 1) / WITHIN) for part in range(WITHIN)]
     x, estimate = np.zeros(STATES), np.zeros(STATES)
     x[LOAD] = load_nm
     x = real.step((1.0 - phase) * h)[0] @ x
@@ -123,12 +124,3 @@ def load_step(
         estimate = before[0] @ estimate + before[1] * sent[whole + 1]
         estimate = after[0] @ estimate + after[1] * sent[whole]
     return LoadTrial(np.array(speeds), np.array(commands), filtering.steps_seen)
-
-
-def _look(plant: PredictorPlant, acts_s: float, at_s: float) -> tuple[Array, Array, Array]:
-    """The state ``at_s`` into a period, from that at its begin, the command before and the one after."""
-    if at_s <= acts_s:
-        first, held = plant.step(at_s)
-        return first, held, np.zeros(STATES)
-    (first, held), (second, entered) = plant.step(acts_s), plant.step(at_s - acts_s)
-    return second @ first, second @ held, entered
