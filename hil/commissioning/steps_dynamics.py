@@ -70,7 +70,7 @@ class Response(Step):
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
             return "the drive has no torque mode"
-        if session.limits.travel_rad is not None:
+        if session.limits.travel_rad < math.inf:
             return "the shaft would have to turn one way for seconds"
         return None
 

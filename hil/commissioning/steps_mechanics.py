@@ -135,11 +135,8 @@ def _speed_noise(recordings: list[Recording]) -> float:
 def top_speed(session: Session) -> float:
     """The fastest that an exercise goes to, rad/s: within the speed limit and the allowed travel."""
     limits = session.limits
-    speed = _SPEED_SHARE * limits.speed_rad_s
-    if limits.travel_rad is not None:
-        path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
-        speed = min(speed, 0.8 * limits.travel_rad / (path_s * _slower(session)))
-    return speed
+    path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
+    return min(_SPEED_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / (path_s * _slower(session)))
 
 
 def _slower(session: Session) -> float:
@@ -203,9 +200,7 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
     known = guide_mechanics(session)
     limits = session.limits
     slowing = max(known.coulomb_friction_nm, 1e-3 * limits.torque_nm) / known.inertia_kg_m2
-    coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing)
-    if limits.travel_rad is not None:
-        coast_s = min(coast_s, 0.5 * limits.travel_rad / speed)
+    coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing, 0.5 * limits.travel_rad / speed)
     recordings = []
     for direction in (1.0, -1.0):
         over = _ramp_time(session, speed)

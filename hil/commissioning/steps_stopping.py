@@ -218,10 +218,7 @@ def _computed_s(session: Session, speed_rad_s: float) -> float | None:
 
 def _proof_speed(session: Session) -> float:
     limits = session.limits
-    speed = _PROOF_SHARE * limits.speed_rad_s
-    if limits.travel_rad is not None:
-        speed = min(speed, 0.3 * limits.travel_rad / (_RUN_UP_S + _HOLD_S))
-    return speed
+    return min(_PROOF_SHARE * limits.speed_rad_s, 0.3 * limits.travel_rad / (_RUN_UP_S + _HOLD_S))
 
 
 def _stop_slowly(session: Session) -> SlowStop:

@@ -151,9 +151,7 @@ def _compared(session: Session, turns: float, error: float) -> tuple[list[Record
 def pulses(session: Session, far_turns: float) -> list[Recording]:
     """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
     limits = session.limits
-    far = far_turns * math.tau
-    if limits.travel_rad is not None:
-        far = min(far, 0.4 * limits.travel_rad)
+    far = min(far_turns * math.tau, 0.4 * limits.travel_rad)
     recordings = []
     with session.exercising() as exerciser:
         for direction in (1.0, -1.0):
@@ -270,7 +268,7 @@ class Turn(Step):
 
     def left_out(self, session: Session) -> str | None:
         travel = session.limits.travel_rad
-        if travel is not None and travel < 3.0 * math.tau:
+        if travel < 3.0 * math.tau:
             return f"only {travel / math.tau:g} turns are allowed"
         known = session.request.nameplate.encoder.counts_per_revolution is not None
         if not (known or session.dialog.attended or can_home(session)):
