@@ -13,7 +13,7 @@ from drivers.cia402.profile import Mode
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import SpeedGuide
-from hil.commissioning.exercise import Recording, motions
+from hil.commissioning.exercise import Exerciser, Recording, motions
 from hil.commissioning.identify import (
     COVERAGE_FACTOR,
     Mechanics,
@@ -152,6 +152,13 @@ def guide_mechanics(session: Session) -> Mechanics:
     return known
 
 
+def follow(session: Session, exerciser: Exerciser, duration: float, reference: list[Segment]) -> Recording:
+    """Have the shaft follow speeds for ``duration`` s: by the torque of a guide, or by a drive's own loop."""
+    if exerciser.port.quantity is Quantity.TORQUE:
+        return exerciser.run(SpeedGuide(guide_mechanics(session), exerciser.period_s), duration, reference)
+    return exerciser.run_speeds(duration, reference)
+
+
 def _ramp_time(session: Session, change: float) -> float:
     """How long a ramp has to take for its torque to stay well below the limit."""
     known = session.found.mechanics or session.found.rough
@@ -181,11 +188,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
             time += over + slower * _PLATEAU_S
             last = share
         with session.exercising() as exerciser:
-            if exerciser.port.quantity is Quantity.TORQUE:
-                guide = SpeedGuide(guide_mechanics(session), exerciser.period_s)
-                recordings.append(exerciser.run(guide, time, reference))
-            else:
-                recordings.append(exerciser.run_speeds(time, reference))
+            recordings.append(follow(session, exerciser, time, reference))
     return recordings
 
 
