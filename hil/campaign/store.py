@@ -8,7 +8,6 @@ the pages, and not what says how to read them.
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +19,7 @@ import pyarrow.parquet as pq
 from drivers.errors import BadInput
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import FIGURES, Row
+from hil.machine.on_disk import sync_folder, write_synced
 
 FORMAT: Final = "1"
 PLAN_FILE: Final = "campaign.json"
@@ -54,11 +54,9 @@ class RunStore:
         place = self._runs / _PART.format(self.count, _checksum(data))
         beside = place.with_suffix(_SUFFIX)
         with beside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+            write_synced(file, data)
         beside.rename(place)
-        _sync_folder(self._runs)
+        sync_folder(self._runs)
         self.count += len(rows)
 
     def table(self) -> pa.Table:
@@ -127,15 +125,6 @@ _TOLD: Final = {
 
 def _field(name: str, kind: Any, unit: str, meaning: str) -> pa.Field:
     return pa.field(name, kind, metadata={"meaning": meaning, **({"unit": unit} if unit else {})})
-
-
-def _sync_folder(folder: Path) -> None:
-    """A rename is on the disk when its folder is."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:

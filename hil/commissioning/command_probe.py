@@ -126,7 +126,7 @@ class CommandProbe:
         answers = [delay for delay in delays if delay >= 0]
         self.delays_us += [delay / 1e3 for delay in answers]
         self.missing.append(not answers)
-        torque_nm, told_at = self._port.torque_shown
+        torque_nm, told_at = self._drive.torque_shown
         return torque_nm if told_at - sync_at >= self._latency else None
 
     def _answer(

@@ -75,11 +75,6 @@ class DrivePort(Drive):
         """As the drive's own."""
         return self.drive.take_readbacks()
 
-    @property
-    def torque_shown(self) -> tuple[float, Instant]:
-        """As the drive's own."""
-        return self.drive.torque_shown
-
     def take_demand_changes(self) -> list[DemandChange]:
         """As the drive's own."""
         return self.drive.take_demand_changes()

@@ -126,7 +126,7 @@ class Watched(Controller):
             self._first = estimate
         last, self._last = self._last, estimate
         travel = abs(estimate.position_rad - self._first.position_rad)
-        if limits.travel_rad is not None and travel > limits.travel_rad:
+        if travel > limits.travel_rad:
             raise _exceeded("turned", travel / math.tau, limits.travel_rad / math.tau, "turns")
         commanded = self._port.commanded_rad
         if commanded is not None and abs(commanded - estimate.position_rad) > limits.following_rad:

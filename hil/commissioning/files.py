@@ -3,7 +3,6 @@
 import math
 from typing import Any, Final
 
-from drivers.canopen.objects301 import MANDATORY
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import QuickStopOption
 from drivers.rotation import RAD_S_PER_RPM, RPM_PER_RAD_S
@@ -49,7 +48,7 @@ def write_files(session: Session) -> None:
     if journal is not None and journal.contents.changes:
         texts[DCF_FILE] = dcf_text(
             findings.settings,
-            {**_mandatory(session), **journal.contents.originals()},
+            {ObjectKey(*place): held for place, held in findings.dump.items()} | findings.originals,
             session.dictionary,
             session.request.node,
             session.request.bitrate_bit_s,
@@ -61,12 +60,6 @@ def write_files(session: Session) -> None:
         )
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
-
-
-def _mandatory(session: Session) -> dict[ObjectKey, bytes]:
-    """1000h, 1001h and 1018h, which a DCF cannot do without, as they were read."""
-    dump = session.found.dump
-    return {ObjectKey(index, sub): value for (index, sub), value in dump.items() if index in MANDATORY}
 
 
 def set_objects(session: Session) -> dict[ObjectKey, bytes]:

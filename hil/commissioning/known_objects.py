@@ -50,7 +50,8 @@ def dump(
     Without a data sheet: the objects of CiA 301 and CiA 402 that drives have.
     """
     held: Dump = {}
-    for number, (index, sub) in enumerate(_listed(dictionary) if dictionary else _usual(network, node)):
+    listed = ((each.index, each.subindex) for each in _readable(dictionary)) if dictionary else None
+    for number, (index, sub) in enumerate(listed or _usual(network, node)):
         try:
             held[index, sub] = network.upload(node, index, sub)
         except TransferAborted:
@@ -60,10 +61,10 @@ def dump(
     return held
 
 
-def _listed(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:
+def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
     for variable in variables(dictionary):
         if variable.access_type != _WRITE_ONLY and variable.data_type != _DOMAIN:
-            yield variable.index, variable.subindex
+            yield variable
 
 
 def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
@@ -115,8 +116,6 @@ def missing(held: Dump, dictionary: ObjectDictionary) -> list[str]:
     """Objects of the data sheet that the drive did not let be read."""
     return [
         f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}"
-        for variable in variables(dictionary)
-        if variable.access_type != _WRITE_ONLY
-        and variable.data_type != _DOMAIN
-        and (variable.index, variable.subindex) not in held
+        for variable in _readable(dictionary)
+        if (variable.index, variable.subindex) not in held
     ]

@@ -139,7 +139,8 @@ class MotionLimits:
     speed_rad_s: float
     power_w: float
     energy_j: float
-    travel_rad: float | None
+    travel_rad: float
+    """To either side of where the shaft stood; infinite: without end."""
     following_rad: float
 
 
@@ -156,7 +157,7 @@ def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: flo
         speed_rad_s=speed,
         power_w=power,
         energy_j=wanted.energy_max_j or 3.0 * power,
-        travel_rad=None if wanted.turns_max is None else wanted.turns_max * math.tau,
+        travel_rad=math.inf if wanted.turns_max is None else wanted.turns_max * math.tau,
         following_rad=wanted.following_error_max_turns * math.tau,
     )
 
@@ -164,10 +165,9 @@ def motion_limits(plate: Nameplate, rated_torque_nm: float, drive_speed_rpm: flo
 def cautious(limits: MotionLimits) -> MotionLimits:
     """For a drive that goes on with its last command when its host is gone: whoever stands at its emergency
     stop needs time, and what turns until then is to do no harm."""
-    travel_rad = _UNWATCHED_TURNS * math.tau
     return replace(
         limits,
         torque_nm=_UNWATCHED_TORQUE * limits.torque_nm,
         speed_rad_s=_UNWATCHED_SPEED * limits.speed_rad_s,
-        travel_rad=travel_rad if limits.travel_rad is None else min(travel_rad, limits.travel_rad),
+        travel_rad=min(_UNWATCHED_TURNS * math.tau, limits.travel_rad),
     )

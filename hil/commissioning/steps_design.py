@@ -173,10 +173,7 @@ class Verify(Step):
 
     def _speed(self, session: Session) -> float:
         limits = session.limits
-        speed = _VERIFY_SHARE * limits.speed_rad_s
-        if limits.travel_rad is not None:
-            speed = min(speed, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
-        return speed
+        return min(_VERIFY_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / (_RAMP_S + _HOLD_S))
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
         speed = self._speed(session)

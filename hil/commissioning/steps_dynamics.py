@@ -12,7 +12,7 @@ from drivers.timebase import NS_PER_S, NS_PER_US, Duration
 from hil.commissioning.command_probe import CommandProbe, switches
 from hil.commissioning.excitation import SpeedGuide, multisine
 from hil.commissioning.exercise import runs_of
-from hil.commissioning.frequency import StepLag, frequency_response, lines_hz, step_lag
+from hil.commissioning.frequency import FrequencyResponse, StepLag, frequency_response, lines_hz, step_lag
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_delays, draw_response
 from hil.commissioning.request import MotionLimits
@@ -70,7 +70,7 @@ class Response(Step):
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
             return "the drive has no torque mode"
-        if session.limits.travel_rad is not None:
+        if session.limits.travel_rad < math.inf:
             return "the shaft would have to turn one way for seconds"
         return None
 
@@ -102,17 +102,17 @@ class Response(Step):
             recording = exerciser.run(guide, start + _BLOCKS * _BLOCK_S + 0.2, [Ramp(0.0, base, over)])
         refuse_losses(recording.lost, recording.cycles)
         try:
-            found = session.meanwhile(
+            response = session.meanwhile(
                 frequency_response, recording.time, recording.torque, recording.velocity,
                 lines, _BLOCK_S, period, start,
             )  # fmt: skip
         except ValueError as error:
             raise StepFailed("too few samples for a frequency response", str(error)) from error
         model = 1.0 / (
-            mechanics.inertia_kg_m2 * 1j * math.tau * found.frequency_hz + mechanics.viscous_friction_nm_s
+            mechanics.inertia_kg_m2 * 1j * math.tau * response.frequency_hz + mechanics.viscous_friction_nm_s
         )
-        _judge_response(found.frequency_hz, found.response, found.coherence, model, outcome)
-        session.picture(outcome, "response", draw_response, found, model)
+        _judge_response(response, model, outcome)
+        session.picture(outcome, "response", draw_response, response, model)
 
 
 def _roomy(limits: MotionLimits) -> MotionLimits:
@@ -120,10 +120,8 @@ def _roomy(limits: MotionLimits) -> MotionLimits:
     return replace(limits, energy_j=4.0 * limits.energy_j)
 
 
-def _judge_response(
-    frequency: Array, response: ComplexArray, coherence: Array,
-    model: ComplexArray, outcome: StepOutcome,
-) -> None:  # fmt: skip
+def _judge_response(measured: FrequencyResponse, model: ComplexArray, outcome: StepOutcome) -> None:
+    frequency, response, coherence = measured.frequency_hz, measured.response, measured.coherence
     middle = (frequency >= _MIDDLE_HZ[0]) & (frequency <= _MIDDLE_HZ[1]) & (coherence > _COHERENT)
     if not middle.any():
         raise StepFailed("the speed does not follow the torque", f"best coherence {coherence.max():.2f}")
@@ -144,10 +142,10 @@ def _judge_response(
         "coherence_min": float(coherence.min()),
         "coherent_to_hz": float(good.max()),
         "resonance_ratio": float(dips[peak]),
-        "frequency_hz": [float(value) for value in frequency],
-        "magnitude": [float(value) for value in np.abs(response)],
-        "phase_deg": [float(value) for value in np.degrees(np.angle(response))],
-        "coherence": [float(value) for value in coherence],
+        "frequency_hz": frequency.tolist(),
+        "magnitude": np.abs(response).tolist(),
+        "phase_deg": np.degrees(np.angle(response)).tolist(),
+        "coherence": coherence.tolist(),
     }
     if not 0.8 < ratio < 1.25:
         raise StepFailed("response and ramps disagree on the inertia", f"ratio {ratio:.3f}")
@@ -194,10 +192,10 @@ class Delays(Step):
                 f"{slope.told}; {error}",
                 "cyclic synchronous torque has no slope; in profile torque set 6087h steeper",
             ) from error
-        found = session.found
-        found.current_bandwidth_hz = _bandwidth_hz(session, lag)
+        findings = session.found
+        findings.current_bandwidth_hz = _bandwidth_hz(session, lag)
         probe.judge_commands(lag)
-        found.effect_delay_us, found.torque_lag_us = lag.half_us, lag.lag_us
+        findings.effect_delay_us, findings.torque_lag_us = lag.half_us, lag.lag_us
         lost, commands_lost = sum(probe.missing), probe.commands_lost
         in_a_row = runs_of(probe.missing)
         _keep_readings(session, outcome, readings, in_a_row, lost, probe.cycles, lag.half_us, commands_lost)
@@ -208,16 +206,16 @@ class Delays(Step):
         )
         if probe.slope is not None and probe.slope.takes_us > _SLOPE_PART * lag.lag_us:
             outcome.say(f"most of it is the torque slope 6087h: {probe.slope.told}")
-        if found.current_bandwidth_hz is not None:
-            outcome.say(f"the drive follows it like a current loop of {found.current_bandwidth_hz:.0f} Hz")
+        if findings.current_bandwidth_hz is not None:
+            outcome.say(f"the drive follows it like a current loop of {findings.current_bandwidth_hz:.0f} Hz")
         outcome.say(f"{commands_lost} of {probe.commands} commands were lost")
         outcome.figures = {
-            "reading_delay_us": found.reading_delay_us,
+            "reading_delay_us": findings.reading_delay_us,
             "reading_delay_p99_us": float(np.percentile(readings, 99)),
             "effect_delay_us": lag.half_us,
             "dead_time_us": lag.dead_us,
             "lag_us": lag.lag_us,
-            "current_bandwidth_hz": found.current_bandwidth_hz,
+            "current_bandwidth_hz": findings.current_bandwidth_hz,
             "readings_lost": lost,
             "commands_lost": commands_lost,
             "commands": probe.commands,

@@ -13,7 +13,7 @@ from drivers.cia402.profile import Mode
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import SpeedGuide
-from hil.commissioning.exercise import Recording, motions
+from hil.commissioning.exercise import Exerciser, Recording, motions
 from hil.commissioning.identify import (
     COVERAGE_FACTOR,
     Mechanics,
@@ -135,11 +135,8 @@ def _speed_noise(recordings: list[Recording]) -> float:
 def top_speed(session: Session) -> float:
     """The fastest that an exercise goes to, rad/s: within the speed limit and the allowed travel."""
     limits = session.limits
-    speed = _SPEED_SHARE * limits.speed_rad_s
-    if limits.travel_rad is not None:
-        path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
-        speed = min(speed, 0.8 * limits.travel_rad / (path_s * _slower(session)))
-    return speed
+    path_s = _RAMP_S + (_PLATEAU_S + _RAMP_S) * sum(_PLATEAUS)
+    return min(_SPEED_SHARE * limits.speed_rad_s, 0.8 * limits.travel_rad / (path_s * _slower(session)))
 
 
 def _slower(session: Session) -> float:
@@ -153,6 +150,13 @@ def guide_mechanics(session: Session) -> Mechanics:
     known = session.found.mechanics or session.found.rough
     assert known is not None, "the pulses come first"
     return known
+
+
+def follow(session: Session, exerciser: Exerciser, duration: float, reference: list[Segment]) -> Recording:
+    """Have the shaft follow speeds for ``duration`` s: by the torque of a guide, or by a drive's own loop."""
+    if exerciser.port.quantity is Quantity.TORQUE:
+        return exerciser.run(SpeedGuide(guide_mechanics(session), exerciser.period_s), duration, reference)
+    return exerciser.run_speeds(duration, reference)
 
 
 def _ramp_time(session: Session, change: float) -> float:
@@ -184,11 +188,7 @@ def _ramps(session: Session, speed: float) -> list[Recording]:
             time += over + slower * _PLATEAU_S
             last = share
         with session.exercising() as exerciser:
-            if exerciser.port.quantity is Quantity.TORQUE:
-                guide = SpeedGuide(guide_mechanics(session), exerciser.period_s)
-                recordings.append(exerciser.run(guide, time, reference))
-            else:
-                recordings.append(exerciser.run_speeds(time, reference))
+            recordings.append(follow(session, exerciser, time, reference))
     return recordings
 
 
@@ -203,9 +203,7 @@ def _coasts(session: Session, speed: float) -> list[Recording]:
     known = guide_mechanics(session)
     limits = session.limits
     slowing = max(known.coulomb_friction_nm, 1e-3 * limits.torque_nm) / known.inertia_kg_m2
-    coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing)
-    if limits.travel_rad is not None:
-        coast_s = min(coast_s, 0.5 * limits.travel_rad / speed)
+    coast_s = min(_COAST_S_MAX, 0.8 * speed / slowing, 0.5 * limits.travel_rad / speed)
     recordings = []
     for direction in (1.0, -1.0):
         over = _ramp_time(session, speed)

@@ -105,7 +105,7 @@ def _extra_limits(session: Session) -> list[str]:
     notes += write_optional(
         objects, Object.FOLLOWING_ERROR_WINDOW, "I", min(window, 0xFFFF_FFFE), "following error"
     )
-    if limits.travel_rad is not None:
+    if limits.travel_rad < math.inf:
         here = objects.read(Object.POSITION_ACTUAL_VALUE, 0, "i")
         reach = round(limits.travel_rad / session.told.position_rad)
         for sub, bound in ((1, here - reach), (2, here + reach)):

@@ -127,18 +127,18 @@ class DumpStep(Step):
         return "read every object of the data sheet into parameters.txt, and compare with its defaults"
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        found = dump(session.network, session.request.node, session.dictionary, session.check_stop)
-        session.found.dump = found
-        lines = [f"{index:04X}h:{sub:02X} {value.hex()}" for (index, sub), value in sorted(found.items())]
+        objects = dump(session.network, session.request.node, session.dictionary, session.check_stop)
+        session.found.dump = objects
+        lines = [f"{index:04X}h:{sub:02X} {value.hex()}" for (index, sub), value in sorted(objects.items())]
         session.request.out.mkdir(parents=True, exist_ok=True)
         (session.request.out / "parameters.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        outcome.say(f"{len(found)} objects read into parameters.txt")
-        outcome.figures = {"objects": len(found)}
+        outcome.say(f"{len(objects)} objects read into parameters.txt")
+        outcome.figures = {"objects": len(objects)}
         if session.dictionary is not None:
-            others = differing(found, session.dictionary)
+            others = differing(objects, session.dictionary)
             outcome.say(f"{len(others)} settings differ from the data sheet's defaults")
             outcome.lines += [f"- {line}" for line in others[:_SHOWN]]
-            gone = missing(found, session.dictionary)
+            gone = missing(objects, session.dictionary)
             if gone:
                 outcome.say(f"{len(gone)} objects of the data sheet cannot be read: {', '.join(gone[:5])}")
             outcome.figures |= {"differing": len(others), "missing": len(gone)}
@@ -161,7 +161,7 @@ class UnitsTold(Step):
         )
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        found, plate, objects = session.found, session.request.nameplate, session.objects
+        findings, plate, objects = session.found, session.request.nameplate, session.objects
         override = ScaleOverride()
         if not objects.read_if_there(Object.MOTOR_RATED_TORQUE) and plate.rating.torque_nm:
             override = ScaleOverride(rated_torque_nm=plate.rating.torque_nm)
@@ -177,7 +177,7 @@ class UnitsTold(Step):
             outcome.faults.append(f"{error.summary}; the nameplate's {counts} counts per turn are taken")
             override = ScaleOverride(math.tau / counts, rated_torque_nm=override.rated_torque_nm)
             told = read_scaling(objects, override)
-        found.told, found.override = told, override
+        findings.told, findings.override = told, override
         read_motor(session, outcome)
         compare_ratings(session, outcome, told.rated_torque_nm)
         settle_winding(session, outcome)
@@ -195,19 +195,19 @@ class UnitsTold(Step):
             "rated_torque_nm": told.rated_torque_nm,
             "polarity": polarity,
         }
-        found.modes, told_by_drive = _modes(session)
-        named = ", ".join(mode.title for mode in found.modes) or "none of use here"
+        findings.modes, told_by_drive = _modes(session)
+        named = ", ".join(mode.title for mode in findings.modes) or "none of use here"
         outcome.say(f"modes{'' if told_by_drive else ' to be tried, as 6502h tells none'}: {named}")
         rpm = objects.read_if_there(Object.MAX_MOTOR_SPEED)
-        found.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
+        findings.limits = limits = motion_limits(plate, session.rated_torque_nm, rpm)
         outcome.say(
             f"host limits: {limits.torque_nm:.4g} N m, {limits.speed_rad_s / RAD_S_PER_RPM:.0f} r/min, "
             f"{limits.power_w:.4g} W, {limits.energy_j:.4g} J a step"
         )
         mode = session.motion_mode()
         if mode is not None:
-            found.period, load = session.choose_period(mode)
-            outcome.say(f"period {found.period / 1e3:.0f} us, at most {load:.0f} % bus load")
+            findings.period, load = session.choose_period(mode)
+            outcome.say(f"period {findings.period / 1e3:.0f} us, at most {load:.0f} % bus load")
 
 
 def _plausible(told: Scaling) -> Scaling:

@@ -9,11 +9,11 @@ from drivers.cia402.profile import QuickStopOption, State, state_of
 from drivers.exchange import Reading
 from drivers.rotation import RAD_S_PER_RPM
 from drivers.timebase import NS_PER_S, Instant
-from hil.commissioning.excitation import SpeedGuide
 from hil.commissioning.outcome import StepFailed, StepOutcome
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.loop.scenario import Quantity, Ramp, Segment
+from hil.commissioning.steps_mechanics import follow
+from hil.loop.scenario import Ramp
 
 _STOP_MAX_S: Final = 2.0
 """From the limit of speed: whoever brings a drive to rest waits for 3 s at least."""
@@ -218,22 +218,13 @@ def _computed_s(session: Session, speed_rad_s: float) -> float | None:
 
 def _proof_speed(session: Session) -> float:
     limits = session.limits
-    speed = _PROOF_SHARE * limits.speed_rad_s
-    if limits.travel_rad is not None:
-        speed = min(speed, 0.3 * limits.travel_rad / (_RUN_UP_S + _HOLD_S))
-    return speed
+    return min(_PROOF_SHARE * limits.speed_rad_s, 0.3 * limits.travel_rad / (_RUN_UP_S + _HOLD_S))
 
 
 def _stop_slowly(session: Session) -> SlowStop:
-    speed, known = _proof_speed(session), session.found.mechanics or session.found.rough
-    reference: list[Segment] = [Ramp(0.0, speed, _RUN_UP_S)]
-    duration = _RUN_UP_S + _HOLD_S
+    speed = _proof_speed(session)
     with session.exercising() as exerciser:
-        if exerciser.port.quantity is Quantity.TORQUE:
-            assert known is not None, "the pulses come first"
-            before = exerciser.run(SpeedGuide(known, exerciser.period_s), duration, reference)
-        else:
-            before = exerciser.run_speeds(duration, reference)
+        before = follow(session, exerciser, _RUN_UP_S + _HOLD_S, [Ramp(0.0, speed, _RUN_UP_S)])
         if len(before.position) < _FIT_READINGS:
             raise StepFailed("too few readings came")
         readings = _until_rest(session)

@@ -151,9 +151,7 @@ def _compared(session: Session, turns: float, error: float) -> tuple[list[Record
 def pulses(session: Session, far_turns: float) -> list[Recording]:
     """A pulse forwards and one backwards, each from rest to rest. Raises StepFailed if nothing moves."""
     limits = session.limits
-    far = far_turns * math.tau
-    if limits.travel_rad is not None:
-        far = min(far, 0.4 * limits.travel_rad)
+    far = min(far_turns * math.tau, 0.4 * limits.travel_rad)
     recordings = []
     with session.exercising() as exerciser:
         for direction in (1.0, -1.0):
@@ -210,12 +208,12 @@ class MotionUnits(Step):
         return f"turn {_LONG_PULSE_TURNS:g} turns each way and compare the velocity with the path"
 
     def run(self, session: Session, outcome: StepOutcome) -> None:
-        found = session.found
+        findings = session.found
         recordings, measured = _compared(session, _LONG_PULSE_TURNS, _RATIO_ERROR)
         told = session.told
         used = session.velocity_rad_s / told.velocity_rad_s
-        found.velocity_ratio = SpeedRatio(abs(measured.value) / used, measured.error)
-        ratio, percent = found.velocity_ratio.value, 100.0 * measured.error
+        findings.velocity_ratio = SpeedRatio(abs(measured.value) / used, measured.error)
+        ratio, percent = findings.velocity_ratio.value, 100.0 * measured.error
         outcome.figures = {"velocity_over_path": ratio, "velocity_over_path_error": measured.error}
         outcome.say(
             f"velocity 606Ch is {ratio:.4g} of the slope of the position 6064h +- {percent:.2g} % (k = 2)"
@@ -226,8 +224,8 @@ class MotionUnits(Step):
                 f"{percent:.2g} % (k = 2); {100.0 * _RATIO_ERROR_MAX:g} % is borne",
                 "allow more speed and travel ([limits] of the nameplate), or smooth 606Ch in the drive",
             )
-        if abs(ratio - 1.0) > _tolerance(found.velocity_ratio):
-            factor = plain_ratio(ratio, _tolerance(found.velocity_ratio))
+        if abs(ratio - 1.0) > _tolerance(findings.velocity_ratio):
+            factor = plain_ratio(ratio, _tolerance(findings.velocity_ratio))
             outcome.faults.append(
                 f"velocity and position units contradict each other by {factor:.6g}; "
                 "unless a turn was measured below, the velocity's is taken for the wrong one"
@@ -270,7 +268,7 @@ class Turn(Step):
 
     def left_out(self, session: Session) -> str | None:
         travel = session.limits.travel_rad
-        if travel is not None and travel < 3.0 * math.tau:
+        if travel < 3.0 * math.tau:
             return f"only {travel / math.tau:g} turns are allowed"
         known = session.request.nameplate.encoder.counts_per_revolution is not None
         if not (known or session.dialog.attended or can_home(session)):

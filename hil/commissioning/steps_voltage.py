@@ -63,9 +63,8 @@ class VoltageConstant(Step):
             return "the drive has no torque mode"
         if not session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE):
             return "the drive tells no DC link voltage 6079h: its voltage constant cannot be measured"
-        travel = session.limits.travel_rad
         known = session.found.mechanics is not None
-        if known and travel is not None and travel < 1.5 * _path_rad(session):
+        if known and session.limits.travel_rad < 1.5 * _path_rad(session):
             return f"the run-up takes {_path_rad(session) / math.tau:.1f} turns, more than is allowed"
         return None
 

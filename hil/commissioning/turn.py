@@ -89,7 +89,7 @@ def _ramp(session: Session, turns_s: float) -> list[str]:
     return write_optional(session.objects, Object.HOMING_ACCELERATION, "I", raw, "homing acceleration")
 
 
-class _Found(NamedTuple):
+class _Homing(NamedTuple):
     """One homing to its end, rad."""
 
     jump: float
@@ -105,19 +105,19 @@ def _by_searches(session: Session) -> float | None:
     One that ran on over further pulses finds one several turns on: only a short way behind the pulse before
     makes sure that it is the next.
     """
-    last: _Found | None = None
+    last: _Homing | None = None
     for _ in range(_SEARCHES):
-        found = _search(session, _SEARCH_S)
-        if found is None:
+        homing = _search(session, _SEARCH_S)
+        if homing is None:
             return None
-        turn = abs(found.jump)
+        turn = abs(homing.jump)
         if last is not None and turn > 0.0 and last.overshoot < _OVERSHOOT_MAX * turn:
             return turn
-        last = found
+        last = homing
     return None
 
 
-def _search(session: Session, limit_s: float) -> _Found | None:
+def _search(session: Session, limit_s: float) -> _Homing | None:
     """Home once; None if no pulse came in time."""
     control, network, drive = session.drive.control, session.network, session.drive
     history: list[Reading] = []
@@ -151,7 +151,7 @@ def _search(session: Session, limit_s: float) -> _Found | None:
                 ended = fresh and word & _FOUND and word & Status.TARGET_REACHED
                 settled = settled + 1 if ended else 0
                 if settled > _SETTLED and passed_rad is not None:
-                    return _Found(jump, abs(reading.position_rad - passed_rad))
+                    return _Homing(jump, abs(reading.position_rad - passed_rad))
         return None
     finally:
         control.set_bits(_START, 0)

@@ -74,13 +74,13 @@ def _made(role: type[Role], name: str, parameters: Mapping[str, Any], setup: Set
     key = f"drive.{setup.axis}.{role.__name__.lower()}"
     expected = f"a class derived from hil.{role.__name__}, as MODULE:NAME or FILE.py:NAME"
     try:
-        found = object_of(name)
+        named = object_of(name)
     except Exception as error:
         raise BadInput(setup.source, f"{key}.object", name, expected, _told(error)) from error
-    if not (isinstance(found, type) and issubclass(found, role)):
+    if not (isinstance(named, type) and issubclass(named, role)):
         raise BadInput(setup.source, f"{key}.object", name, expected)
     try:
-        maker: Any = found
+        maker: Any = named
         made: Role = maker(setup, **parameters)
     except Exception as error:
         takes = f"what {name} takes beside the setup"

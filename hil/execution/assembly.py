@@ -132,9 +132,9 @@ def _guard(config: BenchConfig, axis: str, period_s: float) -> SafetyGuard:
     """The host limits of one axis, of the quantity that its drive is given."""
     drive = config.drive[axis]
     limits = drive.limits
-    found: Limits
+    guarded: Limits
     if drive.mode == "cst":
-        found = TorqueLimits(
+        guarded = TorqueLimits(
             torque_max_nm=limits.torque_max_nm,
             speed_max_rad_s=limits.speed_max_rad_s,
             torque_slew_max_nm_s=limits.torque_slew_max_nm_s,
@@ -142,13 +142,13 @@ def _guard(config: BenchConfig, axis: str, period_s: float) -> SafetyGuard:
         )
     else:
         kind = SpeedLimits if drive.mode == "csv" else PositionLimits
-        found = kind(
+        guarded = kind(
             limits.set_speed_rpm * RAD_S_PER_RPM,
             limits.speed_max_rad_s,
             limits.set_acceleration_max_rad_s2,
             limits.dropouts_consecutive_max,
         )
-    return SafetyGuard(found, period_s)
+    return SafetyGuard(guarded, period_s)
 
 
 def setup_of(config: BenchConfig, name: str, *, real_time: bool) -> Setup:

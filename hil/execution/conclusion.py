@@ -46,7 +46,7 @@ class Conclusion:
         return replace(outcome, drives=tuple(self._ends.values()), emergencies=tuple(self._emergencies))
 
     def ended(self, loop: LoopOutcome, interrupted_by: str, settings: LoopConfig, **notes: Any) -> None:
-        """The loop ended as a loop does; ``found``: fields of :class:`RunOutcome`.
+        """The loop ended as a loop does; ``notes``: fields of :class:`RunOutcome`.
 
         A host that comes back later than readings are waited for has not seen the end of its run.
         """

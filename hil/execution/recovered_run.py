@@ -34,21 +34,20 @@ def refuse_whole(folder: Path) -> None:
     raise BadInput("RUN", "", str(folder), "a recording without a summary", "this one is whole")
 
 
-def _stamp_offset(records: Path) -> Duration | None:
-    """Of the stamps in frames.log from the bench clock, by the head of the records; None: it says nothing."""
+def _times(records: Path) -> tuple[Instant, Duration | None]:
+    """By the head of the records: the recording's start on the bench clock, and the offset from that of the
+    stamps in frames.log; 0 and None if it says nothing."""
     metadata = read_metadata(records) if records.exists() else {}
-    return Duration(int(metadata[FIRST_CYCLE_EPOCH]) - int(metadata[FIRST_CYCLE])) if metadata else None
-
-
-def _started_at(records: Path) -> Instant:
-    """Start of the recording on the bench clock, by the head of the records; 0 if it says nothing."""
-    metadata = read_metadata(records) if records.exists() else {}
-    return Instant(int(metadata[BENCH_START]) + int(metadata[FIRST_CYCLE])) if metadata else Instant(0)
+    if not metadata:
+        return Instant(0), None
+    start, first, epoch = (int(metadata[key]) for key in (BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH))
+    return Instant(start + first), Duration(epoch - first)
 
 
 def recover_run(config: BenchConfig, folder: Path) -> Summary:
     """End the recording of a run of ``config``. Raises BadInput while it is recorded, RecordingFailed."""
     spec = parse_bus_spec(config.bus.spec, config.source)
+    started_at, wall_offset = _times(folder / RECORDS_FILE)
     plan = RecordingPlan(
         folder=folder,
         name=config.bench.name,
@@ -60,9 +59,9 @@ def recover_run(config: BenchConfig, folder: Path) -> Summary:
         bench_toml="",
         frames=config.recording.frames,
         segments=tuple(segment.name for segment in config.bus.segment),
-        wall_offset=_stamp_offset(folder / RECORDS_FILE),
+        wall_offset=wall_offset,
         period_us=config.loop.period_us,
-        started_at=_started_at(folder / RECORDS_FILE),
+        started_at=started_at,
         observed=assembly.observed_drives(config),
         notes=assembly.recording_notes(config, config.bus.spec),
     )

@@ -1,7 +1,7 @@
 """``hil scan``: the adapters of this machine, and who is on the bus behind one of them."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -154,7 +154,7 @@ def _look_for_unconfigured(
     say("looking for devices without node-ID (LSS fast scan)")
     free = list(plan.assign)
     try:
-        with _lss(network) as master:
+        with closing(LssMaster(network)) as master:
             for address in master.search():
                 if free:
                     if not master.assign(address, free[0], plan.store):
@@ -176,15 +176,6 @@ def _look_for_unconfigured(
         return
     say("asking the new nodes")
     scan.probe()
-
-
-@contextmanager
-def _lss(network: CanopenNetwork) -> Iterator[LssMaster]:
-    master = LssMaster(network)
-    try:
-        yield master
-    finally:
-        master.close()
 
 
 def open_to_look(plan: ScanPlan, say: Callable[[str], None]) -> OpenedBus:

@@ -10,7 +10,7 @@ No heartbeat is sent: another master may have the same node-ID.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.canopen.bus_scan import NODES
 from drivers.canopen.cob_ids import SDO_ANSWER, SDO_REQUEST
@@ -55,10 +55,6 @@ class NodeStopped(NamedTuple):
     took_ms: float
     text: str
     """In words, with what it took beside a quick stop."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return self._asdict()
 
 
 class _Stop:

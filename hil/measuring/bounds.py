@@ -4,6 +4,7 @@ Samples count as independent. Losses that come in bursts tell less than their nu
 """
 
 import math
+from bisect import bisect_left
 from typing import Final, NamedTuple
 
 from scipy.special import bdtr, betaincinv
@@ -47,13 +48,5 @@ def rank_above(share: float, samples: int) -> int | None:
 
     The r-th is below the quantile if at least r values are: a binomial tail. None: too few samples.
     """
-    if samples <= 0 or bdtr(samples - 1, samples, share) < CONFIDENCE:
-        return None
-    low, high = 1, samples
-    while low < high:
-        middle = (low + high) // 2
-        if bdtr(middle - 1, samples, share) >= CONFIDENCE:
-            high = middle
-        else:
-            low = middle + 1
-    return low
+    below = bisect_left(range(samples), CONFIDENCE, key=lambda count: bdtr(count, samples, share))
+    return below + 1 if below < samples else None

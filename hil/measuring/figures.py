@@ -101,7 +101,7 @@ class Measured:
             "confidence": CONFIDENCE,
             "host": {each.key: stage_json(each) for each in self.host},
             "drives": [_drive_json(drive) for drive in self.drives],
-            "network": None if self.network is None else _dumped(self.network),
+            "network": self.network and self.network.model_dump(mode="json", exclude_none=True),
             "timing": self.timing,
             "distrust": list(self.distrust),
         }
@@ -172,7 +172,3 @@ def _drive_json(drive: MeasuredDrive) -> Json:
         "clock": None if clock is None else asdict(clock),
         "notes": list(drive.notes),
     }
-
-
-def _dumped(network: Network) -> Json:
-    return network.model_dump(mode="json", exclude_none=True)

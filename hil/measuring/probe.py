@@ -103,13 +103,13 @@ def acting(sent: Sequence[SentCommand], changes: Sequence[TimedDemandChange]) ->
     by_value: dict[int, list[SentCommand]] = {}
     for command in sent:
         by_value.setdefault(command.raw, []).append(command)
-    found: dict[int, TimedDemandChange] = {}
+    began: dict[int, TimedDemandChange] = {}
     for change in changes:
         candidates = by_value.get(change.demand_raw, [])
         place = bisect_right(candidates, change.at + BEFORE_NS + change.error_ns, key=on_its_way)
         if place:
-            found.setdefault(candidates[place - 1].sequence, change)
-    return found
+            began.setdefault(candidates[place - 1].sequence, change)
+    return began
 
 
 def on_its_way(command: SentCommand) -> int:

@@ -10,7 +10,6 @@ before the write goes out, so whatever kills the program in between, no change i
 """
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 
 from drivers.bounded_file import NamedBy, parse_json, read_lines
 from drivers.errors import MISSING, BadInput
+from hil.machine.on_disk import sync_folder, write_synced
 
 VERSION = 1
 
@@ -103,7 +103,7 @@ class Journal:
                 "errors": head.errors,
             }
         )
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
     def note(self, change: ObjectWrite) -> None:
         """Put a change on the disk; only then may it be made."""
@@ -121,17 +121,13 @@ class Journal:
         self._file.close()
 
     def _write(self, record: Mapping[str, Any]) -> None:
-        self._file.write(json.dumps(record).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        write_synced(self._file, json.dumps(record).encode() + b"\n")
 
 
 def append_restored(path: Path) -> None:
     """Note in a journal that all its changes are undone."""
     with path.open("ab") as file:
-        file.write(json.dumps({"restored": 1}).encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
+        write_synced(file, json.dumps({"restored": 1}).encode() + b"\n")
 
 
 def read_journal(path: Path) -> JournalContents:
@@ -194,11 +190,3 @@ def _refuse_open_journal(path: Path) -> None:
             "a folder without a journal that waits to be put back",
             f"hil restore --bus {head.bus} --node {head.node} {path}",
         )
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -38,6 +38,6 @@ def stop(
             stopped = stop_drives(CanopenNetwork(world.link, world.clock), nodes)
         at_rest = all(each.at_rest for each in stopped)
         lines = [f"node {each.node}: {each.text} (after {each.took_ms:.0f} ms)" for each in stopped]
-        figures = {"at_rest": at_rest, "nodes": [each.as_json() for each in stopped]}
+        figures = {"at_rest": at_rest, "nodes": [each._asdict() for each in stopped]}
         put(figures, as_json, lambda _figures: typer.echo("\n".join(lines)))
         raise typer.Exit(ExitStatus.PASSED if at_rest else ExitStatus.PEER_FAULT)

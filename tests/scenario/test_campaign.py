@@ -169,7 +169,7 @@ def test_workers_that_never_are_ready_end_the_campaign(
 
 KILLED = """
 import os, signal, sys
-from hil.campaign import campaign, store
+from hil.campaign import campaign
 
 campaign.STORED_EVERY_NS = 0  # every row is stored at once
 sync, calls = os.fsync, []
@@ -180,7 +180,7 @@ def killing(descriptor):
         os.kill(os.getpid(), signal.SIGKILL)
     sync(descriptor)
 
-store.os.fsync = killing
+os.fsync = killing
 campaign.run_campaign(sys.argv[1], sys.argv[2], workers=1)
 """
 """The third argument: at which sync of a file, or of the folder that it is then in, it is killed."""

@@ -73,13 +73,13 @@ def test_travel() -> None:
     drive_along(watched(), [3.0 - 0.01 * k for k in range(1000)])
     with pytest.raises(LimitExceeded, match="turned"):
         drive_along(watched(), [3.0 - 0.01 * k for k in range(1010)])
-    drive_along(watched(replace(LIMITS, travel_rad=None)), [0.01 * k for k in range(2000)])
+    drive_along(watched(replace(LIMITS, travel_rad=math.inf)), [0.01 * k for k in range(2000)])
 
 
 def test_speed_by_position() -> None:
-    drive_along(watched(replace(LIMITS, travel_rad=None)), [0.19 * k for k in range(20)])
+    drive_along(watched(replace(LIMITS, travel_rad=math.inf)), [0.19 * k for k in range(20)])
     with pytest.raises(LimitExceeded, match="speed by position"):
-        drive_along(watched(replace(LIMITS, travel_rad=None)), [0.20 * k for k in range(20)])
+        drive_along(watched(replace(LIMITS, travel_rad=math.inf)), [0.20 * k for k in range(20)])
 
 
 def test_power_and_energy() -> None:
@@ -182,7 +182,7 @@ def moved(path_rad: float, passed_ns: int, torque_nm: float, limits: MotionLimit
 
 def test_power_and_speed_have_their_margins() -> None:
     """Of 1.3 for the power, and of 1.5 on top for the speed, whose positions are rounded."""
-    limits = replace(LIMITS, energy_j=1e9, power_w=100.0, speed_rad_s=100.0, travel_rad=None)
+    limits = replace(LIMITS, energy_j=1e9, power_w=100.0, speed_rad_s=100.0, travel_rad=math.inf)
     second = NS_PER_S
     for sign in (1.0, -1.0):
         moved(sign * 130.0, second, 1.0, limits)
@@ -230,7 +230,7 @@ def test_limits_come_from_the_nameplate_and_are_cautious_without_one() -> None:
     found = motion_limits(Nameplate(), 2.0, 3000.0)
     assert found.speed_rad_s == pytest.approx(0.5 * 3000.0 * math.tau / 60.0)
     assert found.torque_nm == pytest.approx(1.0)
-    assert found.travel_rad is None
+    assert found.travel_rad == math.inf
     told = Nameplate.model_validate(
         {"rating": {"speed_rpm": 1000.0}, "limits": {"torque_max_percent": 10.0, "turns_max": 2.0}}
     )

@@ -97,7 +97,7 @@ class Shaft:
 
 
 def session_of(
-    travel_rad: float | None,
+    travel_rad: float,
     quantity: Quantity = Quantity.TORQUE,
     mechanics: Mechanics = LIGHT,
     damping_nm_s: float = 0.0,
@@ -142,7 +142,7 @@ def test_pulses_take_less_than_half_of_the_travel(quantity: Quantity, travel_rad
 
 
 def test_pulses_go_as_far_as_asked_where_there_is_room() -> None:
-    for travel_rad in (None, 100.0):
+    for travel_rad in (math.inf, 100.0):
         session, shaft = session_of(travel_rad, damping_nm_s=0.05)
         pulses(session, 0.5)
         assert all(math.pi <= far < 1.2 * math.pi for far in farthest(shaft)), travel_rad
@@ -158,7 +158,7 @@ def test_a_pulse_goes_twice_as_far_as_it_takes_to_see_the_shaft_move(travel_rad:
 
 
 def test_the_torque_of_a_pulse_rises_by_the_rated_torque_a_second_up_to_the_limit() -> None:
-    session, shaft = session_of(None, damping_nm_s=math.inf)
+    session, shaft = session_of(math.inf, damping_nm_s=math.inf)
     with pytest.raises(StepFailed, match=r"does not turn with 0\.8 N m"):
         pulses(session, 0.5)
     ((_, torques),) = shaft.runs
@@ -174,7 +174,7 @@ def test_the_ramps_leave_a_fifth_of_the_travel(quantity: Quantity, travel_rad: f
     assert len(shaft.runs) == 2
     for far in farthest(shaft):
         assert 0.6 * travel_rad < far < 0.8 * travel_rad
-    assert top_speed(session_of(1e6)[0]) == top_speed(session_of(None)[0]) == 0.9 * LIMITS.speed_rad_s
+    assert top_speed(session_of(1e6)[0]) == top_speed(session_of(math.inf)[0]) == 0.9 * LIMITS.speed_rad_s
 
 
 @pytest.mark.parametrize("travel_rad", TRAVELS)
@@ -197,18 +197,23 @@ def test_the_verification_leaves_a_fifth_of_the_travel(travel_rad: float) -> Non
 
 
 def test_the_verification_goes_to_half_of_the_speed_where_there_is_room() -> None:
-    for travel_rad in (None, 1e6):
+    for travel_rad in (math.inf, 1e6):
         assert Verify()._speed(session_of(travel_rad)[0]) == 0.5 * LIMITS.speed_rad_s
 
 
 @pytest.mark.parametrize(
     ("turns", "known", "left_out"),
-    [(2.99, True, "only 2.99 turns"), (3.0, True, None), (None, True, None), (0.1, True, "only 0.1 turns")],
+    [
+        (2.99, True, "only 2.99 turns"),
+        (3.0, True, None),
+        (math.inf, True, None),
+        (0.1, True, "only 0.1 turns"),
+    ],
 )
 def test_a_whole_turn_is_only_looked_for_where_three_are_allowed(
-    turns: float | None, known: bool, left_out: str | None
+    turns: float, known: bool, left_out: str | None
 ) -> None:
-    session, _ = session_of(None if turns is None else turns * math.tau)
+    session, _ = session_of(turns * math.tau)
     encoder = SimpleNamespace(counts_per_revolution=4096 if known else None)
     cast(Any, session).request = SimpleNamespace(nameplate=SimpleNamespace(encoder=encoder))
     reason = Turn().left_out(session)
@@ -216,7 +221,7 @@ def test_a_whole_turn_is_only_looked_for_where_three_are_allowed(
 
 
 def test_no_response_is_taken_of_a_shaft_that_may_not_turn_on() -> None:
-    assert Response().left_out(session_of(None)[0]) is None
+    assert Response().left_out(session_of(math.inf)[0]) is None
     assert "turn one way" in str(Response().left_out(session_of(1e3)[0]))
 
 
@@ -244,11 +249,11 @@ class Dictionary:
         (1000, math.tau, (1000 - 4096, 1000 + 4096)),
         (2**31 - 1000, math.tau, (2**31 - 1000 - 4096, 2**31 - 1)),
         (-(2**31) + 1000, math.tau, (-(2**31), -(2**31) + 1000 + 4096)),
-        (1000, None, (0, 0)),
+        (1000, math.inf, (0, 0)),
     ],
 )
 def test_the_drive_is_given_the_travel_about_where_it_stands(
-    position: int, travel_rad: float | None, bounds: tuple[int, int]
+    position: int, travel_rad: float, bounds: tuple[int, int]
 ) -> None:
     session, _ = session_of(travel_rad)
     objects = Dictionary(position)

@@ -18,10 +18,10 @@ def turn_by(
     left = iter(searches)
     asked = []
 
-    def search(_session: Session, limit_s: float) -> turn._Found | None:
+    def search(_session: Session, limit_s: float) -> turn._Homing | None:
         asked.append(limit_s)
         each = next(left)
-        return None if each is None else turn._Found(*each)
+        return None if each is None else turn._Homing(*each)
 
     monkeypatch.setattr(turn, "_search", search)
     return turn._by_searches(cast(Session, None)), len(asked)

@@ -1,0 +1,21 @@
+"""What is on the disk when a call returns, and not only in the kernel's cache."""
+
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+
+def write_synced(file: BinaryIO, data: bytes) -> None:
+    """Write ``data`` and wait until the disk has it. Error: OSError."""
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the folder's entries, as of a new or renamed file. Error: OSError."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
