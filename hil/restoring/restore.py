@@ -28,9 +28,11 @@ ERROR_HISTORY: Final = 0x1003
 _BEATS_HEARD: Final = 2.5
 """Heartbeat periods in which one comes for certain, though one be lost."""
 _NOT_VALID: Final = 1 << 31
+"""Bit of a PDO's COB-ID: it is switched off."""
 _RECEIVE: Final = range(0x1400, 0x1600)
 _TRANSMIT: Final = range(0x1800, 0x1A00)
 _MAPPING_OFFSET: Final = 0x200
+"""From a PDO's communication parameter to its mapping: 1400h and 1600h, 1800h and 1A00h."""
 _OUT_OF_THE_WAY: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
 _NMT_OF_STATE: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
