@@ -55,11 +55,7 @@ class Silent:
     attended = False
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-
-    def tell(self, text: str) -> None:
-        """As given."""
-        self._tell(text)
+        self.tell = tell
 
     def choose(self, _question: str, choices: tuple[Choice, ...], _idle: Idle) -> Choice:
         """The first choice."""
@@ -80,17 +76,13 @@ class Terminal:
 
     def __init__(self, source: IO[str], tell: Callable[[str], None]) -> None:
         self._source = source
-        self._tell = tell
-
-    def tell(self, text: str) -> None:
-        """As given."""
-        self._tell(text)
+        self.tell = tell
 
     def choose(self, question: str, choices: tuple[Choice, ...], idle: Idle) -> Choice:
         """Ask until one of the keys comes; the end of the input means to quit."""
         offered = ", ".join(f"{_KEYS[choice]} = {choice.value}" for choice in choices)
         while True:
-            self._tell(f"{question} [{offered}]")
+            self.tell(f"{question} [{offered}]")
             answer = self._read(idle)
             if answer is None:
                 return Choice.QUIT
@@ -100,7 +92,7 @@ class Terminal:
 
     def line(self, question: str, idle: Idle) -> str:
         """One line."""
-        self._tell(question)
+        self.tell(question)
         return (self._read(idle) or "").strip()
 
     def _read(self, idle: Idle) -> str | None:

@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 BLIND_MAX_S: Final = 0.1
 """Without a reading for longer the exercise ends."""
 _HORIZON: Final = 20
+"""Cycles after which a reading or a command is lost, as of a bench."""
 _OVERSPEED: Final = 1.3
 """The shaft may overshoot the speed that it is given before the host stops it."""
 _RUN_UP_S: Final = 0.1

@@ -38,6 +38,7 @@ _RECORDS: Final = (
 )
 _PROFILE: Final = (*(int(entry) for entry in Object), 0x60FE, 0x6403, 0x6404)
 _FIRST_OBJECT: Final = 0x1000
+"""Below it are data types (CiA 301)."""
 _WRITE_ONLY: Final = "wo"
 _DOMAIN: Final = 0x0F
 

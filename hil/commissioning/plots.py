@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -25,7 +24,6 @@ _BLUE, _RED, _GREY = "#1f5fa8", "#c8442c", "#8a8f98"
 def _figure(path: Path, rows: int, height: float, **options: Any) -> Iterator[list[Any]]:
     """Axes one below the other; the picture is written when they are left."""
     figure = Figure(figsize=(8.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = np.atleast_1d(figure.subplots(rows, 1, **options))
     for ax in axes:
         ax.grid(color="#e3e6ea", linewidth=0.6)

@@ -10,18 +10,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from drivers.errors import BadInput
-from drivers.wire.adapters import parse_bus_spec
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from hil.execution.device_files import DeviceFiles
-from hil.execution.node_ids_taken import refuse_taken
-from hil.execution.world import WorldPlan, open_world
-from hil.machine.realtime import realtime_process
-from hil.machine.stopping import stop_signals
+from hil.execution.simulated_drives import host_drives, shared_bus
+from hil.execution.world import WorldPlan
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.drive.unknown_drive import Truth, nameplate_of, unknown_drive
-from virtual_bus.hosting.devices import serve
 from virtual_bus.hosting.injection import Faults
 
 
@@ -70,12 +66,7 @@ def rehearse(
 
     Raises BadInput for a bus in simulated time, BusDown if the bus cannot be opened or goes away.
     """
-    spec = parse_bus_spec(bus_spec, "--bus")
-    if spec.simulated:
-        raise BadInput(
-            "--bus", "", bus_spec, "a bus that other processes can join",
-            "in simulated time: hil commission --bus simulated --rehearse SEED",
-        )  # fmt: skip
+    spec = shared_bus(bus_spec, "in simulated time: hil commission --bus simulated --rehearse SEED")
     servo, truth = unknown_drive(seed, node, clock_drift_ppm)
     if nameplate is not None:
         text = f"# What is printed on motor and drive of seed {seed}.\n\n{toml_text(truth.nameplate)}"
@@ -84,15 +75,8 @@ def rehearse(
         text = "# What commissioning has to find out. Not for its eyes.\n\n" + toml_text(truth_tables(truth))
         _write(truth_file, text, "--truth")
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
-    with stop_signals() as stop, open_world(plan, ()) as world:
-        refuse_taken(world.link, world.clock, [node], announce, force=False)
-        device = world.faults.wrap(servo)
-        world.faults.start(world.clock.now())
-        with realtime_process() as refused:
-            for request in refused:
-                announce(f"not granted by the kernel: {request}")
-            announce(f"unknown drive of seed {seed} on {spec}: node {node}; Ctrl-C ends it")
-            serve([device], world.link.bus, world.clock, stop)
+    title = f"unknown drive of seed {seed} on {spec}: node {node}; Ctrl-C ends it"
+    host_drives(plan, [servo], [node], title, announce)
 
 
 def truth_tables(truth: Truth) -> dict[str, Any]:

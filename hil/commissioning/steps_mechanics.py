@@ -269,19 +269,13 @@ def _judge(mechanics: Mechanics, outcome: StepOutcome) -> None:
         "coverage_factor": COVERAGE_FACTOR,
         "by_command": outcome.figures.get("by_command", False),
     }
-    outcome.measured("inertia", mechanics.inertia_kg_m2, "kg m^2", mechanics.inertia_error)
-    outcome.measured(
-        "viscous friction", mechanics.viscous_friction_nm_s, "N m s/rad", mechanics.viscous_error
-    )
-    outcome.measured("Coulomb friction", mechanics.coulomb_friction_nm, "N m", mechanics.coulomb_error)
-    outcome.say(f"inertia {mechanics.inertia_kg_m2:.5g} kg m^2 +- {mechanics.inertia_error:.2g} (k = 2)")
-    outcome.say(
-        f"viscous friction {mechanics.viscous_friction_nm_s:.4g} N m s/rad "
-        f"+- {mechanics.viscous_error:.2g} (k = 2)"
-    )
-    outcome.say(
-        f"Coulomb friction {mechanics.coulomb_friction_nm:.4g} N m +- {mechanics.coulomb_error:.2g} (k = 2)"
-    )
+    for name, value, digits, unit, error in (
+        ("inertia", mechanics.inertia_kg_m2, 5, "kg m^2", mechanics.inertia_error),
+        ("viscous friction", mechanics.viscous_friction_nm_s, 4, "N m s/rad", mechanics.viscous_error),
+        ("Coulomb friction", mechanics.coulomb_friction_nm, 4, "N m", mechanics.coulomb_error),
+    ):
+        outcome.measured(name, value, unit, error)
+        outcome.say(f"{name} {value:.{digits}g} {unit} +- {error:.2g} (k = 2)")
     outcome.say(f"torque offset {mechanics.offset_nm:.3g} N m; {mechanics.equations} equations")
     bound = _UNCERTAIN + (COVERAGE_FACTOR * _COMMANDED if outcome.figures["by_command"] else 0.0)
     if mechanics.inertia_kg_m2 <= 0.0 or mechanics.inertia_error > bound * mechanics.inertia_kg_m2:

@@ -28,6 +28,7 @@ from hil.loop.scenario import Quantity, Ramp, Segment
 
 POSITION_BIT: Final = 0x80
 VELOCITY_BIT: Final = 0x40
+"""Of 607Eh, as the one above: set, it turns the sign."""
 _NEAR_TURNS: Final = 0.003
 """A degree: by it a shaft has broken away, and is not only twisted or has its play taken up."""
 _NEAR_UNITS: Final = 4
@@ -59,6 +60,7 @@ _RATIO_TOLERANCE: Final = 0.03
 _ROUGH_WINDOW_S: Final = 0.03
 """A pulse is short; the fit needs several windows in it."""
 _ROUGH_PERIODS: Final = 15
+"""At a long period: more than the twelve samples without which a window gives no equation."""
 
 
 class Polarity(Step):

@@ -22,6 +22,7 @@ from hil.commissioning.session import Session
 from hil.machine.stopping import Interrupted
 
 INDEX_POSITIVE: Final = 34
+"""Homing method: the next index pulse in the positive direction."""
 _SPEEDS_TURNS_S: Final = (0.5, 2.0, 8.0)
 """By the unit that the drive tells, which may be wrong: so the search begins slowly."""
 _SEARCH_S: Final = 5.0
@@ -36,6 +37,7 @@ _SETTLED: Final = 36
 _HISTORY: Final = 12
 _JUMP_TURNS: Final = 0.01
 _START: Final = 1 << 4
+"""Of the controlword: homing starts as it rises."""
 
 _FOUND: Final = Status.MODE_12
 _FAILED: Final = Status.MODE_13

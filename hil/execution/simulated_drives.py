@@ -1,6 +1,6 @@
 """Simulated drives as a bench or a command line asks for them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import count
@@ -120,15 +120,7 @@ def simulate(
     Raises BadInput for a bus in simulated time, which no other process could join, and for a node-ID that
     somebody has, and BusDown if the bus cannot be opened or goes away.
     """
-    spec = parse_bus_spec(bus_spec, "--bus")
-    if spec.simulated:
-        raise BadInput(
-            "--bus",
-            "",
-            bus_spec,
-            "a bus that other processes can join",
-            "use hub:NAME, or run the bench itself with --bus simulated",
-        )
+    spec = shared_bus(bus_spec, "use hub:NAME, or run the bench itself with --bus simulated")
     store = files.memory(nodes)
     makers = files.makers(files.vendor(announce, nodes, bitrate_bit_s, motor), serial_of_each(nodes, serials))
     drive = files.drive(drive_parameters(current_control))
@@ -138,17 +130,47 @@ def simulate(
     ]
     files.write_data_sheet(devices[0].dictionary, announce)
     plan = WorldPlan(spec, bitrate_bit_s, False, faults, seed, side="drive")
+    ids = ids_on_the_bus(nodes, store)
+    title = _announcement(spec, nodes, motor)
+    others = background_nodes(background, seed)
+    host_drives(plan, devices, ids, title, announce, others=others, load_machine=load_machine, force=force)
+
+
+def shared_bus(text: str, remedy: str) -> BusSpec:
+    """The bus of ``--bus``. Raises BadInput for one in simulated time, which no other process could join."""
+    spec = parse_bus_spec(text, "--bus")
+    if spec.simulated:
+        raise BadInput("--bus", "", text, "a bus that other processes can join", remedy)
+    return spec
+
+
+def host_drives(
+    plan: WorldPlan,
+    drives: Sequence[SimulatedServo],
+    ids: Sequence[int],
+    title: str,
+    announce: Callable[[str], None],
+    *,
+    others: Iterable[Device] = (),
+    load_machine: SimulatedLoadMachine | None = None,
+    force: bool = False,
+) -> None:
+    """Have ``drives``, and ``others`` that no fault befalls, on the bus of ``plan`` until a stop signal.
+
+    ``ids``: node-IDs that nobody else may have, unless ``force``. ``announce`` is told ``title`` once they
+    are on it. ``load_machine``: on the shaft of the first. Raises BadInput, BusDown.
+    """
     with stop_signals() as stop, open_world(plan, ()) as world:
-        refuse_taken(world.link, world.clock, ids_on_the_bus(nodes, store), announce, force)
-        hosted: list[Device] = [world.faults.wrap(device) for device in devices]
+        refuse_taken(world.link, world.clock, ids, announce, force)
+        hosted: list[Device] = [world.faults.wrap(drive) for drive in drives]
         world.faults.start(world.clock.now())
-        hosted += background_nodes(background, seed)
+        hosted += others
         with ExitStack() as leaving, realtime_process() as refused:
             for request in refused:
                 announce(f"not granted by the kernel: {request}")
             if load_machine is not None:
-                hosted.append(leaving.enter_context(load_machine.coupled_to(devices[0], seed, announce)))
-            announce(_announcement(spec, nodes, motor))
+                hosted.append(leaving.enter_context(load_machine.coupled_to(drives[0], plan.seed, announce)))
+            announce(title)
             serve(hosted, world.link.bus, world.clock, stop)
 
 

@@ -37,6 +37,7 @@ _SDO_TIMEOUT_S: Final = 0.05
 """Somebody waits for drives to stop: who is silent for so long is stopped by NMT."""
 _UPLOAD: Final = 0x40
 _DOWNLOAD_TWO_BYTES: Final = 0x2B
+"""Expedited, with its size told: CiA 301 7.2.4.3.3."""
 _UPLOADED: Final = 2
 """Server command specifier of initiate upload, CiA 301 7.2.4.3.4."""
 _ENABLING: Final = (State.READY, State.SWITCHED_ON, State.OPERATION_ENABLED)

@@ -113,14 +113,14 @@ class ClockQuestion:
     def lines(self, last: list[Suspect]) -> list[Line]:
         """Every way to place the last suspects on SYNCs, all of them on one line."""
         received_at = last[0].received_at
-        found = []
+        placements = []
         for mark in self._syncs.marks:
             on_bus_at = mark.on_bus_at
             if on_bus_at is not None and on_bus_at <= received_at - self._transit + self._match_ns:
                 line = self._line(last, mark)
                 if line is not None:
-                    found.append(line)
-        return found
+                    placements.append(line)
+        return placements
 
     def _line(self, last: list[Suspect], first: SyncMark) -> Line | None:
         """How they are placed if the first answers ``first``; None if they cannot be.

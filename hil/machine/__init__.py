@@ -1,1 +1,1 @@
-"""This process and its machine: Ctrl-C, real time, progress, ``hil doctor``."""
+"""This process and its machine: Ctrl-C, real time, progress, the disk, ``hil doctor``."""

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hil.measuring.figures import Measured
@@ -19,7 +18,6 @@ def draw_stages(path: Path, measured: Measured) -> None:
     for drive in measured.drives:
         rows += [(f"node {drive.node}: {each.title}", each.times) for each in drive.stages if each.measured]
     figure = Figure(figsize=(8.0, _ROW_INCHES * len(rows) + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
     for ax, (title, times) in zip(np.atleast_1d(figure.subplots(len(rows), 1)), rows, strict=True):
         bars, quantiles = histogram_of(times), delays_of(times)
         assert bars is not None

@@ -46,6 +46,7 @@ BLIND: Final = Duration(100 * NS_PER_MS)
 """An enabled drive is stopped after so long without a reading, or without a command."""
 HEARTBEAT_MS: Final = 50
 WATCH_ENABLED_MS: Final = 150
+"""Three heartbeats fit into it."""
 WATCH_DISABLED_MS: Final = 1000
 """What does not turn need not be noticed at once."""
 POSITION_EVERY: Final = (1, 4, 10)

@@ -27,6 +27,7 @@ _REST_COUNTS: Final = 3
 _BEATS_HEARD: Final = 2.5
 """Heartbeat periods in which one comes for certain, though one be lost."""
 _NOT_VALID: Final = 1 << 31
+"""Bit of a PDO's COB-ID: it is switched off."""
 _OUT_OF_THE_WAY: Final = (State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT)
 _NMT_OF_STATE: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
