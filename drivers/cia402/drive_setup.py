@@ -187,7 +187,7 @@ def _polarity_notes(polarity: int) -> list[str]:
 
 
 def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
-    """Option codes; notes on those that the drive has not, or holds otherwise."""
+    """Option codes; notes on those that the drive lacks, or holds otherwise."""
     notes = []
     for index, value, text in REACTIONS:
         if index in (Object.QUICK_STOP_OPTION, Object.FAULT_REACTION_OPTION):
@@ -200,7 +200,7 @@ def write_reactions(objects: RemoteObjects, stop: QuickStopOption) -> list[str]:
 
 
 def write_limits(objects: RemoteObjects, settings: DriveSettings, scaling: Scaling) -> list[str]:
-    """Limits and periods; notes on those that the drive has not, or holds otherwise."""
+    """Limits and periods; notes on those that the drive lacks, or holds otherwise."""
     notes: list[str] = []
     if settings.torque_max_nm is not None:
         raw = min(round(settings.torque_max_nm / scaling.torque_nm), 0xFFFF)

@@ -200,25 +200,6 @@ def mode_plan(
     return PdoPlan(tpdos, _commands(node_id, (command,), synchronous_command))
 
 
-def torque_plan(
-    node_id: int,
-    *,
-    device_stamp: bool,
-    synchronous_command: bool = False,
-    position_every_cycles: int = 1,
-    demand_changes: bool = False,
-) -> PdoPlan:
-    """:func:`mode_plan` for cyclic synchronous torque."""
-    return mode_plan(
-        node_id,
-        Mode.CYCLIC_SYNCHRONOUS_TORQUE,
-        device_stamp=device_stamp,
-        synchronous_command=synchronous_command,
-        position_every_cycles=position_every_cycles,
-        demand_changes=demand_changes,
-    )
-
-
 def all_modes_plan(node_id: int, *, device_stamp: bool, synchronous_command: bool = False) -> PdoPlan:
     """The plan for a drive that changes between the cyclic modes: an RPDO for each set-point.
 

@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from drivers.errors import BadInput
-from drivers.vendors.motor_objects import MotorObjects, read_motor_objects
+from drivers.vendors.motor_objects import MotorObjects, one_line, read_motor_objects, refuse_unknown
 
 _KEYS = {"vendor", "products", "device_name", "source", "codes", "numbers", "entry", "motor"}
 
@@ -86,11 +86,10 @@ def known_families() -> tuple[DriveFamily, ...]:
 def read_family(text: str, name: str) -> DriveFamily:
     """A file's content. Raises BadInput for a key that is not known, and for a fact without a source."""
     tables = tomllib.loads(text)
-    if unknown := sorted(set(tables) - _KEYS):
-        raise BadInput(name, unknown[0], tables[unknown[0]], f"one of {', '.join(sorted(_KEYS))}")
+    refuse_unknown(tables, _KEYS, name)
     if not isinstance(tables.get("vendor"), int):
         raise BadInput(name, "vendor", tables.get("vendor"), "the vendor-ID of 1018h:1")
-    source = _one_line(tables.get("source"))
+    source = one_line(tables.get("source"))
     if not source and ("codes" in tables or "numbers" in tables):
         raise BadInput(name, "source", tables.get("source"), "where the codes stand")
     return DriveFamily(
@@ -116,18 +115,11 @@ def _codes(key: str, name: str) -> range:
 
 
 def _quirk(table: Mapping[str, Any], name: str, number: int) -> Quirk:
-    known = set(Quirk.__dataclass_fields__)
-    for key in table:
-        if key not in known:
-            raise BadInput(name, f"entry.{number}.{key}", table[key], f"one of {', '.join(sorted(known))}")
-    source = _one_line(table.get("source"))
+    refuse_unknown(table, set(Quirk.__dataclass_fields__), name, f"entry.{number}.")
+    source = one_line(table.get("source"))
     if not source:
         raise BadInput(name, f"entry.{number}.source", table.get("source"), "where the fact stands")
     return Quirk(**{**table, "source": source})
-
-
-def _one_line(text: object) -> str:
-    return " ".join(str(text or "").split())
 
 
 def codes_of(vendor: int, device_name: str) -> list[DriveFamily]:

@@ -126,15 +126,24 @@ class MotorObjects:
     objects: tuple[MotorObject, ...]
 
 
-def read_motor_objects(table: Mapping[str, Any], name: str) -> MotorObjects:
-    """The ``[motor]`` of the file ``name``. Raises BadInput."""
-    source = " ".join(str(table.get("source", "")).split())
-    if not source:
-        raise BadInput(name, "motor.source", table.get("source"), "where the objects stand")
-    known = {"source", "whole", *QUANTITIES}
+def refuse_unknown(table: Mapping[str, Any], known: set[str], name: str, place: str = "") -> None:
+    """Raise BadInput for a key of ``table``, at ``place`` of the file ``name``, that is not known."""
     for key in table:
         if key not in known:
-            raise BadInput(name, f"motor.{key}", table[key], f"one of {', '.join(sorted(known))}")
+            raise BadInput(name, f"{place}{key}", table[key], f"one of {', '.join(sorted(known))}")
+
+
+def one_line(text: object) -> str:
+    """A source without the line ends that TOML keeps; empty for none."""
+    return " ".join(str(text or "").split())
+
+
+def read_motor_objects(table: Mapping[str, Any], name: str) -> MotorObjects:
+    """The ``[motor]`` of the file ``name``. Raises BadInput."""
+    source = one_line(table.get("source"))
+    if not source:
+        raise BadInput(name, "motor.source", table.get("source"), "where the objects stand")
+    refuse_unknown(table, {"source", "whole", *QUANTITIES}, name, "motor.")
     return MotorObjects(
         source=source,
         whole=bool(table.get("whole", False)),
@@ -146,9 +155,7 @@ def _object(quantity: str, table: Mapping[str, Any], name: str) -> MotorObject:
     convention, words = QUANTITIES[quantity].key, QUANTITIES[quantity].words
     known = {"index", "sub", "type", "unit", "unset"} | ({convention} if convention else set())
     place = f"motor.{quantity}"
-    for key in table:
-        if key not in known:
-            raise BadInput(name, f"{place}.{key}", table[key], f"one of {', '.join(sorted(known))}")
+    refuse_unknown(table, known, name, f"{place}.")
     if not isinstance(table.get("index"), int):
         raise BadInput(name, f"{place}.index", table.get("index"), "the index of an object")
     if table.get("type") not in TYPES:

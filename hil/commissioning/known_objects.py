@@ -6,6 +6,7 @@ from typing import Any, Final
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from drivers.canopen.network import CanopenNetwork
+from drivers.canopen.objects301 import FIRST_OBJECT
 from drivers.cia402.objects402 import Object
 from drivers.errors import TransferAborted
 
@@ -37,8 +38,6 @@ _RECORDS: Final = (
     0x60E3,
 )
 _PROFILE: Final = (*(int(entry) for entry in Object), 0x60FE, 0x6403, 0x6404)
-_FIRST_OBJECT: Final = 0x1000
-"""Below it are data types (CiA 301)."""
 _WRITE_ONLY: Final = "wo"
 _DOMAIN: Final = 0x0F
 
@@ -71,7 +70,7 @@ def _readable(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
 def variables(dictionary: ObjectDictionary) -> Iterator[ODVariable]:
     """Every variable of a data sheet, in order of index and sub-index."""
     for index, entry in sorted(dictionary.items()):
-        if index < _FIRST_OBJECT:
+        if index < FIRST_OBJECT:
             continue
         if isinstance(entry, ODVariable):
             yield entry

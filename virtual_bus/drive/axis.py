@@ -35,7 +35,8 @@ POSITION_BANDWIDTH: Final = 0.25
 REST_S: Final = 0.005
 """The shaft has come to rest when it has rested for that long at the end of a ramp."""
 _HOLDS_RAD: Final = 0.01
-"""So near to where it is to stay a shaft goes no way: the position loop works at the end of the axis too."""
+"""A shaft this close to a target at rest is held there, not moved on, so that the position loop works at
+the end of the axis too."""
 _STIFFEST_RAD_S2: Final = 1e9
 """In the place of an acceleration without limit where a profile is planned with it."""
 

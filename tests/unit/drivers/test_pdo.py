@@ -16,12 +16,12 @@ from drivers.canopen.pdo import (
     frame_bits_max,
     write_plan,
 )
-from drivers.cia402.pdo_plans import mode_plan, torque_plan
+from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
 from drivers.timebase import NS_PER_MS, Duration
 from tests.unit.drivers.fake_bus import FakeBus, FakeServo, make_network
 
-PLAN = torque_plan(1, device_stamp=True)
+PLAN = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
 Node = tuple[FakeBus, FakeServo, CanopenNetwork, RemoteObjects]
 
 
@@ -40,7 +40,11 @@ def test_the_torque_plan_is_the_predefined_connection_set() -> None:
     ]
     (command,) = PLAN.rpdos
     assert (command.cob_id, command.transmission_type, command.synchronous) == (0x201, 255, False)
-    assert torque_plan(1, device_stamp=False, synchronous_command=True).rpdos[0].synchronous
+    assert (
+        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=False, synchronous_command=True)
+        .rpdos[0]
+        .synchronous
+    )
 
 
 def test_codec_is_little_endian_without_padding() -> None:
@@ -50,7 +54,10 @@ def test_codec_is_little_endian_without_padding() -> None:
 
 
 def test_a_seldom_position_leaves_room_on_the_bus() -> None:
-    plans = [torque_plan(node, device_stamp=True, position_every_cycles=10) for node in (1, 2, 3)]
+    plans = [
+        mode_plan(node, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=10)
+        for node in (1, 2, 3)
+    ]
     speed, position, status = plans[0].tpdos
     assert [entry.index for entry in speed.entries] == [0x606C, 0x1013], "the stamp rides with the speed"
     assert [entry.index for entry in position.entries] == [0x6077, 0x6064, 0x6074]
@@ -59,14 +66,14 @@ def test_a_seldom_position_leaves_room_on_the_bus() -> None:
     # SYNC 55, and three times 135 + 135 / 10 + 75 / 25 + 95 bits a millisecond.
     load = bus_load_percent_max(plans, Duration(NS_PER_MS), 1_000_000)
     assert load == pytest.approx((55 + 3 * (135 + 13.5 + 3 + 95)) / 10)
-    whole = [torque_plan(node, device_stamp=True) for node in (1, 2, 3)]
+    whole = [mode_plan(node, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True) for node in (1, 2, 3)]
     assert bus_load_percent_max(whole, Duration(NS_PER_MS), 1_000_000) > 100.0
 
 
 @pytest.mark.parametrize("cycles", [0, 241])
 def test_a_position_is_sent_every_1_to_240_syncs(cycles: int) -> None:
     with pytest.raises(ValueError, match=r"in 1\.\.240"):
-        torque_plan(1, device_stamp=True, position_every_cycles=cycles)
+        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True, position_every_cycles=cycles)
 
 
 def indices(plan: PdoPlan) -> list[list[int]]:
@@ -114,7 +121,7 @@ def test_bus_load_of_one_and_three_axes() -> None:
     period = Duration(NS_PER_MS)
     one = bus_load_percent_max([PLAN], period, 1_000_000)
     assert one == pytest.approx((55 + 135 + 135 + 3 + 95) / 10)
-    three = [torque_plan(node_id, device_stamp=True) for node_id in (1, 2, 3)]
+    three = [mode_plan(node_id, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True) for node_id in (1, 2, 3)]
     assert bus_load_percent_max(three, period, 1_000_000) == pytest.approx((55 + 3 * 368) / 10)
 
 

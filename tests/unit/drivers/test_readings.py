@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.pdo import PdoPlan
-from drivers.cia402.pdo_plans import mode_plan, torque_plan
+from drivers.cia402.pdo_plans import mode_plan
 from drivers.cia402.profile import Mode
 from drivers.cia402.readings import LastStatusword, ReadingAssembler
 from drivers.cia402.scaling import Scaling
@@ -90,7 +90,7 @@ def test_a_reading_is_complete_with_the_frame_of_the_speed() -> None:
 
 
 def test_a_stamp_in_another_frame_than_the_speed_is_not_used() -> None:
-    plan = torque_plan(1, device_stamp=True)
+    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
     first, second, third = plan.tpdos
     stamp = first.entries[1]
     moved = (
@@ -135,7 +135,7 @@ def test_a_pdo_of_another_length_is_counted_and_ignored(rig: Rig) -> None:
 @pytest.mark.parametrize("lacking", [0, 1, 2])
 def test_a_plan_without_speed_position_or_statusword_is_refused(lacking: int) -> None:
     bus, network = make_network()
-    plan = torque_plan(1, device_stamp=True)
+    plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
     short = PdoPlan(tuple(pdo for place, pdo in enumerate(plan.tpdos) if place != lacking), plan.rpdos)
     with pytest.raises(ValueError, match=("606Ch", "6064h", "6041h")[lacking]):
         ReadingAssembler(network, short, SCALING, PERIOD, LastStatusword())
@@ -201,7 +201,10 @@ def test_a_drives_clock_that_is_set_moves_no_position(step_ms: int) -> None:
 def test_signs_are_turned_and_the_position_is_carried_on_by_the_turned_velocity(
     velocity: int, torque: int
 ) -> None:
-    rig = Rig(torque_plan(1, device_stamp=True), replace(SCALING, velocity_sign=velocity, torque_sign=torque))
+    rig = Rig(
+        mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True),
+        replace(SCALING, velocity_sign=velocity, torque_sign=torque),
+    )
     rig.cycle((velocity * 100, 1000), (200, 5000, 0))
     (reading,) = rig.cycle((velocity * 100, 2000))
     assert reading.velocity_rad_s == 100.0

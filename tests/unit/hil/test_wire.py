@@ -4,13 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from drivers.cia402.pdo_plans import all_modes_plan, torque_plan
+from drivers.cia402.pdo_plans import all_modes_plan, mode_plan
+from drivers.cia402.profile import Mode
 from drivers.timebase import NS_PER_MS, Instant
 from hil.rows.frame_names import frame_name
 from hil.rows.records_file import RecordsWriter
 from hil.testing.wire import Wire, intended_frames, read_wire
 
-PLAN = torque_plan(1, device_stamp=True)
+PLAN = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
 INTENDED = intended_frames(127, 1, PLAN)
 STATUS = "181#3712000000000000"
 

@@ -30,6 +30,8 @@ from drivers.wire.slcan_protocol import (
 from virtual_bus.frame import Frame
 from virtual_bus.instruments.slcan.acceptance import AcceptanceFilter
 
+_AUTO_POLL, _STAMPS, _SINGLE, _CODE, _MASK = b"X", b"Z", b"W", b"M", b"m"
+"""Commands that set something: 0 or 1, or the acceptance filter's code and mask, of eight digits."""
 VERSION, SERIAL_NUMBER = b"V1013", b"NSB01"
 POLLED_FRAMES_MAX = 32
 """Frames kept for a host that polls; one more is lost (manual, "P")."""
@@ -74,8 +76,7 @@ class SlcanAdapter:
         self._lines = LineSplitter()
         self._flags = SlcanStatus(0)
         self._filter = AcceptanceFilter()
-        self._stamped = False
-        self._auto_poll = True
+        self._settings = {_AUTO_POLL: 1, _STAMPS: 0, _SINGLE: 0, _CODE: 0, _MASK: 0xFFFF_FFFF}
         self._polled: deque[bytes] = deque()
         self._commands: dict[bytes, Callable[[bytes], bytes | None]] = {
             b"S": self._set_bitrate,
@@ -86,14 +87,10 @@ class SlcanAdapter:
             b"F": self._tell_status,
             b"P": lambda text: self._poll(text, at_most=1),
             b"A": lambda text: self._poll(text, at_most=POLLED_FRAMES_MAX),
-            b"X": self._set_auto_poll,
-            b"W": self._set_filter_mode,
-            b"M": self._set_filter_code,
-            b"m": self._set_filter_mask,
-            b"Z": self._set_stamps,
             b"V": lambda text: VERSION if text == b"V" else None,
             b"N": lambda text: SERIAL_NUMBER if text == b"N" else None,
             **dict.fromkeys((b"t", b"T", b"r", b"R"), self._send),
+            **dict.fromkeys(self._settings, self._set),
         }
 
     def take(self, data: bytes) -> list[bytes]:
@@ -104,8 +101,8 @@ class SlcanAdapter:
         """The line for a frame from the bus; None if there is none to send now."""
         if not self.is_open or not self._filter.passes(frame):
             return None
-        line = encode_frame(frame, at // NS_PER_MS % STAMP_PERIOD_MS if self._stamped else None)
-        if self._auto_poll:
+        line = encode_frame(frame, at // NS_PER_MS % STAMP_PERIOD_MS if self._settings[_STAMPS] else None)
+        if self._settings[_AUTO_POLL]:
             return line
         if len(self._polled) >= POLLED_FRAMES_MAX:
             self._flags |= SlcanStatus.RECEIVE_FIFO_FULL
@@ -168,45 +165,21 @@ class SlcanAdapter:
 
     def _poll(self, text: bytes, at_most: int) -> bytes | None:
         """The frames that are waiting, each with a CR; after all of them an ``A`` (manual, "A")."""
-        if not self.is_open or self._auto_poll or len(text) != 1:
+        if not self.is_open or self._settings[_AUTO_POLL] or len(text) != 1:
             return None
         count = min(at_most, len(self._polled))
         lines = b"".join(self._polled.popleft() for _ in range(count))
         return lines + b"A" if at_most > 1 else lines.removesuffix(CR)
 
-    def _set_auto_poll(self, text: bytes) -> bytes | None:
-        wanted = _digits(text, 1)
-        if self.is_open or wanted not in (0, 1):
+    def _set(self, text: bytes) -> bytes | None:
+        letter = text[:1]
+        wide = letter in (_CODE, _MASK)
+        value = _digits(text, 8 if wide else 1)
+        if self.is_open or value is None or (not wide and value > 1):
             return None
-        self._auto_poll = bool(wanted)
-        return b""
-
-    def _set_filter_mode(self, text: bytes) -> bytes | None:
-        wanted = _digits(text, 1)
-        if self.is_open or wanted not in (0, 1):
-            return None
-        self._filter.single = bool(wanted)
-        return b""
-
-    def _set_filter_code(self, text: bytes) -> bytes | None:
-        value = _digits(text, 8)
-        if self.is_open or value is None:
-            return None
-        self._filter.code = value
-        return b""
-
-    def _set_filter_mask(self, text: bytes) -> bytes | None:
-        value = _digits(text, 8)
-        if self.is_open or value is None:
-            return None
-        self._filter.mask = value
-        return b""
-
-    def _set_stamps(self, text: bytes) -> bytes | None:
-        wanted = _digits(text, 1)
-        if self.is_open or wanted not in (0, 1):
-            return None
-        self._stamped = bool(wanted)
+        self._settings[letter] = value
+        code, mask, single = (self._settings[each] for each in (_CODE, _MASK, _SINGLE))
+        self._filter = AcceptanceFilter(code, mask, bool(single))
         return b""
 
     def _send(self, text: bytes) -> bytes | None:
@@ -217,7 +190,7 @@ class SlcanAdapter:
             self._flags |= SlcanStatus.TRANSMIT_FIFO_FULL
             return None
         self.frames_sent += 1
-        if not self._auto_poll:
+        if not self._settings[_AUTO_POLL]:
             return b""
         return b"Z" if frame.extended else b"z"
 
