@@ -351,10 +351,10 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        from hil.studies.speed.controller_text import write_controller
+        from hil.studies.speed.controller_text import controller_of, write_controller
 
         if result.sampled is not None and not result.sampled.certified:
             expected = "a loop that is certified; another --strategy or a shorter period may be"
             raise BadInput("--out", "", result.sampled.without_certificate, expected)
-        write_controller(out, result)
+        write_controller(out, controller_of(result))
         say_written(out)

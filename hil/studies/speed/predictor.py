@@ -17,7 +17,7 @@ from design.speed.predictor_design import (
 )
 from design.speed.predictor_trial import Walks
 from hil.configuration.predictor_section import PredictorController
-from hil.studies.speed.analysis import finite
+from hil.studies.finite import finite
 from hil.studies.speed.dynamic import (
     US_PER_S,
     DynamicResult,
