@@ -178,7 +178,7 @@ def slowest_pattern(loop: SwitchedLoop) -> Pattern:
     best = max(
         top_of(alternating(letters, products), _Products.slowness),
         by_beam(letters, products, _Products.slowness, _SLOW_BEAM, _SLOW_LENGTH_MAX),
-        key=lambda found: found[1],
+        key=lambda each: each[1],
     )
     while len(best[0]) <= _CHANGED_MAX:
         better = top_of(changed(letters, products, best[0]), _Products.slowness)
