@@ -22,7 +22,7 @@ from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.errors import BadInput
 from hil.studies.current.request import CurrentRequest, OtherAxis
-from hil.studies.finite import finite
+from hil.studies.numbers import finite
 
 FACTOR = 1.05
 """Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""

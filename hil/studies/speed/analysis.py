@@ -27,7 +27,7 @@ from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.held_loop import SampledNetwork, Strategy
 from design.sampled.loss_patterns import Pattern
 from design.speed.monte_carlo import Chance, Estimate, run_many
-from hil.studies.finite import finite
+from hil.studies.numbers import finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from hil.configuration.speed_controller_file import (
     SequenceProof,
 )
 from hil.configuration.toml_text import toml_text
-from hil.studies.finite import finite
+from hil.studies.numbers import finite
 from hil.studies.speed.synthesis import DesignResult
 
 _US_PER_S = 1e6

@@ -14,12 +14,11 @@ from design.speed.predictor_design import PredictorRequest
 from design.speed.predictor_plant import encoder_noise_rad_s
 from hil.configuration.config_files import Section
 from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, MadeFor
-from hil.studies.finite import finite
+from hil.studies.numbers import finite, short
 from hil.studies.speed.controller_text import plant_of, whole_us
 from hil.studies.speed.losses import certified_of, loss_certificate, loss_figures
 
 US_PER_S = 1e6
-_DIGITS = 6
 _TORQUE_NOISE = 0.005
 """Of the rated torque: what a drive's torque differs from its demand within a period, ripple and offsets."""
 
@@ -193,8 +192,3 @@ class DynamicResult(ABC):
             "delay_max_us": math.floor(network.delay_max_s * US_PER_S + 1e-6),
         }
         return made.model_copy(update=held)
-
-
-def short(value: float) -> float:
-    """With six digits, for a file."""
-    return float(f"{value:.{_DIGITS}g}")

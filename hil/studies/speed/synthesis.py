@@ -27,7 +27,7 @@ from design.speed.lmi_design import CertifiedDesign, largest_certified_delay, le
 from design.speed.sampled_design import least_sampled_gain
 from design.speed.speed_design import SpeedDesign, largest_delay, least_gain
 from design.speed.speed_robustness import Changed, speed_robustness
-from hil.studies.finite import finite
+from hil.studies.numbers import finite
 from hil.studies.speed.analysis import network_figures, sequence_figures
 
 _CCL_BISECTIONS = 12
