@@ -105,15 +105,15 @@ def lowest_rate_hz(
         figures = sampled_figures(G, tustin(K, rate_hz, crossover_rad_s), delay_samples)
         return figures.spectral_radius < 1.0 and figures.margins.modulus_margin >= modulus_margin
 
-    found = lowest_rate(holds, 1e-3)
-    if found is None:
+    rate_hz = lowest_rate(holds, 1e-3)
+    if rate_hz is None:
         best = margins(series(G, K)).modulus_margin
         raise InfeasibleDesign(
             f"a modulus margin of {modulus_margin:g}",
             f"the continuous loop has {best:.4f}",
             "ask for less, or lower the crossing of w1",
         )
-    return found
+    return rate_hz
 
 
 def lowest_rate(holds: Callable[[float], bool], relative: float) -> float | None:

@@ -9,13 +9,14 @@ it is exact, d omega/dt being known from the equation of motion. The integral is
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.integrate
 
 from design.current.current_design import (
     AxisDesign,
+    axis_inductance_h,
     describe,
     design_axis,
     design_figures,
@@ -27,6 +28,8 @@ from design.hinf.reduction import Method
 from design.hinf.synthesis import gamma_min
 from design.motor import PmsmParameters, Transform
 from design.statespace import Array, StateSpace, balanced, from_zpk
+
+_Value = TypeVar("_Value", float, Array)
 
 MOTOR = PmsmParameters(
     name="Azaiz2007",
@@ -114,8 +117,7 @@ def printed_controller(axis: str) -> StateSpace:
 def printed_figures(axis: str) -> dict[str, Any]:
     """The printed controller on the printed plant, with the weights by their rules."""
     weights = rule_weights(MOTOR, axis)
-    inductance = MOTOR.inductance_d_h if axis == "d" else MOTOR.inductance_q_h
-    plant = axis_plant(MOTOR.resistance_ohm, inductance)
+    plant = axis_plant(MOTOR.resistance_ohm, axis_inductance_h(MOTOR, axis))
     least = gamma_min(mixed_sensitivity(plant, weights))
     return design_figures(describe(plant, weights, printed_controller(axis), least))
 
@@ -194,16 +196,10 @@ def simulate_drive(motor: PmsmParameters, K_d: StateSpace, K_q: StateSpace, step
         states.append(solution.y[:, : len(grid)])
         start = solution.y[:, -1]
     y = np.hstack(states)
-    torque = (
-        motor.torque_factor
-        * motor.pole_pairs
-        * (motor.flux_linkage_wb + (motor.inductance_d_h - motor.inductance_q_h) * y[0])
-        * y[1]
-    )
-    return DriveRun(time_s, y[0], y[1], torque, y[2])
+    return DriveRun(time_s, y[0], y[1], _torque(motor, y[0], y[1]), y[2])
 
 
-def _torque(motor: PmsmParameters, i_d: float, i_q: float) -> float:
+def _torque(motor: PmsmParameters, i_d: _Value, i_q: _Value) -> _Value:
     flux = motor.flux_linkage_wb + (motor.inductance_d_h - motor.inductance_q_h) * i_d
     return motor.torque_factor * motor.pole_pairs * flux * i_q
 

@@ -106,10 +106,7 @@ def repeated(loop: SwitchedLoop, deliveries: Sequence[Delivery]) -> Pattern:
 
 def pattern_of(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Pattern:
     """The pattern of ``steps`` with its decay."""
-    total = np.eye(loop.kept)
-    for step in steps:
-        total = loop.kept_transition(loop.chain(step)) @ total
-    return Pattern(tuple(steps), decay_of(total, len(steps) * loop.network.period_s))
+    return Pattern(tuple(steps), decay_of(_transition(loop, steps), len(steps) * loop.network.period_s))
 
 
 def chain_of(loop: SwitchedLoop, pattern: Pattern) -> list[Operation]:
@@ -172,13 +169,13 @@ def slowest_pattern(loop: SwitchedLoop) -> Pattern:
     """The periodic pattern of least decay that the search finds: a refutation of any faster certificate."""
     letters = _letters(loop)
     h = loop.network.period_s
-    steps = np.stack([_transition(loop, letter) for letter in letters] + [np.eye(loop.kept)])
+    steps = np.stack([_transition(loop, letter.steps) for letter in letters] + [np.eye(loop.kept)])
     times = np.array([len(letter.steps) * h for letter in letters] + [0.0])
     products = _Products(steps, times)
     best = max(
         top_of(alternating(letters, products), _Products.slowness),
         by_beam(letters, products, _Products.slowness, _SLOW_BEAM, _SLOW_LENGTH_MAX),
-        key=lambda found: found[1],
+        key=lambda each: each[1],
     )
     while len(best[0]) <= _CHANGED_MAX:
         better = top_of(changed(letters, products, best[0]), _Products.slowness)
@@ -316,8 +313,8 @@ def _steps(letters: Sequence[Letter], chain: Chain) -> tuple[PeriodStep, ...]:
     return tuple(itertools.chain.from_iterable(letters[number].steps for number in chain))
 
 
-def _transition(loop: SwitchedLoop, letter: Letter) -> Array:
+def _transition(loop: SwitchedLoop, steps: Sequence[PeriodStep]) -> Array:
     total = np.eye(loop.kept)
-    for step in letter.steps:
+    for step in steps:
         total = loop.kept_transition(loop.chain(step)) @ total
     return total

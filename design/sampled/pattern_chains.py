@@ -121,15 +121,15 @@ def by_beam(
 
 def _longer(letters: Sequence[Letter], chains: Sequence[Chain]) -> list[Chain]:
     """Every chain with every letter that may follow it, one of each set of rotations."""
-    found: dict[Chain, Chain] = {}
+    one_of_each: dict[Chain, Chain] = {}
     for chain in chains:
         for number, letter in enumerate(letters):
             if letter.source == letters[chain[-1]].target:
                 longer = (*chain, number)
                 closed = letter.target == letters[chain[0]].source
                 least = min(longer[k:] + longer[:k] for k in range(len(longer))) if closed else longer
-                found.setdefault(least, longer)
-    return list(found.values())
+                one_of_each.setdefault(least, longer)
+    return list(one_of_each.values())
 
 
 def changed(letters: Sequence[Letter], maps: Total, chain: Chain) -> Entries[Total]:

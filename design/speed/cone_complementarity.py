@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.delay.certificate import CertifiedGain, certified_gain
+from design.delay.certificate import certified_gain
 from design.delay.delay_lmi import STRICT
 from design.delay.delay_loop import Array
 from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
-from design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
+from design.speed.lmi_design import CertifiedDesign, certified_delay_within, certified_gain_or_inf
 
 ITERATIONS_MAX = 30
 """k_max of Step 4."""
@@ -42,17 +42,6 @@ _MATRICES = ("X", "P", "Q", "Z", "M", "S", "N")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CclDesign:
-    """What the algorithm ends with: a gain, its delay and the certificate of Theorem 3.3 there."""
-
-    K: Array
-    delay_s: float
-    certified: CertifiedGain
-    programmes: int
-    """Programmes of Step 3 that were solved in all."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Plant:
     """The open loop in the units of the module's head: x' = A x + B u(t-1) + E d, z = C x."""
 
@@ -64,18 +53,19 @@ class _Plant:
     """K = scaled K / scale."""
 
 
-def largest_ccl_delay(model: SpeedModel, gamma: float, iterations_max: int = ITERATIONS_MAX) -> CclDesign:
+def largest_ccl_delay(
+    model: SpeedModel, gamma: float, iterations_max: int = ITERATIONS_MAX
+) -> CertifiedDesign:
     """The delay, s, to which Algorithm 4.2 comes for ``gamma``, rad/s per N m, with full feedback.
 
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
-    delay_s, K, point, programmes = _first_gain(model, gamma, iterations_max)
+    delay_s, K, point = _first_gain(model, gamma, iterations_max)
     delay_s = max(delay_s, certified_delay_within(model, K, gamma))
     step = _FIRST_STEP
     while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
-        gain, point, used = _complement(model, tried_s, gamma, point, iterations_max)
-        programmes += used
+        gain, point = _complement(model, tried_s, gamma, point, iterations_max)
         if gain is None:
             step /= 4.0
             continue
@@ -83,24 +73,22 @@ def largest_ccl_delay(model: SpeedModel, gamma: float, iterations_max: int = ITE
         delay_s = max(tried_s, certified_delay_within(model, K, gamma))
     # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
-    return CclDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0), programmes)
+    return CertifiedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0))
 
 
 def _first_gain(
     model: SpeedModel, gamma: float, iterations_max: int
-) -> tuple[float, Array, dict[str, Array], int]:
-    """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point, programmes used."""
+) -> tuple[float, Array, dict[str, Array]]:
+    """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point."""
     first_s = _first_delay(model, gamma)
-    programmes = 0
     for start in range(_STARTS):
         delay_s = first_s * 0.5**start
         point = _with_equal(model, delay_s, gamma)
         if point is None:
             continue
-        K, point, used = _complement(model, delay_s, gamma, point, iterations_max)
-        programmes += used
+        K, point = _complement(model, delay_s, gamma, point, iterations_max)
         if K is not None:
-            return delay_s, K, point, programmes
+            return delay_s, K, point
     raise NoSolution(
         f"Algorithm 4.2 for {gamma:g} rad/s per N m",
         f"(3.10) does not hold after {iterations_max} iterations",
@@ -110,8 +98,8 @@ def _first_gain(
 
 def _complement(
     model: SpeedModel, delay_s: float, gamma: float, point: dict[str, Array], iterations_max: int
-) -> tuple[Array | None, dict[str, Array], int]:
-    """Steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point; programmes used.
+) -> tuple[Array | None, dict[str, Array]]:
+    """Steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point.
 
     A delay is given up early if the certified gain, at the pace of the last iteration, cannot come
     within ``gamma`` in those that are left.
@@ -125,17 +113,17 @@ def _complement(
         try:
             y = solve(problem, 1e-8, 1e-6).y
         except NoSolution:
-            return None, point, k + 1
+            return None, point
         values = unknowns.values(y)
         point = {name: values[name] for name in _MATRICES}
         K = (values["F"] @ np.linalg.inv(values["X"]))[0] / plant.scale
         gain = certified_gain_or_inf(model, K, delay_s, gamma)
         if gain <= gamma:
-            return K, point, k + 1
+            return K, point
         if k >= _SETTLED and gain - gamma > (last - gain) * (iterations_max - 1 - k):
-            return None, point, k + 1
+            return None, point
         last = gain
-    return None, point, iterations_max
+    return None, point
 
 
 def _first_delay(model: SpeedModel, gamma: float) -> float:

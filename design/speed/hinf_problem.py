@@ -126,9 +126,9 @@ def design_controller(problem: HinfProblem, weights: HinfWeights) -> HinfControl
     sampled = balanced(problem.generalised(weights))
     plant = GeneralisedPlant(to_bilinear(sampled), controls=1, measurements=1)
     least = gamma_min(plant, _GAMMA_RELATIVE)
-    found = synthesise(plant, _ABOVE_LEAST * least).controller
-    K = series(from_bilinear(found, problem.period_s), problem.integral(weights)).scaled(-1.0)
-    return HinfController(K, verified_norm(plant, found), least)
+    central = synthesise(plant, _ABOVE_LEAST * least).controller
+    K = series(from_bilinear(central, problem.period_s), problem.integral(weights)).scaled(-1.0)
+    return HinfController(K, verified_norm(plant, central), least)
 
 
 def weighted_norms(problem: HinfProblem, K: StateSpace, frequency_rad_s: Array) -> Array:

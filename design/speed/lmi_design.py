@@ -44,6 +44,11 @@ class CertifiedDesign:
     delay_s: float
     certified: CertifiedGain
 
+    @property
+    def gain(self) -> float:
+        """That is certified, rad/s per N m."""
+        return self.certified.gain
+
 
 def largest_certified_delay(
     model: SpeedModel,
@@ -82,9 +87,9 @@ def least_certified_gain(
     """
     best: tuple[float, Array] | None = None
     for start in _gain_starts(model, delay_s, feedback):
-        found = _descend(model, start, delay_s, feedback, order)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
+        descended = _descend(model, start, delay_s, feedback, order)
+        if descended is not None and (best is None or descended[0] < best[0]):
+            best = descended
     if best is None:
         raise NoSolution(f"certified feedback for a delay of {delay_s * 1e3:g} ms", "no start is certified")
     K = best[1]

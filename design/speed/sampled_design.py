@@ -70,7 +70,7 @@ def least_sampled_gain(
     decay = math.nan
     for _ in range(_EXCHANGES):
         walks = [search.from_point(x)] if best else [search.from_gain(share) for share in _SHARES]
-        figure, x = min(walks, key=lambda found: found[0])
+        figure, x = min(walks, key=lambda walk: walk[0])
         if figure < _UNSTABLE:
             x = search.polished(x)
         K = search.gain_of(x)

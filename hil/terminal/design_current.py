@@ -154,8 +154,10 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
 
     if path is None:
         return None
-    found = load_current_controller(path, NamedBy("--other", "", str(path)), "d" if axis == "q" else "q")
-    return OtherAxis(found.continuous(), found.prewarp_rad_s if found.kind == "continuous" else 0.0)
+    controller = load_current_controller(path, NamedBy("--other", "", str(path)), "d" if axis == "q" else "q")
+    return OtherAxis(
+        controller.continuous(), controller.prewarp_rad_s if controller.kind == "continuous" else 0.0
+    )
 
 
 def _finish(

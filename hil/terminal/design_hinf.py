@@ -30,11 +30,11 @@ def hinf(
         loaded = load_plant(plant)
         with refused(str(plant)):
             least = gamma_min(loaded)
-            found = synthesise(loaded, gamma if gamma is not None else gamma_factor * least)
-        K = found.controller  # noqa: N806 - the paper's letter
+            synthesis = synthesise(loaded, gamma if gamma is not None else gamma_factor * least)
+        K = synthesis.controller  # noqa: N806 - the paper's letter
         figures: dict[str, Any] = {
             "gamma_min": least,
-            "gamma": found.gamma,
+            "gamma": synthesis.gamma,
             "closed_loop_norm": verified_norm(loaded, K),
             "controller": {name: getattr(K, name).tolist() for name in "ABCD"},
         }

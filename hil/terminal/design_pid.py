@@ -68,10 +68,10 @@ def pid(
             ratio=integral_ratio,
         )
         with refused(str(motor)):
-            found = design_pid(request)
-        put(pid_figures(found), as_json, print_current)
+            gains = design_pid(request)
+        put(pid_figures(gains), as_json, print_current)
         if out is not None:
-            write_text(out, controller_text(request, found))
+            write_text(out, controller_text(request, gains))
             say_written(out)
 
 
@@ -95,7 +95,7 @@ def _current_loop(
         return load_current_controller(current_control, named_by, "q"), 0.0
     if bench is not None and commissioned is None and bandwidth_hz is None:
         config, name = bench_axis(bench, axis)
-        found = loop_of_bench(config, name)
+        loop = loop_of_bench(config, name)
         controller = config.drive[name].current_control.controller
-        return (controller if found.order != 1 else None), found.bandwidth_hz
+        return (controller if loop.order != 1 else None), loop.bandwidth_hz
     return None, current_loop(bench, axis, commissioned, bandwidth_hz).bandwidth_hz

@@ -129,6 +129,7 @@ def finish_predictor(
 ) -> None:
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
+    from hil.studies.speed.controller_text import write_controller
     from hil.studies.speed.dynamic import PredictorDrive
     from hil.studies.speed.hinf import design_speed_hinf
     from hil.studies.speed.predictor import design_speed_predictor
@@ -152,7 +153,7 @@ def finish_predictor(
     figures = {"current_bandwidth_from": inner.key, **made.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        made.write(out)
+        write_controller(out, made.controller())
         say_written(out)
 
 

@@ -304,11 +304,11 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
     from design.sampled.held_loop import SampledNetwork, Strategy
     from hil.configuration.network_file import commands_unknown, load_network
 
-    found = load_network(path)
-    if (unknown := commands_unknown(found, str(path))) is not None:
+    measured = load_network(path)
+    if (unknown := commands_unknown(measured, str(path))) is not None:
         raise unknown
     wanted = Strategy(strategy.value)
-    tau_s, most = found.delay_max_s * (1.0 + 0.01 * margin_percent), found.losses_max + extra
+    tau_s, most = measured.delay_max_s * (1.0 + 0.01 * margin_percent), measured.losses_max + extra
     if most > _LOSSES_MAX:
         remedy = (
             "an outage is no pattern to design for: take it out of the file, and let a limit stop the bench"
@@ -316,12 +316,12 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
         raise BadInput(
             str(path), "network.losses_in_a_row_max", most, f"at most {_LOSSES_MAX} in all", remedy
         )
-    agreed_s = 0.0 if wanted is Strategy.ARRIVAL else (most + 1) * found.period_s + tau_s
+    agreed_s = 0.0 if wanted is Strategy.ARRIVAL else (most + 1) * measured.period_s + tau_s
     if wanted is Strategy.STAMP:
         # A bench with this strategy acts at SYNCs only.
-        agreed_s = math.ceil(agreed_s / found.period_s - _WHOLE) * found.period_s
+        agreed_s = math.ceil(agreed_s / measured.period_s - _WHOLE) * measured.period_s
     try:
-        return SampledNetwork(wanted, found.period_s, most, tau_s, agreed_s)
+        return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
 
@@ -351,10 +351,10 @@ def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_
     figures = {"current_bandwidth_from": bandwidth_from, **result.figures}
     put(figures, as_json, print_figures)
     if out is not None:
-        from hil.studies.speed.controller_text import write_controller
+        from hil.studies.speed.controller_text import controller_of, write_controller
 
         if result.sampled is not None and not result.sampled.certified:
             expected = "a loop that is certified; another --strategy or a shorter period may be"
             raise BadInput("--out", "", result.sampled.without_certificate, expected)
-        write_controller(out, result)
+        write_controller(out, controller_of(result))
         say_written(out)

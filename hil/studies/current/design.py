@@ -7,6 +7,7 @@ from typing import Any
 from design.current.current_design import (
     AxisDesign,
     axis_gamma_min,
+    axis_inductance_h,
     describe,
     design_axis,
     design_figures,
@@ -44,7 +45,7 @@ def design_current(request: CurrentRequest) -> CurrentResult:
     """Synthesis, reduction, discretisation and the figures of all. Raises DesignError and BadInput."""
     motor, axis = request.motor, request.axis
     weights = request.weights or rule_weights(motor, axis)
-    plant = axis_plant(motor.resistance_ohm, motor.inductance_d_h if axis == "d" else motor.inductance_q_h)
+    plant = axis_plant(motor.resistance_ohm, axis_inductance_h(motor, axis))
     least = axis_gamma_min(plant, weights)
     gamma = _gamma(request, least)
     full = design_axis(motor, axis, weights, gamma)

@@ -1,6 +1,5 @@
 """What ``hil design current`` says about a controller beyond its own axis: sampled, coupled, over a box."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.errors import BadInput
 from hil.studies.current.request import CurrentRequest, OtherAxis
+from hil.studies.numbers import finite
 
 FACTOR = 1.05
 """Of gamma_min of the sampled plant, if nothing else is asked for and 1 is out of reach."""
@@ -205,8 +205,3 @@ def _coupled(
     if asked != right:
         figures["as_asked"] = radii(asked)
     return {**figures, "decoupling_factor": factor, "advance_periods": advance}
-
-
-def finite(value: float) -> float | None:
-    """``value``; None if it is not finite, which JSON has no word for."""
-    return value if math.isfinite(value) else None

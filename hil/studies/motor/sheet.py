@@ -11,6 +11,7 @@ from hil.configuration.config_errors import BadInputs
 from hil.configuration.motor_file import MotorFile, MotorMechanics, Rating, Windings
 from hil.configuration.toml_text import toml_text
 from hil.studies.motor.figures import GROUPS, SEVERAL, missing, option, ways
+from hil.studies.numbers import short
 
 SOURCE = "hil motor new"
 WINDING_C = 20.0
@@ -79,23 +80,23 @@ def motor_text(sheet: Sheet) -> str:
     file = MotorFile(
         motor=Windings(
             name=motor.name,
-            resistance_ohm=_rounded(motor.resistance_ohm),
-            inductance_d_h=_rounded(motor.inductance_d_h),
-            inductance_q_h=_rounded(motor.inductance_q_h),
-            flux_linkage_wb=_rounded(motor.flux_linkage_wb),
+            resistance_ohm=short(motor.resistance_ohm),
+            inductance_d_h=short(motor.inductance_d_h),
+            inductance_q_h=short(motor.inductance_q_h),
+            flux_linkage_wb=short(motor.flux_linkage_wb),
             pole_pairs=motor.pole_pairs,
             transform="amplitude_invariant",
         ),
         mechanics=MotorMechanics(
-            inertia_kg_m2=_rounded(motor.inertia_kg_m2),
-            viscous_friction_nm_s=_rounded(motor.viscous_friction_nm_s),
-            coulomb_friction_nm=_rounded(motor.coulomb_friction_nm),
+            inertia_kg_m2=short(motor.inertia_kg_m2),
+            viscous_friction_nm_s=short(motor.viscous_friction_nm_s),
+            coulomb_friction_nm=short(motor.coulomb_friction_nm),
         ),
         rating=Rating(
-            torque_nm=_rounded(motor.rated_torque_nm),
-            speed_rpm=_rounded(motor.rated_speed_rad_s / RAD_S_PER_RPM),
-            current_max_a=_rounded(motor.current_max_a),
-            dc_bus_voltage_v=_rounded(motor.dc_bus_voltage_v),
+            torque_nm=short(motor.rated_torque_nm),
+            speed_rpm=short(motor.rated_speed_rad_s / RAD_S_PER_RPM),
+            current_max_a=short(motor.current_max_a),
+            dc_bus_voltage_v=short(motor.dc_bus_voltage_v),
         ),
     )
     return "\n".join([*_header(sheet, entered), "", toml_text(file.model_dump())])
@@ -164,7 +165,3 @@ def _peak(values: Mapping[str, float], name: str) -> float | None:
 
 def _seconds(values: Mapping[str, float], key: str) -> float | None:
     return 1e-3 * values[key] if key in values else None
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")

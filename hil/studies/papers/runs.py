@@ -9,7 +9,7 @@ PDO of eight bytes cannot; without loss, stamp is the same thing, and runs in it
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -209,17 +209,11 @@ def _figures(
     }
 
 
-def _settling(
-    time_s: NDArray[np.float64], share: NDArray[np.float64], name: str
-) -> Mapping[str, float | None]:
+def _settling(time_s: NDArray[np.float64], share: NDArray[np.float64], name: str) -> dict[str, float | None]:
     """When |share| stays within each band from then on; None if it is outside at the end."""
-    return dict(_settled(time_s, share, name))
-
-
-def _settled(
-    time_s: NDArray[np.float64], share: NDArray[np.float64], name: str
-) -> Iterator[tuple[str, float | None]]:
+    times_s: dict[str, float | None] = {}
     for band in _BANDS:
         outside = np.flatnonzero(np.abs(share) > band)
-        last = outside[-1] if len(outside) else -1
-        yield f"{name}_{100 * band:g}_percent_s", None if last + 1 == len(share) else float(time_s[last + 1])
+        first = outside[-1] + 1 if len(outside) else 0
+        times_s[f"{name}_{100 * band:g}_percent_s"] = None if first == len(share) else float(time_s[first])
+    return times_s

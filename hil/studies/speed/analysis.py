@@ -28,6 +28,7 @@ from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.held_loop import SampledNetwork, Strategy
 from design.sampled.loss_patterns import Pattern
 from design.speed.monte_carlo import Chance, Estimate, run_many
+from hil.studies.numbers import finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,11 +51,6 @@ class LoopRequest:
     def model(self) -> SpeedModel:
         """Of the plant."""
         return speed_model(self.motor, len(self.K) == 3, self.current_bandwidth_hz)
-
-
-def finite(value: float) -> float | None:
-    """``value``; None if it is not finite, which JSON has no word for."""
-    return value if math.isfinite(value) else None
 
 
 def continuous_figures(request: LoopRequest) -> dict[str, Any]:
@@ -164,17 +160,24 @@ def sampled_figures(request: LoopRequest, network: SampledNetwork) -> dict[str, 
     """The loop that really runs, over ``network``."""
     analysis = with_peak(analyse_sampled(request.model, request.K, network))
     return {
-        "strategy": network.strategy.value,
-        "period_s": network.period_s,
-        "loss_max": network.losses_max,
-        "tau_max_s": network.delay_max_s,
-        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
+        **network_figures(network),
         "age_max_s": network.age_max_s,
         **sequence_figures(analysis, 100.0 * request.load_nm / request.speed_rad_s),
         "by_losses": [
             {"lost": lost, "decay_per_s": finite(pattern.decay_per_s), "gamma": finite(gain)}
             for lost, (pattern, gain) in enumerate(zip(analysis.regular, analysis.gains, strict=True))
         ],
+    }
+
+
+def network_figures(network: SampledNetwork) -> dict[str, Any]:
+    """What a loop runs over."""
+    return {
+        "strategy": network.strategy.value,
+        "period_s": network.period_s,
+        "loss_max": network.losses_max,
+        "tau_max_s": network.delay_max_s,
+        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
     }
 
 

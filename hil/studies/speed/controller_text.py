@@ -7,8 +7,11 @@ import numpy as np
 
 from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
+from design.sampled.analysis import SampledAnalysis
+from design.sampled.bandwidth_range import BandwidthRange
 from design.sampled.held_loop import SampledNetwork, Strategy
 from drivers.errors import BadInput
+from hil.configuration.config_files import Section
 from hil.configuration.controller_kinds import StateFeedbackController
 from hil.configuration.speed_controller_file import (
     Certificate,
@@ -18,7 +21,7 @@ from hil.configuration.speed_controller_file import (
     SequenceProof,
 )
 from hil.configuration.toml_text import toml_text
-from hil.studies.speed.analysis import finite
+from hil.studies.numbers import finite
 from hil.studies.speed.synthesis import DesignResult
 
 _US_PER_S = 1e6
@@ -51,7 +54,7 @@ def controller_of(result: DesignResult) -> StateFeedbackController:
                 "method": result.request.method,
                 "target": "sampled" if result.request.for_sampled else "constant",
                 "gamma_exact": finite(result.gamma_exact),
-                "sequences": _sequences(result),
+                "sequences": sequence_proof(result.sampled, result.bandwidths),
                 **_constant(result),
             }
         ),
@@ -75,9 +78,9 @@ def _constant(result: DesignResult) -> dict[str, object]:
     }
 
 
-def write_controller(path: Path, result: DesignResult) -> None:
+def write_controller(path: Path, controller: Section) -> None:
     """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-    text = toml_text({"controller": controller_of(result).model_dump(mode="json", exclude_none=True)})
+    text = toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -105,8 +108,10 @@ def _network(network: SampledNetwork) -> dict[str, object]:
     }
 
 
-def _sequences(result: DesignResult) -> SequenceProof | None:
-    sampled = result.sampled
+def sequence_proof(
+    sampled: SampledAnalysis | None, bandwidths: BandwidthRange | None = None
+) -> SequenceProof | None:
+    """What is certified over every sequence, and of all ``bandwidths``; None: not both gain and decay."""
     if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
         return None
     gain, decay = sampled.gain_proof, sampled.decay_proof
@@ -114,12 +119,12 @@ def _sequences(result: DesignResult) -> SequenceProof | None:
     assert decay.decay_per_s is not None
     return SequenceProof(
         gain_certified=gain.gain,
-        gain_certified_all_bandwidths=result.bandwidths.gain if result.bandwidths else None,
+        gain_certified_all_bandwidths=bandwidths.gain if bandwidths else None,
         gain_found=sampled.gain_found,
         step_peak_certified_rad_s=sampled.peak_certified,
         step_peak_found_rad_s=finite(sampled.peak_found),
         decay_certified_per_s=decay.decay_per_s,
-        decay_certified_all_bandwidths_per_s=result.bandwidths.decay_per_s if result.bandwidths else None,
+        decay_certified_all_bandwidths_per_s=bandwidths.decay_per_s if bandwidths else None,
         decay_found_per_s=sampled.decay_found_per_s,
         min_margin=min(gain.min_margin, decay.min_margin),
         gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),

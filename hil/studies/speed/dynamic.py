@@ -4,7 +4,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from design.motor import PmsmParameters
@@ -13,16 +12,13 @@ from design.speed.loop_robustness import LOST, LoopRobustness
 from design.speed.loss_certificate import with_losses
 from design.speed.predictor_design import PredictorRequest
 from design.speed.predictor_plant import encoder_noise_rad_s
-from drivers.errors import BadInput
 from hil.configuration.config_files import Section
 from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, MadeFor
-from hil.configuration.toml_text import toml_text
-from hil.studies.speed.analysis import finite
+from hil.studies.numbers import finite, short
 from hil.studies.speed.controller_text import plant_of, whole_us
 from hil.studies.speed.losses import certified_of, loss_certificate, loss_figures
 
 US_PER_S = 1e6
-_DIGITS = 6
 _TORQUE_NOISE = 0.005
 """Of the rated torque: what a drive's torque differs from its demand within a period, ripple and offsets."""
 
@@ -196,16 +192,3 @@ class DynamicResult(ABC):
             "delay_max_us": math.floor(network.delay_max_s * US_PER_S + 1e-6),
         }
         return made.model_copy(update=held)
-
-    def write(self, path: Path) -> None:
-        """The file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-        text = toml_text({"controller": self.controller().model_dump(mode="json", exclude_none=True)})
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
-
-
-def short(value: float) -> float:
-    """With six digits, for a file."""
-    return float(f"{value:.{_DIGITS}g}")

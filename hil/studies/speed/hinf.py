@@ -9,13 +9,13 @@ from design.speed.hinf_design import HinfDesign, HinfRobustness, design_hinf, hi
 from design.speed.loss_certificate import hinf_losses
 from design.speed.predictor_design import PredictorRequest
 from hil.configuration.hinf_section import HinfSection
+from hil.studies.numbers import short
 from hil.studies.speed.dynamic import (
     US_PER_S,
     DynamicResult,
     PredictorDrive,
     PredictorNetwork,
     request_of,
-    short,
 )
 
 

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
+from design.delay.lmi import SOLVER
 from design.sampled.analysis import SampledAnalysis
-from hil.configuration.speed_controller_file import LossCertificate, SequenceProof
+from hil.configuration.speed_controller_file import LossCertificate
+from hil.studies.speed.controller_text import sequence_proof
 
 _COVERS = "samples lost, at the delay and with the plant of the design, every command arriving"
 
@@ -39,23 +39,9 @@ def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
 def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | None:
     """The table of a controller file."""
     certified = certified_of(attempts)
-    if certified is None:
+    sequences = None if certified is None else sequence_proof(certified)
+    if certified is None or sequences is None:
         return None
-    gain, decay = certified.gain_proof, certified.decay_proof
-    assert gain is not None
-    assert gain.gain is not None
-    assert decay is not None
-    assert decay.decay_per_s is not None
     return LossCertificate(
-        losses_in_a_row_max=certified.network.losses_max,
-        solver=gain.solver,
-        sequences=SequenceProof(
-            gain_certified=gain.gain,
-            gain_found=certified.gain_found,
-            decay_certified_per_s=decay.decay_per_s,
-            decay_found_per_s=certified.decay_found_per_s,
-            min_margin=min(gain.min_margin, decay.min_margin),
-            gain_matrices=tuple(np.asarray(matrix).tolist() for matrix in gain.P),
-            decay_matrices=tuple(np.asarray(matrix).tolist() for matrix in decay.P),
-        ),
+        losses_in_a_row_max=certified.network.losses_max, solver=SOLVER, sequences=sequences
     )

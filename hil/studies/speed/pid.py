@@ -10,6 +10,7 @@ from design.statespace import StateSpace
 from hil.configuration.current_controller_file import CurrentController
 from hil.configuration.drive_current_loop import closed_loop
 from hil.configuration.toml_text import toml_text
+from hil.studies.numbers import finite, short
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ def pid_figures(pid: SpeedPid) -> dict[str, Any]:
     """What ``--json`` prints."""
     figures = asdict(pid)
     figures |= figures.pop("margins")
-    return {key: value if math.isfinite(value) else None for key, value in figures.items()}
+    return {key: finite(value) for key, value in figures.items()}
 
 
 def controller_text(request: PidRequest, pid: SpeedPid) -> str:
@@ -61,21 +62,17 @@ def controller_text(request: PidRequest, pid: SpeedPid) -> str:
     closed, crossover = _current_loop(request)
     table = {
         "kind": "pid",
-        "proportional_nm_s_rad": _digits(pid.proportional_nm_s_rad),
-        "integral_nm_rad": _digits(pid.integral_nm_rad),
-        "derivative_nm_s2_rad": _digits(pid.derivative_nm_s2_rad),
+        "proportional_nm_s_rad": short(pid.proportional_nm_s_rad),
+        "integral_nm_rad": short(pid.integral_nm_rad),
+        "derivative_nm_s2_rad": short(pid.derivative_nm_s2_rad),
         "derivative_filter_s": pid.derivative_filter_s,
         "feedforward_nm_s_rad": request.motor.viscous_friction_nm_s,
         "made_for": {
-            "crossover_rad_s": _digits(pid.crossover_rad_s),
+            "crossover_rad_s": short(pid.crossover_rad_s),
             "current_loop": {
                 "order": closed.order,
-                "bandwidth_hz": _digits(crossover / math.tau),
+                "bandwidth_hz": short(crossover / math.tau),
             },
         },
     }
     return toml_text({"controller": table})
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -17,14 +17,13 @@ from design.speed.predictor_design import (
 )
 from design.speed.predictor_trial import Walks
 from hil.configuration.predictor_section import PredictorController
-from hil.studies.speed.analysis import finite
+from hil.studies.numbers import finite, short
 from hil.studies.speed.dynamic import (
     US_PER_S,
     DynamicResult,
     PredictorDrive,
     PredictorNetwork,
     request_of,
-    short,
 )
 
 

@@ -21,13 +21,14 @@ from design.errors import DesignError, NoSolution
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
-from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
+from design.sampled.held_loop import HeldLoop, SampledNetwork
 from design.speed.cone_complementarity import largest_ccl_delay
-from design.speed.lmi_design import largest_certified_delay, least_certified_gain
+from design.speed.lmi_design import CertifiedDesign, largest_certified_delay, least_certified_gain
 from design.speed.sampled_design import least_sampled_gain
-from design.speed.speed_design import largest_delay, least_gain
+from design.speed.speed_design import SpeedDesign, largest_delay, least_gain
 from design.speed.speed_robustness import Changed, speed_robustness
-from hil.studies.speed.analysis import finite, sequence_figures
+from hil.studies.numbers import finite
+from hil.studies.speed.analysis import network_figures, sequence_figures
 
 _CCL_BISECTIONS = 12
 _CCL_SPAN = 1.5
@@ -36,6 +37,9 @@ _NO_DELAY_S = 1e-6
 """As good as none for a loop that is sampled; without any the least gain is not attained."""
 _KEPT = 1.0 + 1e-6
 """Share of the wanted gain that still counts as keeping it."""
+
+Synthesis = SpeedDesign | CertifiedDesign
+"""What a method ends with: K, delay_s and gain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +110,7 @@ class DesignResult:
         }
         if self.sampled is not None and request.network is not None:
             share = 100.0 * request.load_nm / request.speed_rad_s
-            told["sampled"] = _network_figures(request.network) | sequence_figures(self.sampled, share)
+            told["sampled"] = network_figures(request.network) | sequence_figures(self.sampled, share)
         if self.bandwidths is not None:
             told["current_bandwidths"] = asdict(self.bandwidths)
         told["robustness"] = _robustness(self)
@@ -181,23 +185,13 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
     return replace(result, bandwidths=bandwidths)
 
 
-def _network_figures(network: SampledNetwork) -> dict[str, Any]:
-    return {
-        "strategy": network.strategy.value,
-        "period_s": network.period_s,
-        "loss_max": network.losses_max,
-        "tau_max_s": network.delay_max_s,
-        "agreed_delay_s": None if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s,
-    }
-
-
 @dataclass(eq=False)
 class Unreachable(DesignError):
     """The wanted gain is beyond reach at the delay; what is not, and what would bring it within reach."""
 
     request: DesignRequest
     delay_s: float
-    best: "_Synthesis"
+    best: Synthesis
     delay_needed_s: float | None
     """At which the wanted gain could just be kept; None if at none that was found."""
 
@@ -216,12 +210,12 @@ class Unreachable(DesignError):
             },
             "best": {
                 "gain": self.best.K.tolist(),
-                "gamma": self.best.gamma,
+                "gamma": self.best.gain,
                 "delay_s": self.delay_s,
-                "error_percent": percent_of_speed(self.best.gamma, request.load_nm, request.speed_rad_s),
+                "error_percent": percent_of_speed(self.best.gain, request.load_nm, request.speed_rad_s),
             },
             "would_do": {
-                "load_nm": request.load_nm * gamma / self.best.gamma,
+                "load_nm": request.load_nm * gamma / self.best.gain,
                 "delay_s": self.delay_needed_s,
                 **self._network_changes(),
             },
@@ -261,15 +255,6 @@ def _amount(figures: dict[str, Any]) -> str:
     return f"{figures['error_percent']:.4g} % of the speed ({figures['gamma']:.5g} rad/s per N m)"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Synthesis:
-    """What a method ends with."""
-
-    K: Array
-    delay_s: float
-    gamma: float
-
-
 def design_speed(request: DesignRequest, tell: Callable[[str], None] = lambda _: None) -> DesignResult:
     """The design; ``tell`` is given a line before each step that may take long.
 
@@ -295,7 +280,7 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
             raise Unreachable(request, _NO_DELAY_S, _least(model, request, _NO_DELAY_S), None) from None
     else:
         gain = _least(model, request, request.delay_s)
-        if request.gamma is not None and gain.gamma > request.gamma * _KEPT:
+        if request.gamma is not None and gain.gain > request.gamma * _KEPT:
             raise Unreachable(request, request.delay_s, gain, _needed(model, request))
     loop = model.loop(gain.K, gain.delay_s)
     exact = request.method == "exact"
@@ -303,7 +288,7 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
     sampled = analyse_sampled(model, gain.K, request.network) if request.network else None
     if request.gamma is not None and sampled is not None:
         _demand_sampled(request, gain, sampled, request.gamma)
-    return DesignResult(request, gain.K, gain.delay_s, gain.gamma, hinf_norm(loop), certified, sampled)
+    return DesignResult(request, gain.K, gain.delay_s, gain.gain, hinf_norm(loop), certified, sampled)
 
 
 def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
@@ -316,47 +301,39 @@ def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     if gain is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if request.gamma is not None:
-        _demand_sampled(request, _Synthesis(best.K, delay_s, gain), sampled, request.gamma)
+        _demand_sampled(request, SpeedDesign(best.K, delay_s, gain), sampled, request.gamma)
     exact = hinf_norm(model.loop(best.K, delay_s))
     return DesignResult(request, best.K, delay_s, gain, exact, None, sampled)
 
 
-def _demand_sampled(
-    request: DesignRequest, found: "_Synthesis", sampled: SampledAnalysis, gamma: float
-) -> None:
+def _demand_sampled(request: DesignRequest, made: Synthesis, sampled: SampledAnalysis, gamma: float) -> None:
     """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
     certified = sampled.gain_certified
     if certified is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
     if certified > gamma * _KEPT:
-        raise Unreachable(request, found.delay_s, _Synthesis(found.K, found.delay_s, certified), None)
+        raise Unreachable(request, made.delay_s, SpeedDesign(made.K, made.delay_s, certified), None)
 
 
-def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> _Synthesis:
+def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> Synthesis:
     if request.method == "exact":
-        exact = largest_delay(model, gamma, request.feedback, request.integral_time_s)
-        return _Synthesis(exact.K, exact.delay_s, exact.gain)
+        return largest_delay(model, gamma, request.feedback, request.integral_time_s)
     if request.method == "lmi":
-        certified = largest_certified_delay(model, gamma, request.feedback)
-        return _Synthesis(certified.K, certified.delay_s, certified.certified.gain)
-    linearised = largest_ccl_delay(model, gamma)
-    return _Synthesis(linearised.K, linearised.delay_s, linearised.certified.gain)
+        return largest_certified_delay(model, gamma, request.feedback)
+    return largest_ccl_delay(model, gamma)
 
 
-def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> _Synthesis:
+def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> Synthesis:
     if request.method == "exact":
-        exact = least_gain(model, delay_s, request.feedback, request.integral_time_s)
-        return _Synthesis(exact.K, delay_s, exact.gain)
+        return least_gain(model, delay_s, request.feedback, request.integral_time_s)
     certified = least_certified_gain(model, delay_s, request.feedback)
-    if request.method == "lmi":
-        return _Synthesis(certified.K, delay_s, certified.certified.gain)
-    return _least_by_ccl(model, delay_s, certified.certified.gain)
+    return certified if request.method == "lmi" else _least_by_ccl(model, delay_s, certified.gain)
 
 
-def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Synthesis:
+def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> SpeedDesign:
     """Algorithm 4.2 asked for the delay: bisection over gamma, which lies above the least ``certified``."""
     low, high = certified, certified * _CCL_SPAN
-    best: _Synthesis | None = None
+    best: SpeedDesign | None = None
     for _ in range(_CCL_BISECTIONS):
         gamma = high if best is None else 0.5 * (low + high)
         try:
@@ -366,8 +343,8 @@ def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> _Synth
         if largest is not None and largest.delay_s >= delay_s:
             gain = certified_gain(model, model.loop(largest.K, delay_s), 0).gain
             high = min(gamma, gain)
-            if best is None or gain < best.gamma:
-                best = _Synthesis(largest.K, delay_s, gain)
+            if best is None or gain < best.gain:
+                best = SpeedDesign(largest.K, delay_s, gain)
         elif best is None:
             low, high = high, high * _CCL_SPAN
         else:
