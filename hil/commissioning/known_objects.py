@@ -1,6 +1,7 @@
 """Reading a drive's whole dictionary, with its data sheet or without one."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -51,10 +52,8 @@ def dump(
     """
     held: Dump = {}
     for number, (index, sub) in enumerate(_listed(dictionary) if dictionary else _usual(network, node)):
-        try:
+        with suppress(TransferAborted):
             held[index, sub] = network.upload(node, index, sub)
-        except TransferAborted:
-            continue
         if number % 16 == 0:
             idle()
     return held
