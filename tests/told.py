@@ -27,12 +27,19 @@ NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 CHANGING: Final = (
     (re.compile(r" +"), " "),
     (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?([+-]\d\d:\d\d|Z)?"), "DATE"),
+    (re.compile(r"\d{8}T\d{6}Z"), "DATE"),
+    (re.compile(r"host `.*"), "host HOST, servobench VERSION"),
     (re.compile(r"servobench \d[\w.+]*"), "servobench VERSION"),
-    (re.compile(r"(Computing|Pace|Open with|min_margin) .*"), r"\1"),
+    (
+        re.compile(r"(Computing|computing time|times real time|Pace|Open with|min_margin) .*"),
+        r"\1",
+    ),
     (re.compile(r"(simulated servo drive)( [0-9a-f]{10}\S*)?(?= (one|two)$)", re.MULTILINE), r"\1 COMMIT"),
     (re.compile(r'"(compute_us|realtime_factor)": ([{][^}]*[}]|[\d.]+)'), r'"\1"'),
     (re.compile(r" [\d.]+/s .* left at most|[\d.]+ runs a second"), ""),
     (re.compile(r"that folder holds .*"), "that folder holds FILES"),
+    (re.compile(r"[━─═]+"), "─"),
+    (re.compile(r"\b\d\.\d+e-(0[89]|1\d)\b"), "NEARLY-NOTHING"),
     (re.compile(r"<svg.*?</svg>", re.DOTALL), ""),
 )
 """What no two runs have in common; the last bits of a solver."""

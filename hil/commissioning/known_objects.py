@@ -1,6 +1,7 @@
 """Reading a drive's whole dictionary, with its data sheet or without one."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -52,10 +53,8 @@ def dump(
     held: Dump = {}
     listed = ((each.index, each.subindex) for each in _readable(dictionary)) if dictionary else None
     for number, (index, sub) in enumerate(listed or _usual(network, node)):
-        try:
+        with suppress(TransferAborted):
             held[index, sub] = network.upload(node, index, sub)
-        except TransferAborted:
-            continue
         if number % 16 == 0:
             idle()
     return held

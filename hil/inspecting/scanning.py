@@ -174,6 +174,8 @@ def _look_for_unconfigured(
                 "a device that has a node-ID keeps it; change it by its own switches or tool",
             )
         return
+    if free:
+        report.notes.append(f"no further device without node-ID was there for {', '.join(map(str, free))}")
     say("asking the new nodes")
     scan.probe()
 

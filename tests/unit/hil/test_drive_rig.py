@@ -1,154 +1,220 @@
-"""The fixture ``servo_drive`` in simulated time: what it asks of a drive, and what its assertions say."""
+"""The drive of the pytest plugin with its master, in simulated time, in this process."""
 
-import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drivers.cia402.profile import State
-from drivers.errors import DriveInFault
-from drivers.timebase import NS_PER_MS
+from drivers.errors import BadInput, PeerFault, PowerLost
+from drivers.exchange import Reading
+from drivers.timebase import NS_PER_MS, NS_PER_S
+from hil.configuration.motor_file import LING2012
 from hil.testing.drive_rig import DriveRig, DriveWish, drive_rig
 from hil.testing.hosted import DriveHost
 
-OVER_TEMPERATURE = {"drive_fault": [{"fault": "over_temperature", "nodes": [3], "at_s": 0.5}]}
+Make = Callable[..., DriveRig]
+STO = {"safe_torque_off": [{"nodes": [1], "at_s": 0.3, "duration_s": 5.0}]}
 
 
 @pytest.fixture
-def host(tmp_path: Path) -> DriveHost:
-    return DriveHost("simulated", tmp_path)
+def make(tmp_path: Path) -> Iterator[Make]:
+    with ExitStack() as stack:
+        host = DriveHost("simulated", tmp_path)
+        yield lambda **wish: stack.enter_context(drive_rig("simulated", host, DriveWish(**wish)))
 
 
-@pytest.fixture
-def rig(host: DriveHost) -> Iterator[DriveRig]:
-    with drive_rig("simulated", host, DriveWish(node=3, seed=1)) as made:
-        yield made
-
-
-def test_it_enables_and_turns_the_shaft(rig: DriveRig) -> None:
+def test_the_settings_are_the_motors_ratings(make: Make) -> None:
+    rig = make(node=3)
+    settings = rig.settings
+    assert settings.sync_period_ns == rig.period == NS_PER_MS
+    assert (settings.host_heartbeat_ms, settings.host_heartbeat_timeout_ms) == (100, 1000)
+    assert (settings.drive_heartbeat_ms, settings.drive_heartbeat_timeout_ms) == (100, 1000)
+    assert settings.torque_max_nm == LING2012.rating.torque_nm
+    assert settings.speed_max_rad_s == pytest.approx(157.0796, rel=1e-6)
+    assert (rig.node, rig.process, rig.motor) == (3, None, LING2012)
     assert rig.device is not None
-    assert rig.process is None
-    assert rig.period == NS_PER_MS
+
+
+def test_a_drive_is_enabled_run_and_left_at_rest(make: Make) -> None:
+    rig = make()
+    assert rig.state() is State.SWITCH_ON_DISABLED
     rig.enable()
     assert rig.state() is State.OPERATION_ENABLED
     began = rig.clock.now()
-    readings = rig.run(0.2, torque_nm=0.3)
-    assert rig.clock.now() - began == 200 * NS_PER_MS
-    assert len(readings) == 200
-    syncs = rig.wire.find("080#*", sent=True)
-    assert syncs[-1].at - syncs[0].at == 199 * NS_PER_MS
-    motor = rig.motor.parameters
-    rise = 1.0 - math.exp(-0.2 * motor.viscous_friction_nm_s / motor.inertia_kg_m2)
-    reached = (0.3 - motor.coulomb_friction_nm) / motor.viscous_friction_nm_s * rise
-    assert readings[-1].velocity_rad_s == pytest.approx(reached, rel=0.02)
-
-
-def test_a_torque_may_follow_the_reading(rig: DriveRig) -> None:
-    rig.enable()
-    readings = rig.run(0.5, lambda reading: 0.02 * (20.0 - reading.velocity_rad_s))
-    assert readings[-1].velocity_rad_s == pytest.approx(20.0, rel=0.1)
-
-
-def test_what_it_writes_are_the_motors_own_limits(rig: DriveRig) -> None:
-    motor = rig.motor.parameters
-    settings = rig.settings
-    assert (settings.torque_max_nm, settings.speed_max_rad_s) == (
-        motor.rated_torque_nm,
-        motor.rated_speed_rad_s,
-    )
-    assert (settings.host_heartbeat_ms, settings.host_heartbeat_timeout_ms) == (100, 1000)
-    assert (settings.drive_heartbeat_ms, settings.drive_heartbeat_timeout_ms) == (100, 1000)
-    rig.configure(torque_max_nm=0.5 * motor.rated_torque_nm)
-    assert rig.client.objects.read(0x6072, 0, "H") == 500
-    assert rig.client.objects.read(0x1017, 0, "H") == 100
-    rig.enable()
-    assert rig.client.objects.read(0x6072, 0, "H") == 500  # what was configured is not configured anew
-    rig.client.release()
-    rig.enable(torque_max_nm=motor.rated_torque_nm)
-    assert rig.client.objects.read(0x6072, 0, "H") == 1000
-
-
-def test_a_state_that_is_reached_and_one_that_is_not(rig: DriveRig) -> None:
-    rig.enable()
-    rig.run(0.3, torque_nm=0.3)
-    rig.client.quick_stop(rig.deadline(1.0))
-    assert 0.0 <= rig.assert_reaches(State.SWITCH_ON_DISABLED, within_s=0.5) < 0.5
-    rig.assert_stays(State.SWITCH_ON_DISABLED, for_s=0.1)
-    with pytest.raises(AssertionError) as caught:
-        rig.assert_reaches(State.OPERATION_ENABLED, within_s=0.2)
-    assert str(caught.value) == (
-        "node 3: not in 'operation enabled' after 0.2 s; it was in 'switch on disabled'"
-    )
-    with pytest.raises(AssertionError) as caught:
-        rig.assert_stays(State.OPERATION_ENABLED, for_s=0.1)
-    assert "'switch on disabled' after 0.00" in str(caught.value)
-    assert str(caught.value).endswith("to stay in 'operation enabled' for 0.1 s")
-
-
-def test_a_fault_is_told_with_its_code(host: DriveHost) -> None:
-    with drive_rig("simulated", host, DriveWish(node=3, faults=OVER_TEMPERATURE)) as rig:
-        rig.enable()
-        with pytest.raises(DriveInFault):
-            rig.run(1.0)
-        assert rig.clock.now() / 1e9 == pytest.approx(0.5, abs=0.01)
-        with pytest.raises(AssertionError) as caught:
-            rig.assert_stays(State.OPERATION_ENABLED, for_s=0.5)
-        assert "node 3: 'fault reaction active' after 0.000 s, to stay" in str(caught.value)
-        assert "; EMCY: 4310h " in str(caught.value)
-        with pytest.raises(AssertionError) as caught:
-            rig.assert_reaches(State.OPERATION_ENABLED, within_s=0.05)
-        assert "then in 'fault'; EMCY: 4310h" in str(caught.value)
-
-
-def test_frames_that_nobody_intended_are_found(rig: DriveRig) -> None:
-    with pytest.raises(ValueError, match="the drive was not configured: no PDO is intended yet"):
-        rig.assert_no_unintended_frame()
-    rig.enable()
-    rig.run(0.01)
-    rig.assert_no_unintended_frame()
-    rig.network.send_message(0x555, b"\x01")
-    rig.wait(0.001)
-    with pytest.raises(AssertionError, match="555"):
-        rig.assert_no_unintended_frame()
-    rig.assert_no_unintended_frame(allow=("555#*",))
-    rig.wire.clear()
-    rig.assert_no_unintended_frame()
-
-
-def test_controlwords_are_those_that_were_sent(rig: DriveRig) -> None:
-    rig.configure()
-    rig.wire.clear()
-    rig.enable()
-    rig.assert_controlwords(0x0006, 0x0007, 0x000F)
-    rig.wire.clear()
-    rig.run(0.01)
-    with pytest.raises(AssertionError) as caught:
-        rig.assert_controlwords(0x0006)
-    assert str(caught.value).startswith("node 3: controlwords 0006h expected, the host sent")
-    rig.wire.clear()
+    readings = rig.run(0.25, torque_nm=0.5)
+    assert rig.clock.now() - began == 250 * NS_PER_MS
+    assert len(readings) == 250
+    # w = T / J t, as the friction of 1.85e-3 N m s/rad takes little in so short a time
+    speeds = [reading.velocity_rad_s for reading in readings]
+    assert speeds[0] == pytest.approx(0.0, abs=0.2)
+    assert speeds[100] == pytest.approx(0.5 / LING2012.mechanics.inertia_kg_m2 * 0.1, rel=0.15)
+    assert speeds == sorted(speeds)
     rig.release()
-    with pytest.raises(AssertionError) as caught:
-        rig.assert_controlwords()
-    assert str(caught.value).startswith("node 3: controlwords none expected, the host sent:\n  0.")
     assert rig.state() is State.SWITCH_ON_DISABLED
 
 
-def test_at_its_end_the_drive_is_at_rest(host: DriveHost) -> None:
-    with drive_rig("simulated", host, DriveWish(node=3)) as rig:
-        rig.enable()
-        assert rig.run(0.3, torque_nm=0.3)[-1].velocity_rad_s > 10.0
-        rig.wire.clear()
-    assert rig.client.plan is not None
-    words = [command.word for command in rig.wire.controlwords(3, rig.client.plan)]
-    assert (words[0], words[-1]) == (0x0002, 0x0000)  # quick stop, then disable voltage
+def test_a_torque_may_answer_the_reading(make: Make) -> None:
+    rig = make()
+    rig.enable()
+    seen: list[Reading] = []
+
+    def brake(reading: Reading) -> float:
+        seen.append(reading)
+        return -0.05 * reading.velocity_rad_s
+
+    rig.run(0.1, torque_nm=0.5)
+    slowed = rig.run(0.2, torque_nm=brake)
+    assert seen == slowed
+    assert abs(slowed[-1].velocity_rad_s) < 0.02 * slowed[0].velocity_rad_s
 
 
-def test_a_motor_and_a_plan_may_be_files(host: DriveHost, tmp_path: Path) -> None:
+def test_a_set_up_tells_what_it_wrote_and_takes_changes(make: Make) -> None:
+    rig = make(node=2)
+    said = rig.configure(torque_max_nm=1.0)
+    assert said == ["TPDO1 written", "TPDO2 written", "TPDO3 written"]
+    rated = LING2012.rating.torque_nm
+    assert rig.device is not None
+    assert rig.device.dictionary.variable(0x6072).value == round(1000 * 1.0 / rated)
+
+
+def test_how_long_a_state_took_is_returned(make: Make) -> None:
+    rig = make(faults=STO)
+    rig.enable()
+    began = rig.clock.now()
+    took_s = rig.assert_reaches(State.SWITCH_ON_DISABLED, within_s=1.0)
+    assert 0.05 < took_s < 0.3, "some of the 0.3 s went by while the drive was enabled"
+    assert took_s == pytest.approx((rig.clock.now() - began) / NS_PER_S)
+    rig.assert_stays(State.SWITCH_ON_DISABLED, for_s=0.2)
+
+
+def test_a_state_that_is_not_reached_names_those_that_were(make: Make) -> None:
+    rig = make(faults=STO)
+    rig.enable()
+    with pytest.raises(AssertionError) as caught:
+        rig.assert_reaches(State.FAULT, within_s=0.5)
+    assert str(caught.value) == (
+        "node 1: not in 'fault' after 0.5 s; it was in 'operation enabled', then in 'switch on disabled'"
+    )
+    with pytest.raises(
+        AssertionError, match=r"^node 1: 'switch on disabled' after 0.000 s, to stay in 'fault'"
+    ):
+        rig.assert_stays(State.FAULT, for_s=0.1)
+
+
+def test_a_state_that_is_left_is_told_with_the_instant(make: Make) -> None:
+    rig = make(faults=STO)
+    rig.enable()
+    with pytest.raises(AssertionError, match=r"'switch on disabled' after 0\.\d{3} s, to stay in 'operation"):
+        rig.assert_stays(State.OPERATION_ENABLED, for_s=1.0)
+
+
+def test_a_run_ends_where_the_drive_does(make: Make) -> None:
+    rig = make(faults=STO)
+    rig.enable()
+    with pytest.raises(PowerLost, match="lost the power of its stage"):
+        rig.run(1.0)
+    assert rig.state() is State.SWITCH_ON_DISABLED
+
+
+def test_time_passes_for_as_long_as_is_waited(make: Make) -> None:
+    rig = make()
+    began = rig.clock.now()
+    assert rig.deadline(0.4) - began == 400 * NS_PER_MS
+    rig.wait(0.4)
+    assert rig.clock.now() - began == 400 * NS_PER_MS
+
+
+def test_frames_beyond_the_plan_are_unintended(make: Make) -> None:
+    rig = make()
+    with pytest.raises(ValueError, match="the drive was not configured: no PDO is intended yet"):
+        rig.assert_no_unintended_frame()
+    rig.enable()
+    rig.run(0.05)
+    rig.assert_no_unintended_frame()
+    rig.network.link.send(0x123, b"\1")
+    rig.wait(0.01)
+    with pytest.raises(AssertionError, match="123#01"):
+        rig.assert_no_unintended_frame()
+    rig.assert_no_unintended_frame(allow=("123#*",))
+
+
+def test_controlwords_are_those_of_the_walk(make: Make) -> None:
+    rig = make()
+    rig.configure()
+    rig.wire.clear()
+    rig.assert_controlwords()
+    with pytest.raises(AssertionError, match=r"^node 1: controlwords 0006h expected, the host sent none$"):
+        rig.assert_controlwords(0x06)
+    rig.enable()
+    rig.assert_controlwords(0x06, 0x07, 0x0F)
+    with pytest.raises(AssertionError) as caught:
+        rig.assert_controlwords()
+    first, *lines = str(caught.value).splitlines()
+    assert first == "node 1: controlwords none expected, the host sent:"
+    assert [line.split()[-1] for line in lines] == ["0006h", "0007h", "000Fh"]
+
+
+def test_a_wish_is_read_from_files(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
-    plan.write_text('[[drive_fault]]\nfault = "under_voltage"\nnodes = [1]\nat_s = 0.1\n')
-    wish = DriveWish(motor="examples/motors/azaiz2007.toml", faults=plan)
-    with drive_rig("simulated", host, wish) as rig:
-        assert rig.motor.parameters.pole_pairs == 4
-        with pytest.raises(DriveInFault, match="3220h"):
-            rig.enable()
+    plan.write_text("[[loss]]\nprobability = 0.5\n")
+    wish = DriveWish(faults=plan)
+    assert wish.plan is not None
+    assert DriveWish().plan is None
+    assert DriveWish().motor_file is LING2012
+    plan.write_text("[[loss]]\nprobability = 2\n")
+    with pytest.raises(BadInput, match="probability"):
+        _ = wish.plan
+    motor = Path(__file__).parents[3] / "examples" / "motors" / "azaiz2007.toml"
+    assert DriveWish(motor=motor).motor_file.parameters.name != LING2012.parameters.name
+
+
+class Commands:
+    """What a host would start, in place of processes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, complaint: str = "") -> None:
+        self.given: list[list[str]] = []
+
+        class Process:
+            def __init__(process, command: list[str], log: Path) -> None:  # noqa: N805
+                self.given.append([*command, log.name])
+
+            def finish(process) -> str:  # noqa: N805
+                return complaint
+
+        monkeypatch.setattr("hil.testing.hosted.DriveProcess", Process)
+
+
+def test_the_command_of_a_process_says_all_that_was_wished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands, host = Commands(monkeypatch), DriveHost("hub:x", tmp_path)
+    assert host.missing([1, 2]) == [1, 2]
+    host.start([1, 2], "m.toml", seed=7, bitrate_bit_s=250_000)
+    assert host.missing([1, 2, 3]) == [3]
+    wish: dict[str, Any] = {"eds": "a.eds", "store": "s.json", "loads": {3: "load.csv"}}
+    host.start([3], LING2012, faults={"loss": [{"probability": 0.5}]}, **wish)
+    one, two = commands.given
+    assert one[-10:] == [
+        "hub:x", "--node", "1,2", "--motor", "m.toml", "--seed", "7", "--bitrate", "250000", "drive-1.log",
+    ]  # fmt: skip
+    motor, faults = tmp_path / "motor-2.toml", tmp_path / "faults-2.toml"
+    assert two[two.index("--motor") : -1] == [
+        "--motor", str(motor), "--seed", "0", "--bitrate", "1000000", "--faults", str(faults),
+        "--eds", "a.eds", "--store", "s.json", "--load", "3=load.csv",
+    ]  # fmt: skip
+    assert "probability = 0.5" in faults.read_text()
+    assert "Ling2012" in motor.read_text()
+    assert DriveHost("hub:x", tmp_path, present=True).missing([1]) == []
+    host.end()
+
+
+def test_a_process_that_failed_fails_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Commands(monkeypatch, "it ended with status 3")
+    host = DriveHost("hub:x", tmp_path)
+    host.start([1], "m.toml")
+    with pytest.raises(PeerFault, match="a simulated drive on hub:x failed; it ended with status 3"):
+        host.end()
+    host.end()

@@ -6,13 +6,20 @@ from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 from typing import Final
+from unittest.mock import patch
 
 import pytest
 from typer.testing import CliRunner
 
 from drivers.cia402.profile import Mode, supported_mode_bit
 from hil.cli import app
+from hil.recorded.commissioning_page import commissioning_page
+from hil.studies.papers import reproduction
+from hil.studies.papers import runs as paper_runs
+from hil.verdict.verdict import ExitStatus
 from tests.commissioning import LOSS, unknown_world
+from tests.page_text import page_text
+from tests.picture_text import drawn
 from tests.told import ROOT, hold
 
 EXAMPLES: Final = ROOT / "examples"
@@ -24,6 +31,7 @@ def run(*commands: str) -> str:
     text = ""
     for command in commands:
         done = CliRunner(env={"COLUMNS": "160"}).invoke(app, command.format(examples=EXAMPLES).split())
+        assert done.exit_code != ExitStatus.DEFECT, done.output
         assert done.exception is None or isinstance(done.exception, SystemExit), command
         text += f"$ hil {command}\n{done.output}exit status {done.exit_code}\n\n"
     return text
@@ -46,7 +54,7 @@ def commissioned() -> str:
         "drive.dcf",
         "parameters.txt",
     )
-    return told + files(*(f"out/{name}" for name in left))
+    return told + files(*(f"out/{name}" for name in left)) + page_text(commissioning_page(Path("out")))
 
 
 def commissioned_by_speeds() -> str:
@@ -75,10 +83,15 @@ def reviewed() -> str:
         "review one",
         "compare one two",
         "compare one two --json",
+        "compare one two --rrd both.rrd",
         "runs .",
         "export one --to csv --out one.csv",
     )
     told += "\n".join(run("trace one").splitlines()[:400:4]) + "\n"
+    told += page_text(Path("one/run.rrd")) + page_text(Path("both.rrd"))
+    with drawn() as pictures:
+        told += run("picture one one.svg --paper", "picture one part.png --paper --at 1 --span 0.2")
+    told += "".join(pictures)
     rows = csv.DictReader(Path("one.csv").read_text(encoding="utf-8").splitlines())
     return told + "\n".join(str({**row, "compute_ns": ""}) for row in islice(rows, 0, 200, 20))
 
@@ -113,7 +126,7 @@ def campaigned() -> str:
     """A sweep over two keys, half of whose runs do not pass."""
     Path("sweep.toml").write_text(SWEEP.format(examples=EXAMPLES), encoding="utf-8")
     told = run("campaign run sweep.toml --out out --workers 1 --json", "campaign report out")
-    return told + files("out/report.html")
+    return told + files("out/report.html") + page_text(Path("out/campaign.rrd"))
 
 
 LOG: Final = """
@@ -160,6 +173,50 @@ def designed() -> str:
     ) + files("speed.toml", "pid.toml", "kq.toml")
 
 
+ROW: Final = {
+    "error_percent": 2.0,
+    "published_delay_s": 0.082,
+    "gamma": 0.9,
+    "ccl_delay_s": 0.073,
+    "lmi_delay_s": None,
+    "exact_speed_feedback_delay_s": 0.0751,
+    "exact_delay_s": 0.0832,
+    "gain": [0.0012, -0.0212],
+}
+LOSSES: Final = {"sequences": 1, "age_max_s": 0.06}
+
+
+def reproduced() -> str:
+    """Figures and pictures of the papers; of Ling, three of the runs, and Table 2 and strategies made up."""
+    table = {"published": [ROW, ROW | {"error_percent": 3.0, "lmi_delay_s": 0.08}], "si": [ROW]}
+    strategies = {
+        "stamp": LOSSES | {"by_losses": [{"decay_per_s": lost + 1.0, "gamma": 2.0} for lost in range(3)]},
+        "history": LOSSES | {"by_losses": [{"decay_per_s": None, "gamma": 3.0}]},
+    }
+    motor = {
+        "motor": "other",
+        "load_nm": 1.25,
+        "speed_rpm": 3000.0,
+        "rows": [ROW, {"error_percent": 1.0, "gamma": 0.1, "impossible": "no gain keeps it"}],
+    }
+    with (
+        patch.object(reproduction, "table2", lambda: table),
+        patch.object(reproduction, "strategies", lambda: strategies),
+        patch.object(reproduction, "for_motor", lambda _motor: motor),
+        patch.object(paper_runs, "VARIANTS", [paper_runs.VARIANTS[place] for place in (0, 3, 5)]),
+        drawn() as pictures,
+    ):
+        told = run(
+            "reproduce ling2012 --figures one",
+            "reproduce ling2012 --figures one --motor {examples}/motors/ling2012.toml",
+            "reproduce azaiz2007 --figures two",
+        )
+    tables = "".join(
+        f"{variant.name} {paper_runs.bench_tables(variant)}\n" for variant in paper_runs.VARIANTS
+    )
+    return told + "".join(pictures) + tables
+
+
 RUNS: Final = (
     "network_designed",
     "three_axes",
@@ -171,19 +228,15 @@ RUNS: Final = (
 
 
 def ran() -> str:
-    """Benches of every kind: what is printed, told as it happened, and kept as figures."""
-    told = run(*(f"run {{examples}}/{name}.toml --record {name}" for name in RUNS))
+    """Benches of every kind: what is printed, told as it happened, kept as figures; and a page."""
+    told = ""
     for name in RUNS:
+        told += run(f"run {{examples}}/{name}.toml --record {name}", f"review {name}")
         events = Path(name, "events.jsonl").read_text(encoding="utf-8").splitlines()
         told += "\n".join(sorted(events, key=lambda line: (json.loads(line)["at_ns"], line))) + "\n"
         told += files(f"{name}/summary.json")
     injected = Path("two_segments/faults.jsonl").read_text(encoding="utf-8").splitlines()
-    return told + "\n".join(injected[::8])
-
-
-def reproduced() -> str:
-    """The paper whose results need no search."""
-    return run("reproduce azaiz2007")
+    return told + "\n".join(injected[::8]) + "\n" + page_text(Path("three_axes", "run.rrd"))
 
 
 TELLING: Final = (
