@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Mapping
 from functools import cache
@@ -70,11 +71,15 @@ def _commit() -> str:
     """Of the source tree that runs, with "-dirty" if it was changed since; empty if it is none of git's."""
     if not (_ROOT / ".git").exists():
         return ""
-    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    # status without its optional lock: a git that is killed in between must leave none in the user's tree
+    command = ["git", "--no-optional-locks", "-C", str(_ROOT), "status", "--porcelain=v2", "--branch"]
     try:
         git = subprocess.run(
-            command, capture_output=True, text=True, timeout=_GIT_MAX_S, check=False, stdin=subprocess.DEVNULL
-        )
+            [*command, "--untracked-files=no"],
+            capture_output=True, text=True, timeout=_GIT_MAX_S, check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return git.stdout.strip() if git.returncode == 0 else ""
+    commit = re.search(r"^# branch[.]oid ([0-9a-f]{40})$", git.stdout, re.MULTILINE)
+    changed = re.search(r"^[^#]", git.stdout, re.MULTILINE)
+    return "" if commit is None else commit[1] + ("-dirty" if changed else "")
