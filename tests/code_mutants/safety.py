@@ -95,7 +95,6 @@ SAFETY: Final = (
             "ServoDrive.release",
             "ServoDrive.check",
             "ServoDrive.write",
-            "ServoDrive._expired",
             "ServoDrive._bring_to_rest",
             "ServoDrive._leave",
             "ServoDrive._stop_following",
