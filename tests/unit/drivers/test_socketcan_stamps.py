@@ -261,6 +261,27 @@ def test_hardware_stamps_are_taken_where_they_come_and_kernel_stamps_where_not(f
     assert port.came_at == pytest.approx(before, abs=NS_PER_MS)
 
 
+def test_the_first_frame_does_not_hang_on_one_comparison_that_was_interrupted(
+    fake: Socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparisons = 0
+
+    def interrupted_once() -> tuple[Instant, int, Instant]:
+        nonlocal comparisons
+        comparisons += 1
+        before = NS_PER_S + comparisons * NS_PER_MS
+        wall_read_at = before + READING_NS
+        after = wall_read_at + (NS_PER_MS // 2 if comparisons == 1 else READING_NS)
+        return Instant(before), EPOCH + wall_read_at, Instant(after)
+
+    monkeypatch.setattr("drivers.wire.socketcan.wall_between", interrupted_once)
+    port = SocketcanPort(fake, MonotonicClock(), receive_own=False)
+    at = NS_PER_S + NS_PER_MS
+    fake.bring(0x181, b"", [software(EPOCH + at)])
+    port.receive(Instant(0))
+    assert abs(port.came_at - at) <= READING_NS
+
+
 def test_error_frames_and_losses_are_handed_on(fake: Socket) -> None:
     port = SocketcanPort(fake, MonotonicClock(), receive_own=False)
     fake.bring(ERROR_FLAG | 0x40, bytes(8), [overflow(3)])
