@@ -6,7 +6,9 @@ the due instant of the cycle that asked for it, so that reference and measuremen
 
 import json
 import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from textwrap import wrap
 from typing import Any
 
@@ -107,8 +109,8 @@ class Telemetry:
         self._faults = FaultWindows()
         self._offset_origin_ns: list[int | None] = [None] * len(self._axes)
         """Of each axis' clock: its offset in the first row that has one."""
-        self._labels: dict[str, str] = {}
-        self._tracks: set[str] = set()
+        self._shown: dict[str, list[LabelChange]] = {}
+        """Of each track, in order of time: rows and events tell a state twice, and either may come first."""
         self._styled: set[str] = set()
         self._envelopes: dict[str, Envelope] = {}
         self.observed = ObservedFrames(plan.observed)
@@ -220,8 +222,8 @@ class Telemetry:
                 track_path(track, self._axes): next(
                     (name for name in self._axes if track.rpartition(" ")[0] == name), ""
                 )
-                for track in self._tracks
-                if not track.endswith(" link") and (track != "host" or self._missed)
+                for track, shown in self._shown.items()
+                if shown and not track.endswith(" link") and (track != "host" or self._missed)
             },
             enveloped=enveloped,
             ranges=figures.ranges(),
@@ -351,25 +353,24 @@ class Telemetry:
         return next(each for each in known if each.path == below).styled()
 
     def _show_changes(self, track: str, changes: Sequence[LabelChange]) -> None:
-        kept: list[LabelChange] = []
+        shown, kept = self._shown.setdefault(track, []), list[LabelChange]()
         for at, text in changes:
-            label = text[:1].upper() + text[1:]
-            if self._labels.get(track) != label:
-                self._labels[track] = label
-                kept.append(LabelChange(at, label))
+            change = LabelChange(at, text[:1].upper() + text[1:])
+            place = bisect_right(shown, at, key=attrgetter("at"))
+            if not place or shown[place - 1].label != change.label:
+                shown.insert(place, change)
+                kept.append(change)
         if not kept:
             return
         path = track_path(track, self._axes)
-        if track not in self._tracks:
-            self._tracks.add(track)
-            if colors := lane_colors(track, self._axes):
-                values = list(colors)
-                styled = rr.StateConfiguration(
-                    values=values,
-                    labels=[" " if value == QUIET else value for value in values],
-                    colors=np.array(list(colors.values()), np.uint32),
-                )
-                self._stream.log(path, styled, static=True)
+        if (colors := lane_colors(track, self._axes)) and len(shown) == len(kept):
+            values = list(colors)
+            styled = rr.StateConfiguration(
+                values=values,
+                labels=[" " if value == QUIET else value for value in values],
+                colors=np.array(list(colors.values()), np.uint32),
+            )
+            self._stream.log(path, styled, static=True)
         times = np.array([change.at for change in kept])
         states = rr.StateChange.columns(state=[change.label for change in kept])
         self._stream.send_columns(path, self._times(times), states)

@@ -150,6 +150,30 @@ def test_states_of_loop_and_records_share_a_track(recording: Path) -> None:
     assert "DOWN" in link
 
 
+@pytest.mark.parametrize("events_first", [True, False])
+def test_a_state_told_twice_is_shown_once_whichever_came_first(
+    tmp_path: Path, rows: Rows, events_first: bool
+) -> None:
+    enabled_at = Instant(int(rows["status_told_at"][rows["fate"] == FATE_SAMPLE][0]))
+    told: tuple[RunEvent, ...] = (
+        BeginEvent(Instant(ORIGIN)),
+        StateEvent(enabled_at, "axis1 drive", "operation enabled"),
+        StateEvent(Instant(ORIGIN + CYCLES * NS_PER_MS), "axis1 drive", "switch on disabled"),
+    )
+    plan = plan_for(tmp_path)
+    review = Review(plan.review)
+    review.add(rows)
+    path = tmp_path / "run.rrd"
+    telemetry = Telemetry(plan, "a-recording", rr.FileSink(path))
+    telemetry.take_events(told if events_first else told[:2])
+    telemetry.take_rows(rows)
+    telemetry.take_events(() if events_first else told[2:])
+    outcome = whole_outcome(review.figures().cycles)
+    telemetry.finish(summarise(review.figures(), outcome, plan.review.limits, "", 1), review)
+    _, states = columns(path, "/state/2_axis1_drive", "StateChange:state")
+    assert states == [["Operation enabled"], ["Switch on disabled"]]
+
+
 def test_events_before_time_zero_have_negative_times(recording: Path) -> None:
     times, texts = columns(recording, "/events", "TextLog:text")
     assert times.tolist() == [-7 * NS_PER_MS, NS_PER_MS, (CYCLES - 1) * NS_PER_MS]
