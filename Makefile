@@ -107,7 +107,7 @@ test: $(TOOLS) compile
 ROOM ?= $(error which room? make unit ROOM=drivers, virtual_bus, design or hil)
 
 unit: $(TOOLS)
-	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup tests/unit/$(ROOM)
+	@$(BIN)/pytest --quiet --numprocesses=2 --dist=loadgroup -m "not long" tests/unit/$(ROOM)
 
 test-dask: $(TOOLS) compile
 	@$(BIN)/pytest tests/dask

@@ -20,6 +20,7 @@ def model_at(bandwidth_hz: float) -> SpeedModel:
     return speed_model(LING, current_bandwidth_hz=bandwidth_hz)
 
 
+@pytest.mark.long
 def test_what_is_certified_holds_between_the_slices() -> None:
     analysis = analyse_sampled(model_at(800.0), K, NETWORK)
     assert analysis.gain_certified is not None

@@ -62,6 +62,7 @@ def _row(units: Units) -> dict[str, Any]:
     return table2_row(*TABLE_2[5], units)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("units", list(Units))
 def test_row_of_table_2(units: Units) -> None:
     row = _row(units)
@@ -80,11 +81,13 @@ def test_every_disagreement_is_said() -> None:
     assert all(word in said for word in ("r/min", "125.31", "Case 1", "Case 2", "Case 3"))
 
 
+@pytest.mark.long
 def test_a_row_for_the_papers_own_motor_is_the_papers() -> None:
     row = _row(Units.SI)
     assert motor_row(MOTOR, TABLE_2[5][0]) == {key: row[key] for key in row if key != "published_delay_s"}
 
 
+@pytest.mark.long
 def test_a_row_tells_what_no_gain_keeps() -> None:
     light = replace(MOTOR, inertia_kg_m2=MOTOR.inertia_kg_m2 / 16.0)
     row = motor_row(light, 2.0)

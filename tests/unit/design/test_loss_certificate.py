@@ -29,6 +29,8 @@ from hil.control.motion import MotionModel
 from hil.studies.speed.losses import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
+pytestmark = pytest.mark.long
+
 F = PLANT.feedback(330.0, 5900.0)
 WALKS = Walks(0.66, 1.4)
 PREDICTOR = PredictorDesign(REQUEST, F, WALKS)

@@ -130,6 +130,7 @@ def test_mu_bound_against_exact_cases() -> None:
     assert real_mu_upper_bound(np.array([[1j]])) < 0.3  # a real number never meets an imaginary one
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", [0.0, 115.0, 230.0])
 def test_the_coupled_bound_agrees_with_scalings_and_with_a_witness(speed: float) -> None:
     """No tighter than an unstable motor allows, and close to it; no looser than D and G scalings."""

@@ -34,6 +34,8 @@ from design.speed.monte_carlo import Chance, Uncertainty, run_many, share
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 
+pytestmark = pytest.mark.long
+
 MODEL = speed_model(LING)
 K = np.array([0.0, -0.0212])
 H = 0.01

@@ -12,6 +12,8 @@ from design.sampled.loss_patterns import slowest_pattern, worst_gain
 from design.speed.sampled_design import SampledDesign, least_sampled_gain
 from design.speed.speed_design import least_gain
 
+pytestmark = pytest.mark.long
+
 NETWORK = SampledNetwork(Strategy.ARRIVAL, 0.002, 1, 0.001)
 
 

@@ -13,6 +13,8 @@ from design.speed.lmi_design import certified_delay_within, largest_certified_de
 from design.speed.speed_design import delay_within, largest_delay, least_gain
 from tests.motors import AZAIZ, LING
 
+pytestmark = pytest.mark.long
+
 MODEL = speed_model(LING)
 
 

@@ -57,6 +57,7 @@ def _log_beta(a: float, b: float) -> float:
     return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
 
 
+@pytest.mark.long
 def test_only_the_sequence_holds_for_one_who_looks_until_it_does_not() -> None:
     """The most unlucky of all rules: to end at the first run after which the interval is wrong."""
     rate, longest = 0.8, 60
@@ -86,6 +87,7 @@ def test_the_price_of_looking_is_as_the_docs_say() -> None:
     assert max(ratios) < 2.1
 
 
+@pytest.mark.long
 def test_a_quantile_is_held() -> None:
     stream = np.random.default_rng(7)
     truth = math.log(2.0)  # median of the exponential distribution

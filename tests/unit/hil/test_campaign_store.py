@@ -75,6 +75,7 @@ def test_a_file_that_was_being_written_is_not_there(store: RunStore, tmp_path: P
     assert [path.suffix for path in (tmp_path / "campaign" / "runs").iterdir()] == [".parquet"] * 2
 
 
+@pytest.mark.long
 def test_every_byte_that_changes_is_noticed(store: RunStore, tmp_path: Path) -> None:
     store.append([row(number) for number in range(50)])
     (path,) = (tmp_path / "campaign" / "runs").iterdir()

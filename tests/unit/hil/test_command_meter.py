@@ -172,6 +172,7 @@ def test_where_an_echo_does_not_tell_its_frame_a_hand_over_counts(echoes: EchoBa
     assert outcome.fate is CommandFate.ACTING
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
 def test_the_rate_of_losses_is_the_true_one(share: float) -> None:
     choices = random.Random(7)

@@ -101,6 +101,7 @@ def ripple(seed: int) -> list[tuple[Array, Array, Array]]:
     return records
 
 
+@pytest.mark.long
 def test_the_stated_uncertainty_holds_with_correlated_residuals() -> None:
     errors, stated = [], []
     for seed in range(40):

@@ -22,6 +22,8 @@ from virtual_bus.drive.lacks import take_away
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.unknown_drive import unknown_drive
 
+pytestmark = pytest.mark.long
+
 SEED = 3
 LIMIT_RAD_S = 167.6
 """Of the motions, for this drive."""

@@ -14,6 +14,8 @@ from hil.commissioning.steps_voltage import VoltageConstant, dc_link_v
 from tests.commissioning import unknown_world
 from virtual_bus.drive.unknown_drive import unknown_drive
 
+pytestmark = pytest.mark.long
+
 LAST = "voltage_constant"
 SEED = 5
 """It tells everything truly."""

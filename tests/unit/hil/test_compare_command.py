@@ -17,6 +17,8 @@ from hil.rows.records import Rows
 from hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
+pytestmark = pytest.mark.long
+
 SEED_OF_THE_OTHER = 5
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +15,8 @@ from hil.configuration.bench_file import bench_from
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
 from hil.configuration.toml_text import toml_text
 from tests.unit.hil.test_toml_text import VALUES
+
+pytestmark = pytest.mark.long
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 Path_ = tuple[str | int, ...]

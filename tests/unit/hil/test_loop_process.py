@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 KEPT_OUT = {
     "hil.execution.bench": {"rerun", "pyarrow", "matplotlib", "cvxpy", "scipy.optimize"},
     "hil.recording.logger": {"scipy", "numba", "matplotlib", "cvxpy", "hil.configuration.config"},

@@ -81,6 +81,7 @@ def test_a_chain_is_found_again(truth: Parameters, free: int) -> None:
     assert found.parameters[free:] == (1.0, 0.0)[free - 2 :]
 
 
+@pytest.mark.long
 def test_the_intervals_hold_the_truth_about_as_often_as_they_say() -> None:
     truth = Parameters(0.02, 0.25)
     held = [
@@ -102,6 +103,7 @@ def test_losses_without_memory_are_called_independent() -> None:
     assert found.parameters.loss == pytest.approx(0.1, abs=0.01)
 
 
+@pytest.mark.long
 def test_frames_of_unknown_fate_change_nothing_but_the_certainty() -> None:
     truth = Parameters(0.02, 0.3)
     outcomes = chain(truth, 40_000, seed=2)
@@ -123,6 +125,7 @@ def test_bursts_make_the_count_vary_more(truth: Parameters) -> None:
     assert truth.inflation > 3.0
 
 
+@pytest.mark.long
 def test_the_rate_s_interval_knows_of_the_bursts() -> None:
     truth = Parameters(0.01, 0.1)
     held = []

@@ -16,6 +16,8 @@ from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from tests.rrd_columns import numbers
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = LING2012.parameters
 AMPERE_PER_THOUSANDTH = MOTOR.rated_current_a / 1000.0

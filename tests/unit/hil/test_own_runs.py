@@ -14,6 +14,8 @@ from hil.machine.stopping import StopRequest
 from hil.testing.bench_runs import BenchRunner
 from hil.testing.hosted import DriveHost
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[3] / "examples"
 BENCH = EXAMPLES / "ling2012.toml"
 SHORT: dict[str, Any] = {

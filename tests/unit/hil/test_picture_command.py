@@ -18,6 +18,8 @@ from hil.recorded.viewer import _pages
 from hil.recording.telemetry import RERUN_FILE
 from tests.unit.hil.recorded_runs import short_run
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from hil.execution.network_guard import static_faults
 from tests.floor_runs import LOAD_AT_S, PERIOD_S, Case, lost_ratio
 from tests.shaft_run import ShaftRun, run_watched
 
+pytestmark = pytest.mark.long
+
 FILE = Path("examples/controllers/ling2012-predictor.toml")
 CASE = Case("ling2012", LING2012.model_dump(mode="json"), 1e-3)
 

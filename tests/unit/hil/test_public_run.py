@@ -16,6 +16,8 @@ from drivers.timebase import NS_PER_US
 from hil import Bench, Run, run
 from hil.testing.wire import ORIGIN
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[3]
 LING = ROOT / "examples" / "ling2012.toml"
 SHORT = {"bench.duration_s": 0.8, "load.axis1.0.at_s": 0.6}

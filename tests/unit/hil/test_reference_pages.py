@@ -10,6 +10,8 @@ import pytest
 
 from virtual_bus.faults.register import TABLES
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 
 

@@ -12,6 +12,8 @@ from hil.cli import app
 from hil.rows.records_file import RecordsWriter, read_metadata, read_records
 from tests.unit.hil.recorded_runs import short_run
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

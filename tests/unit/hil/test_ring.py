@@ -120,6 +120,7 @@ def _forked(writer: RingWriter, limit: int) -> BaseProcess:
     return process
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_two_processes_never_see_half_a_row() -> None:
     limit = 50_000

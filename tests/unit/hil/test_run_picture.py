@@ -19,6 +19,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.long
 def test_the_viewer_draws_a_run_and_no_view_complains(tmp_path: Path) -> None:
     recorder = start_recording(plan_for(tmp_path / "run"))
     recorder.begin(Instant(0))

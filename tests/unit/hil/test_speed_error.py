@@ -128,6 +128,7 @@ def test_any_run_agrees_with_the_definition(parts: list[tuple[tuple[float, float
     assert found.after_load_percent == pytest.approx(expected.after_load_percent)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None)
 @given(st.lists(st.integers(0, 1500), max_size=8))
 def test_division_into_chunks_changes_no_bit(cuts: list[int]) -> None:

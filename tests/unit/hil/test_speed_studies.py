@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 
 from hil.cli import app
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = str(EXAMPLES / "motors" / "ling2012.toml")
 GAIN = "0,-0.0212"

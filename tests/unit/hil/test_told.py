@@ -252,6 +252,7 @@ TELLING: Final = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tell", TELLING)
 def test_what_is_told(tell: Callable[[], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -28,6 +28,7 @@ VALUES = st.recursive(
 TABLES = st.dictionaries(KEYS, VALUES, max_size=5)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=300)
 @given(TABLES)
 def test_reads_back_equal(tables: dict[str, Any]) -> None:

@@ -28,6 +28,8 @@ from virtual_bus.drive.unknown_drive import unknown_drive
 from virtual_bus.frame import Frame
 from virtual_bus.hosting.faulty_device import SimulatedNode
 
+pytestmark = pytest.mark.long
+
 NO_CONSUMER = ("1016",)
 NEITHER = ("1016", "100C", "100D")
 CYCLE = Duration(NS_PER_MS)

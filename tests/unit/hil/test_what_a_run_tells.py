@@ -8,6 +8,8 @@ from hil.configuration.network_file import load_network
 from hil.testing.bench_runs import BenchRunner
 from tests.scenario.processes import EXAMPLES
 
+pytestmark = pytest.mark.long
+
 SHORT: dict[str, Any] = {"bench.duration_s": 0.4, "verdict": {}, "load": {}}
 LACKS = "drive.axis1.simulation.lacks"
 

@@ -313,6 +313,7 @@ print(fates(started(Loss(probability=0.1), burst, uniform(0, 1000)), 50))
 """
 
 
+@pytest.mark.long
 def test_fates_do_not_depend_on_the_hash_seed() -> None:
     printed = {
         subprocess.run(

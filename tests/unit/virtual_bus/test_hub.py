@@ -25,7 +25,7 @@ from virtual_bus.bus.hub_place import HubPlace, checked_name, known_hubs, runtim
 from virtual_bus.bus.hub_protocol import Hello, encode_hello
 from virtual_bus.frame import Frame
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [pytest.mark.long, pytest.mark.xdist_group("real time")]
 
 PATIENCE_S = 10.0
 CLOCK = MonotonicClock()
