@@ -127,6 +127,7 @@ def test_the_torque_carries_load_and_friction_in_the_end() -> None:
     assert run.torque_nm[-2] == pytest.approx(borne, rel=1e-3)
     assert len(run.time_s) == round(0.25 / STEP_S) + 1
     assert np.abs(run.current_q_a).max() <= 20.0
+    assert run.torque_nm.max() == pytest.approx(11.327, rel=1e-3), "the third disagreement: not 14.3"
 
 
 def test_the_figures_of_a_run_are_those_of_an_exponential() -> None:
