@@ -19,6 +19,7 @@ _REQUESTS: Final = 5
 does not fit; a lost request costs one."""
 _FACTOR_MAX: Final = 0xFF
 _PROBES: Final = 3
+"""On a bus that loses one frame in ten, a device that answers is taken for one that does not in 1 of 150."""
 _PROBE: Final = Duration(20 * NS_PER_MS)
 """A remote frame is answered by the CAN controller or within a turn of the device's main loop."""
 

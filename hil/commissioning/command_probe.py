@@ -10,11 +10,13 @@ from hil.commissioning.frequency import StepLag
 from hil.commissioning.session import Session
 
 _SWITCHES: Final = 500
+"""At 1 kHz 2 s: each age is met to a five-hundredth of the interval, and noise averages out."""
 _SWITCHES_MIN: Final = 150
 """Fewer do not fill the ages between two SYNCs."""
 _SWITCHING_S: Final = 4.0
 """In all, as long as that leaves enough switches."""
 _HOLD_CYCLES: Final = 4
+"""Between two switches: the answer has come before the next one, and the shaft gains little speed."""
 _GOLDEN: Final = 0.6180339887498949
 """Golden section: steps of it fill an interval evenly, however many there are."""
 _CLEAR: Final = 1.25

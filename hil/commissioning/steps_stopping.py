@@ -25,6 +25,7 @@ _SHORTEST_S: Final = 0.005
 _PROOF_SHARE: Final = 0.1
 """Of the limit of speed: a hundredth of its energy."""
 _RUN_UP_S: Final = 0.3
+"""A servo motor with a load follows a ramp of so long, and :func:`_proof_speed` fits it into the travel."""
 _HOLD_S: Final = 0.2
 """The speed has settled before it is stopped."""
 _SLOWER: Final = 1.5

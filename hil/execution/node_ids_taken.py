@@ -20,8 +20,9 @@ from drivers.wire.link import BusLink
 LISTEN_FOR: Final = Duration(NS_PER_S)
 """In so long a node with a heartbeat, or in operation, is heard nearly always; the others are asked."""
 ANSWER_LIMIT_S: Final = 0.1
-"""For one answer: a node that boots, or a full bus, takes less. Asked twice, as a frame may be lost."""
+"""For one answer: a node that boots, or a full bus, takes less."""
 ATTEMPTS: Final = 2
+"""As a frame may be lost."""
 
 
 def refuse_taken(

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from scipy.special import bdtr, betaincinv
 
 CONFIDENCE: Final = 0.95
+"""Two standard deviations: the custom of measuring, and known as such to who reads a figure."""
 
 
 class Interval(NamedTuple):

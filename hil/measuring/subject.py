@@ -45,6 +45,7 @@ SETTLE: Final = Duration(50 * NS_PER_MS)
 BLIND: Final = Duration(100 * NS_PER_MS)
 """An enabled drive is stopped after so long without a reading, or without a command."""
 HEARTBEAT_MS: Final = 50
+"""20 frames a second are no load on a bus that is measured."""
 WATCH_ENABLED_MS: Final = 150
 """Three heartbeats fit into it."""
 WATCH_DISABLED_MS: Final = 1000

@@ -29,6 +29,7 @@ from virtual_bus.drive.load_table import LoadTable, fill_loads
 from virtual_bus.drive.plant import fill_machine
 
 _REST_SPEED_RAD_S: Final = 0.5
+"""5 rpm, which a stop calls standstill; of an encoder whose counts make more, what they make."""
 _COUNTS_AT_REST: Final = 1.5
 """Encoder counts per inner period that still pass for rest: the last count may flicker."""
 

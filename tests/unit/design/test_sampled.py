@@ -35,10 +35,8 @@ from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 
 pytestmark = pytest.mark.long
-
-MODEL = speed_model(LING)
+MODEL, H = speed_model(LING), 0.01
 K = np.array([0.0, -0.0212])
-H = 0.01
 
 
 def network(
