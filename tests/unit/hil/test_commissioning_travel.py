@@ -32,6 +32,8 @@ PERIOD_S = 1e-3
 RATED_NM = 1.6
 LIMITS = motion_limits(Nameplate(), RATED_NM, 3000.0)
 LIGHT = Mechanics(1e-4, 1e-3, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0)
+BRAKED = Mechanics(1e-4, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0, 10, 0.0)
+"""Its speed falls by 500 rad/s in a second."""
 SMOOTH = Mechanics(1e-2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10, 0.0)
 """It never slows down by itself."""
 TRAVELS = [0.5, 5.0]
@@ -187,6 +189,18 @@ def test_a_shaft_coasts_over_no_more_than_half_of_the_travel(travel_rad: float) 
         assert len(free) > 50
         path = abs(position[free[-1]] - position[free[0]])
         assert 0.4 * travel_rad < path < 0.55 * travel_rad
+
+
+def test_a_shaft_coasts_down_to_a_fifth_of_its_speed() -> None:
+    """At rest it would tell nothing more, and where it came to rest nobody could say."""
+    session, shaft = session_of(math.inf, mechanics=BRAKED)
+    top = top_speed(session)
+    _coasts(session, top)
+    for position, torque in shaft.runs:
+        free = np.flatnonzero(torque[150:] == 0.0) + 150
+        speed = np.abs(np.diff(position)) / PERIOD_S
+        assert speed[free[0]] == pytest.approx(top, rel=0.05)
+        assert speed[free[-2]] == pytest.approx(0.2 * top, rel=0.1)
 
 
 @pytest.mark.parametrize("travel_rad", TRAVELS)
