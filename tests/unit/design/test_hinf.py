@@ -199,3 +199,19 @@ def test_a_slow_weight_beside_a_fast_one_is_no_integrator() -> None:
     ]
     least = [gamma_min(plant) for plant in plants]
     assert least[1:] == pytest.approx([least[0]] * 3, rel=3e-6)
+
+
+@pytest.mark.parametrize(("controls", "measurements"), [(0, 1), (3, 1), (1, 0), (1, 2)])
+def test_a_plant_without_one_of_its_signals_is_none(controls: int, measurements: int) -> None:
+    system = state_space([[-1.0]], [[1.0, 1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 3)))
+    with pytest.raises(
+        ValueError, match=f"{controls} controls of 3 inputs, {measurements} measurements of 2"
+    ):
+        GeneralisedPlant(system, controls, measurements)
+    GeneralisedPlant(system, 2, 1)
+
+
+def test_a_sampled_plant_is_refused() -> None:
+    system = state_space([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), period_s=1e-3)
+    with pytest.raises(ValueError, match="continuous plant"):
+        GeneralisedPlant(system, 1, 1)

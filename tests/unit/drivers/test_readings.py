@@ -89,6 +89,18 @@ def test_a_reading_is_complete_with_the_frame_of_the_speed() -> None:
     rig.bus.shutdown()
 
 
+@pytest.mark.parametrize("last", [5000, -(2**31), 2**31 - 2])
+@pytest.mark.parametrize("further", [0, 7, -7, 2**31 - 1, -(2**31)])
+def test_a_raw_position_is_counted_on_from_the_last_one(last: int, further: int) -> None:
+    rig = rig_of()
+    raw = (last + further + 2**31) % 2**32 - 2**31
+    assert rig.assembler.position_rad(raw) == rig.assembler.position_rad(None) == 0.0, "none was told yet"
+    rig.assembler.anchor_position(last, Instant(7))
+    assert rig.assembler.position_rad(raw) == pytest.approx((last + further) * 0.001, rel=1e-12, abs=1e-9)
+    assert rig.assembler.position_rad(None) == pytest.approx(last * 0.001)
+    rig.bus.shutdown()
+
+
 def test_a_stamp_in_another_frame_than_the_speed_is_not_used() -> None:
     plan = mode_plan(1, Mode.CYCLIC_SYNCHRONOUS_TORQUE, device_stamp=True)
     first, second, third = plan.tpdos
