@@ -117,6 +117,19 @@ def test_by_order_nothing_is_misplaced_while_the_drive_answers_before_the_next_s
         assert outcome.uncertain == []
 
 
+@pytest.mark.parametrize("has_clock", [True, False])
+def test_every_reading_is_counted_once(has_clock: bool) -> None:
+    again = {number: 60_000 for number in range(4, 2000, 4)}
+    outcome = play(
+        Network(uniform(150, 400, 0.1), duplicate=lambda n, _r: again.get(n), has_clock=has_clock), 2000
+    )
+    health = (outcome.by_stamp if has_clock else outcome.by_order).health
+    assert health.placed == len(outcome.placed)
+    twice = health.duplicates + health.unmatched
+    assert 0.8 * len(again) < twice < len(again), "as many as were not lost"
+    assert health.below_transit == 0
+
+
 def test_by_order_a_delay_that_begins_behind_the_next_sync_is_uncertain_never_wrong() -> None:
     """A gateway's 5 ms that begin after calibration: they would look like 0.24 ms."""
     outcome = play(Network(lambda n, _r: 240_000 if n < 1000 else 5_240_000, has_clock=False), 4000)

@@ -5,7 +5,7 @@ import pytest
 from drivers.errors import BadInput
 from drivers.timebase import NS_PER_MS, Instant
 from drivers.wire.adapters import parse_bus_spec
-from hil.execution.world import WorldPlan, open_world
+from hil.execution.world import WorldPlan, check_time, open_world
 from tests.motors import LING
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_plan import FaultPlan
@@ -33,6 +33,26 @@ def test_the_host_is_told_for_how_long_it_stalls() -> None:
         assert [host_stall(now) for now in ticks] == [0, 500_000, 0]
         world.faults.stop()
         assert host_stall(Instant(8 * NS_PER_MS)) == 0
+
+
+@pytest.mark.parametrize(
+    ("bus", "time", "paced"),
+    [
+        ("simulated", None, False),
+        ("simulated", "simulated", False),
+        ("simulated", "real", True),
+        ("hub:x", None, False),
+        ("hub:x", "real", False),
+    ],
+)
+def test_a_simulated_bus_alone_is_paced(bus: str, time: str | None, paced: bool) -> None:
+    assert check_time(parse_bus_spec(bus), time) is paced
+
+
+def test_time_cannot_be_simulated_on_a_bus_that_others_share() -> None:
+    with pytest.raises(BadInput, match="--time") as told:
+        check_time(parse_bus_spec("hub:x"), "simulated")
+    assert "'real' on the bus 'hub:x'" in str(told.value)
 
 
 def test_where_no_host_stalls_nothing_is_asked() -> None:
