@@ -15,6 +15,10 @@ from hil.commissioning.dialog import Choice, EmergencyStop, Idle, Silent, Termin
 from hil.commissioning.outcome import ReadingsLost, StepFailed, StepOutcome, StepRecord, StepVerdict
 from hil.commissioning.sequence import Abandoned, Step, run_sequence
 from hil.commissioning.session import Session
+from hil.commissioning.steps import all_steps
+from hil.commissioning.steps_static import DumpStep
+from hil.commissioning.steps_stopping import StopProof
+from hil.commissioning.steps_units import Turn
 from hil.machine.stopping import Interrupted, StopRequest
 
 
@@ -125,6 +129,15 @@ def test_an_essential_step_cannot_be_skipped() -> None:
     with pytest.raises(Abandoned):
         play(dialog, [Played("one", failures=9, essential=True), Played("two")])
     assert all(Choice.SKIP not in offered for offered in dialog.offered)
+
+
+def test_no_step_before_the_proof_that_it_stops_can_be_passed_over_but_two() -> None:
+    """A dump that failed harms nobody, and a whole turn is looked for only where there is room for it."""
+    steps = all_steps()
+    proved = next(place for place, step in enumerate(steps) if isinstance(step, StopProof))
+    before, behind = steps[: proved + 1], steps[proved + 1 :]
+    assert {type(step) for step in before if not step.essential} == {DumpStep, Turn}
+    assert not any(step.essential for step in behind)
 
 
 def test_quitting_leaves_the_rest_undone() -> None:

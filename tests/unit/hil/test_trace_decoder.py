@@ -153,7 +153,7 @@ def test_a_pdo_shorter_than_its_mapping_is_told() -> None:
 
 
 def test_frames_that_are_no_canopen_are_told_as_such() -> None:
-    assert texts("17F#00", "705#R", "705#85", "000#01", "080#", "181#01", "085#0011") == [
+    assert texts("17F#00", "705#R", "705#85", "000#01", "080#", "181#01", "085#0011", "085#001122") == [
         "no identifier of CANopen",
         "asked for its state",
         "operational, toggle 1",
@@ -161,6 +161,7 @@ def test_frames_that_are_no_canopen_are_told_as_such() -> None:
         "SYNC",
         "TPDO1 01 (its mapping is not known)",
         "EMCY of 2 bytes; it has 8: 1100h (generic error)",
+        "EMCY of 3 bytes; it has 8: 1100h (generic error)",
     ]
 
 
