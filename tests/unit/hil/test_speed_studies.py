@@ -241,12 +241,13 @@ def test_a_loop_that_is_not_certified_gets_no_file(tmp_path: Path) -> None:
     assert not out.exists()
 
 
-def test_an_outage_is_not_designed_for(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("structure", "most"), [("static", 50), ("predictor", 5), ("hinf", 5)])
+def test_an_outage_is_not_designed_for(tmp_path: Path, structure: str, most: int) -> None:
     network = tmp_path / "n.toml"
-    network.write_text(HAND_WRITTEN.replace("max = 1\n", "max = 51\n"))
-    status, _, err = run("design", "speed", MOTOR, "--network", str(network))
+    network.write_text(HAND_WRITTEN.replace("max = 1\n", f"max = {most + 1}\n"))
+    status, _, err = run("design", "speed", MOTOR, "--network", str(network), "--structure", structure)
     assert status == 2
-    assert "network.losses_in_a_row_max" in err
+    assert f"network.losses_in_a_row_max: found {most + 1}, expected at most {most}" in err
 
 
 def test_a_network_written_by_hand_is_enough(tmp_path: Path) -> None:
