@@ -18,7 +18,7 @@ from drivers.canopen.network import CanopenNetwork
 from drivers.canopen.nmt_states import NmtCommand
 from drivers.cia402.objects402 import Object
 from drivers.cia402.profile import CONTROLWORDS, DriveCommand, State, state_of
-from drivers.errors import BusDown, NoAnswer, PeerFault
+from drivers.errors import BusDown, NoAnswer, PeerFault, TransferAborted
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 
 _LIMIT: Final = Duration(5 * NS_PER_S)
@@ -35,6 +35,7 @@ _ASK_EVERY: Final = Duration(NS_PER_MS)
 _ASK_WAIT: Final = Duration(50 * NS_PER_MS)
 _SDO_TIMEOUT_S: Final = 0.05
 """Somebody waits for drives to stop: who is silent for so long is stopped by NMT."""
+_WORD: Final = 1 << 32
 _UPLOAD: Final = 0x40
 _DOWNLOAD_TWO_BYTES: Final = 0x2B
 """Expedited, with its size told: CiA 301 7.2.4.3.3."""
@@ -103,14 +104,10 @@ class _Stop:
     # ---- inside ---------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        word = self._read(Object.STATUSWORD)
-        self._state = state_of(word & 0xFFFF)
+        self._state = state_of(self._read(Object.STATUSWORD))
         if not self._asked:
             self._asked, self._before = True, self._before or self._state
-        position = self._read(Object.POSITION_ACTUAL_VALUE)
-        moved = None if self._position is None else abs(_signed(position - self._position))
-        self._position = position
-        rests = self._state in _DISABLED and moved is not None and moved <= _REST_UNITS
+        rests = self._stands_still() and self._state in _DISABLED
         if not rests or not self._calm:
             self._ended = self._network.clock.now()
         self._calm = self._calm + 1 if rests else 0
@@ -125,14 +122,21 @@ class _Stop:
             self._write(DriveCommand.QUICK_STOP)
         elif self._state in _ENABLING or self._state is None:
             self._write(DriveCommand.DISABLE_VOLTAGE)
-        elif self._state is State.QUICK_STOP and self._stands_still():
-            self._write(DriveCommand.DISABLE_VOLTAGE)  # 605Ah = 5 to 8 stay in it
+        elif self._state is State.QUICK_STOP:
+            self._network.pump(self._network.deadline_after(_ROUND))
+            if self._stands_still():
+                self._write(DriveCommand.DISABLE_VOLTAGE)  # 605Ah = 5 to 8 stay in it
 
     def _stands_still(self) -> bool:
+        """By its position now and when it was last read; not known of a drive that has none."""
         before = self._position
-        self._network.pump(self._network.deadline_after(_ROUND))
-        self._position = self._read(Object.POSITION_ACTUAL_VALUE)
-        return before is not None and abs(_signed(self._position - before)) <= _REST_UNITS
+        try:
+            self._position = self._read(Object.POSITION_ACTUAL_VALUE)
+        except TransferAborted:
+            self._position = None
+        if before is None or self._position is None:
+            return False
+        return _apart(before, self._position) <= _REST_UNITS
 
     def _on_silence(self) -> None:
         self._silent += 1
@@ -156,9 +160,9 @@ class _Stop:
         self._network.download(self.node, Object.CONTROLWORD, 0, CONTROLWORDS[command].to_bytes(2, "little"))
 
 
-def _signed(difference: int) -> int:
+def _apart(one: int, other: int) -> int:
     """Of two positions of 32 bits, which may wrap."""
-    return (difference + 0x8000_0000) % (1 << 32) - 0x8000_0000
+    return min((one - other) % _WORD, (other - one) % _WORD)
 
 
 def stop_drives(network: CanopenNetwork, nodes: Sequence[int]) -> list[NodeStopped]:

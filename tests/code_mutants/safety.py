@@ -41,6 +41,7 @@ _SERVO: Final = (
     _UNIT + "test_supervision.py",
     _UNIT + "test_modes.py",
 )
+_STOP: Final = ("tests/unit/hil/test_stopping_means.py", "tests/unit/hil/test_stopping.py")
 _LIMITS: Final = ("tests/unit/hil/test_commissioning_limits.py",)
 _EXERCISE: Final = ("tests/unit/hil/test_commissioning_exercise.py",)
 _SESSION: Final = ("tests/unit/hil/test_commissioning_session.py",)
@@ -101,6 +102,7 @@ SAFETY: Final = (
         ),
         _SERVO,
     ),
+    Guarded("hil/inspecting/stopping.py", ("*",), _STOP),
     Guarded("hil/commissioning/exercise.py", ("Watched.*", "EnergyMeter.*"), _LIMITS),
     Guarded("hil/commissioning/exercise.py", ("Exerciser._run",), _EXERCISE),
     Guarded(
