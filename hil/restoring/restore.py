@@ -103,7 +103,10 @@ def _nmt_heard(objects: RemoteObjects) -> int | None:
 
 
 def bring_to_rest(objects: RemoteObjects, limit: Duration = REST_LIMIT) -> None:
-    """Quick stop, wait for rest, disable. Raises PeerFault if the shaft still moves at the limit."""
+    """Quick stop, wait for rest, disable. Raises PeerFault if the shaft still moves at the limit.
+
+    A drive without 6064h is at rest as soon as it has disabled itself: in quick stop it may still turn.
+    """
     network = objects.network
     deadline = network.deadline_after(limit)
     last: int | None = None
@@ -113,7 +116,8 @@ def bring_to_rest(objects: RemoteObjects, limit: Duration = REST_LIMIT) -> None:
         if state in (State.OPERATION_ENABLED, State.QUICK_STOP):
             objects.write(Object.CONTROLWORD, 0, "H", CONTROLWORDS[DriveCommand.QUICK_STOP])
         position = objects.read_if_there(Object.POSITION_ACTUAL_VALUE, 0, "i")
-        calm = calm + 1 if position == last and state in (*_OUT_OF_THE_WAY, State.QUICK_STOP) else 0
+        stopped = state in _OUT_OF_THE_WAY or (state is State.QUICK_STOP and position is not None)
+        calm = calm + 1 if stopped and position == last else 0
         last = position
         if calm >= _REST_COUNTS:
             objects.write(Object.CONTROLWORD, 0, "H", CONTROLWORDS[DriveCommand.DISABLE_VOLTAGE])

@@ -103,6 +103,13 @@ SAFETY: Final = (
         _SERVO,
     ),
     Guarded("hil/inspecting/stopping.py", ("*",), _STOP),
+    Guarded("hil/restoring/restore.py", ("bring_to_rest",), ("tests/unit/hil/test_bring_to_rest.py",)),
+    Guarded(
+        "hil/restoring/restore.py",
+        (MODULE,),
+        ("tests/unit/hil/test_bring_to_rest.py",),
+        words=("REST_",),
+    ),
     Guarded("hil/commissioning/exercise.py", ("Watched.*", "EnergyMeter.*"), _LIMITS),
     Guarded("hil/commissioning/exercise.py", ("Exerciser._run",), _EXERCISE),
     Guarded(
