@@ -135,7 +135,7 @@ def test_a_torque_constant_per_ampere_of_either_kind(ampere: str, raw: int) -> N
 
 
 def test_the_example_of_the_documentation_is_one() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "commissioning.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "write-your-own.md").read_text(encoding="utf-8")
     (example,) = (block for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if "[motor]" in block)
     motor = read_family(example, "example.toml").motor
     assert motor is not None
