@@ -111,6 +111,7 @@ def read_xml_sections(data: bytes, log: RepairLog) -> Sections:
     reader = _Reader(log)
     parser = expat.ParserCreate()
     parser.buffer_text = True
+    parser.XmlDeclHandler = reader.declaration
     parser.StartDoctypeDeclHandler = reader.doctype
     parser.StartElementHandler = reader.start
     parser.EndElementHandler = reader.end
@@ -121,6 +122,16 @@ def read_xml_sections(data: bytes, log: RepairLog) -> Sections:
     except expat.ExpatError as error:
         raise NoXmlSheet(error.lineno, expat.ErrorString(error.code)) from None
     return reader.sections()
+
+
+def _is_known(encoding: str) -> bool:
+    """Expat reads it, or Python for it, if a character is an octet. What else Python has would fail there."""
+    if encoding.upper() in ("UTF-8", "UTF-16"):
+        return True
+    try:
+        return len(bytes(range(256)).decode(encoding, "replace")) == 256
+    except (LookupError, UnicodeError):
+        return False
 
 
 class _Reader:
@@ -136,6 +147,10 @@ class _Reader:
         self._objects: list[_Object] = []
         self._information: dict[str, dict[str, Option]] = {}
         self.line_of: Any = None
+
+    def declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        if encoding is not None and not _is_known(encoding):
+            raise NoXmlSheet(self.line_of(), f"an encoding {encoding[:60]!r}")
 
     def doctype(self, *_declared: Any) -> None:
         raise NoXmlSheet(self.line_of(), "a document type declaration")

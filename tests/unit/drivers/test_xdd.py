@@ -139,6 +139,23 @@ def test_other_xml_is_refused_by_what_it_is(text: str, found: str) -> None:
         xdd(text)
 
 
+def declared(encoding: str) -> str:
+    return xdd_text(OBJECTS.replace("Controlword", "Gr\xf6\xdfe")).replace("utf-8", encoding)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "UTF-16", "iso-8859-1", "windows-1252", "ISO-8859-15"])
+def test_a_sheet_is_read_in_the_encoding_that_it_declares(encoding: str) -> None:
+    found = parse_dictionary(declared(encoding).encode(encoding), "made.xdd", 5)
+    assert found.dictionary[0x6040].name == "Gr\xf6\xdfe"
+
+
+@pytest.mark.parametrize("encoding", ["utf-true", "hex", "utf-7", "idna", "shift_jis"])
+def test_an_encoding_that_is_none_is_refused(encoding: str) -> None:
+    """Python's codecs fail within Expat, each in its own way: found by a mutated file."""
+    with pytest.raises(BadInput, match=rf"made\.xdd.*line 1.*an encoding '{encoding}'"):
+        xdd(declared(encoding))
+
+
 def test_names_do_nothing_to_a_terminal() -> None:
     found = xdd(xdd_text(OBJECTS.replace("Controlword", "a&#x202e;b&#x9b;1m")))
     assert found.dictionary[0x6040].name == "a\\u202eb\\x9b1m"
