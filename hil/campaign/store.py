@@ -16,6 +16,7 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from drivers.bounded_file import parse_json, read_text
 from drivers.errors import BadInput
 from hil.campaign.plan import CampaignPlan
 from hil.campaign.worker import FIGURES, Row
@@ -139,10 +140,10 @@ def open_campaign(folder: Path, plan: CampaignPlan, resume: bool) -> RunStore:
     place = folder / PLAN_FILE
     identity = {"sweep": str(plan.source.absolute()), "identity": plan.identity}
     if place.exists():
-        stored = json.loads(place.read_text(encoding="utf-8"))
-        if stored.get("identity") != plan.identity:
+        sweep, stored = _stored(place)
+        if stored != plan.identity:
             expected = "a folder of its own, or the sweep and the files it names as they were"
-            held = f"it holds the campaign of {stored.get('sweep')}"
+            held = f"it holds the campaign of {sweep}"
             raise BadInput("--out", "", str(folder), expected, held)
         if not resume:
             raise BadInput("--out", "", str(folder), "a new or empty folder", "--resume goes on with it")
@@ -161,9 +162,18 @@ def plan_in(folder: Path) -> CampaignPlan:
     place = folder / PLAN_FILE
     if not place.exists():
         raise BadInput("DIR", "", str(folder), "the folder of a campaign: --out of hil campaign")
-    stored = json.loads(place.read_text(encoding="utf-8"))
-    plan = CampaignPlan.load(Path(stored["sweep"]))
-    if plan.identity != stored["identity"]:
+    sweep, stored = _stored(place)
+    plan = CampaignPlan.load(Path(sweep))
+    if plan.identity != stored:
         expected = "the sweep and the files that it names as they were when the campaign ran"
-        raise BadInput(stored["sweep"], "", plan.identity, expected)
+        raise BadInput(sweep, "", plan.identity, expected)
     return plan
+
+
+def _stored(place: Path) -> tuple[str, str]:
+    """Path of the sweep, and the identity of its campaign. Raises BadInput."""
+    table = parse_json(read_text(place, "campaign"), str(place), "what hil campaign wrote")
+    match table:
+        case {"sweep": str(sweep), "identity": str(identity)}:
+            return sweep, identity
+    raise BadInput(str(place), "", table, "the sweep and the identity of a campaign")

@@ -1,6 +1,5 @@
 """The recording of a run that nobody has ended: what it was to be is in its own bench file."""
 
-import json
 from pathlib import Path
 
 from drivers.errors import BadInput
@@ -15,8 +14,8 @@ from hil.recording.recovery import recover
 from hil.recording.run_metadata import BENCH_START, FIRST_CYCLE, FIRST_CYCLE_EPOCH
 from hil.rows.recording_plan import RecordingPlan
 from hil.rows.records_file import RECORDS_FILE, read_metadata
-from hil.rows.run_files import BENCH_FILE, SUMMARY_FILE
-from hil.verdict.plain_values import from_plain
+from hil.rows.run_files import BENCH_FILE
+from hil.rows.summary_file import read_summary
 from hil.verdict.summary import Summary
 from hil.verdict.verdict import RunOutcome
 
@@ -28,8 +27,8 @@ def refuse_whole(folder: Path) -> None:
     if not (folder / BENCH_FILE).is_file():
         raise BadInput("RUN", "", str(folder), f"the folder of a run, with its {BENCH_FILE}")
     try:
-        from_plain(Summary, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
-    except (OSError, ValueError):
+        read_summary(folder)
+    except BadInput:
         return
     raise BadInput("RUN", "", str(folder), "a recording without a summary", "this one is whole")
 

@@ -5,7 +5,6 @@ that moment carried them, in the units that were found in the end. A commissioni
 page, too, in the units that the drive tells.
 """
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from drivers.bounded_file import NoSuchFile, parse_json, read_lines, read_text
 from drivers.cia402.objects402 import Object
 from drivers.errors import BadInput
 from drivers.rotation import RPM_PER_RAD_S
@@ -112,11 +112,14 @@ def _write(folder: Path, page: Path) -> None:
 
 def _figures(folder: Path) -> Mapping[str, Any]:
     """Of figures.json; a commissioning that was killed has none."""
-    path = folder / COMMISSIONING_FIGURES
+    path, what = folder / COMMISSIONING_FIGURES, "what hil commission wrote"
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {"steps": []}
-    except (OSError, ValueError) as error:
-        raise BadInput(str(path), "file", str(error), "what hil commission wrote") from None
+        figures = parse_json(read_text(path, "commissioning"), str(path), what)
+    except NoSuchFile:
+        return {"steps": []}
+    if not isinstance(figures, dict):
+        raise BadInput(str(path), "", figures, what)
+    return figures
 
 
 def _known(folder: Path) -> KnownNodes:
@@ -129,10 +132,10 @@ def _known(folder: Path) -> KnownNodes:
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+    for number, line in enumerate(read_lines(path, "log of events") if path.exists() else (), start=1):
         try:
-            yield json.loads(line)
-        except ValueError:
+            yield parse_json(line, str(path), "an event", f"line {number}")
+        except BadInput:
             return  # the last one of a commissioning that was killed
 
 

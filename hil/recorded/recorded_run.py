@@ -1,10 +1,10 @@
 """A run's folder, read: its bench, its rows, what it came to."""
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.bounded_file import NoSuchFile
 from drivers.errors import BadInput
 from drivers.timebase import duration_s
 from drivers.wire.adapters import parse_bus_spec
@@ -19,7 +19,7 @@ from hil.rows.recording_plan import ReviewPlan
 from hil.rows.records import Rows
 from hil.rows.records_file import RECORDS_FILE, read_metadata, read_records
 from hil.rows.run_files import BENCH_FILE, SUMMARY_FILE
-from hil.verdict.plain_values import from_plain
+from hil.rows.summary_file import read_summary
 from hil.verdict.summary import Summary
 
 
@@ -74,13 +74,11 @@ def open_run(folder: Path, argument: str = "RUN") -> RecordedRun:
     if not told.isdigit() or not 1 <= int(told) <= int(FORMAT):
         raise BadInput(argument, "format", told, f"a recording of format 1 to {FORMAT}")
     try:
-        summary = from_plain(Summary, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
-    except FileNotFoundError:
+        summary = read_summary(folder)
+    except NoSuchFile:
         raise BadInput(
             argument, "", str(folder), f"a run with its {SUMMARY_FILE}", "hil recover ends it"
         ) from None
-    except (OSError, ValueError) as error:
-        raise BadInput(argument, "", str(folder / SUMMARY_FILE), f"a whole summary ({error})") from None
     config = load_bench(folder / BENCH_FILE)
     simulated = parse_bus_spec(config.bus.spec, config.source).simulated
     review = assembly.review_plan(config, certified_plans(config, (), simulated), not simulated)
