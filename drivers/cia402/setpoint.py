@@ -99,8 +99,6 @@ class SetPointFrames:
         torque_max_nm: float | None,
         speed_max_rad_s: float | None = None,
     ) -> None:
-        self.clipped = 0
-        """Set-points beyond their limit."""
         self._link: BusLink = network.link
         per_nm, per_rad_s = 1.0 / scaling.torque_nm, 1.0 / scaling.velocity_rad_s
         self._per_nm = scaling.torque_sign * per_nm
@@ -143,7 +141,6 @@ class SetPointFrames:
         limit = self._torque_raw_max
         if not -limit <= raw <= limit:
             raw = limit if raw > 0 else -limit
-            self.clipped += 1
         for place in self._torque:
             place.carrier.values[place.place] = raw
         return raw
@@ -158,11 +155,8 @@ class SetPointFrames:
 
     def send_speed(self, speed_rad_s: float, sequence: int) -> SentCommand:
         """As :meth:`send_torque`, for 0x60FF."""
-        raw = round(speed_rad_s * self._per_rad_s)
         limit = self._velocity_raw_max
-        if not -limit <= raw <= limit:
-            raw = limit if raw > 0 else -limit
-            self.clipped += 1
+        raw = min(max(round(speed_rad_s * self._per_rad_s), -limit), limit)
         self.hold(Object.TARGET_VELOCITY, raw)
         places = self._places.get(Object.TARGET_VELOCITY, [])
         return self._send_first(places, Object.TARGET_VELOCITY, raw, sequence)

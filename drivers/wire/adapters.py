@@ -40,8 +40,6 @@ SOCKETCAN = "socketcan"
 SLCAN = "slcan"
 SERIAL_INTERFACES = (SLCAN, "serial", "robotell", "seeedstudio")
 """Those whose channel is a serial port, which may bear a line speed."""
-BITRATES_BIT_S = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""CiA 301 table 1, and 100 kbit/s, which many adapters have."""
 
 _FOREIGN_NETWORK = ("udp_multicast",)
 """Interfaces that send bus traffic out of the machine to whoever listens."""

@@ -19,7 +19,7 @@ from virtual_bus.faults.fault_log import FaultLog
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.frame_fault import Side
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.hosting.faulty_device import FaultyDevice, SimulatedNode
 from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 from virtual_bus.pacing import PacedTimeline
@@ -176,14 +176,14 @@ class _SimulatedSegment:
         for device in devices:
             self._attach(device)
         for other in background_nodes(own.background, plan.seed):
-            attach_to_segment(other, segment, timeline, f"background 0x{other.stream.can_id:X}")
+            AttachedDevice(other, segment, f"background 0x{other.stream.can_id:X}")
         name = own.name or str(plan.spec)
         self.link = BusLink(self.faulty or bus, clock, StampSource.MONOTONIC, name)
 
     def _attach(self, device: SimulatedNode) -> None:
         injection, segment = self.injection, self.segment
         node = device if injection is None else injection.wrap(device)
-        attached = attach_to_segment(node, segment, segment.timeline)
+        attached = AttachedDevice(node, segment)
         if injection is not None and isinstance(node, FaultyDevice):
             node.controller = attached.port
             injection.on_start(attached.wake_now)

@@ -32,7 +32,7 @@ from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_plan import load_fault_plan
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 ROOT = Path(__file__).parents[2]
@@ -178,7 +178,7 @@ def _bus_cycle(faults: FaultInjector | None) -> Callable[[int], None]:
     bus = HostPort(segment, "host")
     if faults is not None:
         bus.put_before(faults, Direction.HOST_TO_DRIVE)
-    attach_to_segment(SimulatedServo(1, LING2012.parameters), segment, timeline)
+    AttachedDevice(SimulatedServo(1, LING2012.parameters), segment)
     bus.transmit(Frame(0, b"\x01\x00"))
 
     def run(cycles: int) -> None:

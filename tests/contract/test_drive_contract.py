@@ -27,7 +27,7 @@ from virtual_bus.faults.fault_injector import FaultInjector
 from virtual_bus.faults.fault_plan import FaultPlan
 from virtual_bus.faults.faulty_bus import FaultyBus
 from virtual_bus.faults.kinds.loss import Loss
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MOTOR = PmsmParameters(
@@ -95,7 +95,7 @@ def make_bench(plan: FaultPlan | None = None, seed: int = 0) -> Bench:
     timeline = Timeline()
     clock, segment = SimulatedClock(timeline), CanSegment(timeline)
     device = SimulatedServo(1, MOTOR, DriveParameters(), 1)
-    attach_to_segment(device, segment, timeline)
+    AttachedDevice(device, segment)
     bus: can.BusABC = SimulatedBus(segment=segment)
     if plan is not None:
         faulty = FaultyBus(bus, FaultInjector(plan, seed), clock, side="host")
@@ -294,7 +294,7 @@ def test_a_drive_that_nothing_stops_stops_by_the_end_of_the_heartbeat() -> None:
     """Every SDO and RPDO to the first of two drives is lost. The second is let go in order all the same."""
     to_the_first = keys(direction="host_to_drive", frames=(0x601, 0x201), from_s=1e-9 * NS_PER_S)
     bench = make_bench(FaultPlan((Loss(**to_the_first, probability=1.0),)))
-    attach_to_segment(SimulatedServo(2, MOTOR, DriveParameters(), 2), bench.segment, bench.timeline)
+    AttachedDevice(SimulatedServo(2, MOTOR, DriveParameters(), 2), bench.segment)
     other = ServoDrive(bench.network, 2, "axis2")
     other.connect(bench.soon())
     other.configure(SETTINGS)
@@ -302,7 +302,7 @@ def test_a_drive_that_nothing_stops_stops_by_the_end_of_the_heartbeat() -> None:
     other.enable(bench.soon())
     bench.run(300, 0.3)
     bench.network.pump(Instant(NS_PER_S))
-    assert bench.device.drive_state is State.OPERATION_ENABLED
+    assert bench.device.drive.power.state is State.OPERATION_ENABLED
 
     released = bench.drive.release(Duration(NS_PER_S // 2))
     assert not released.at_rest
@@ -311,6 +311,6 @@ def test_a_drive_that_nothing_stops_stops_by_the_end_of_the_heartbeat() -> None:
     ended = other.release()
     assert ended.at_rest, ended
     bench.network.pump(bench.soon(0.4))
-    assert bench.device.drive_state is not State.OPERATION_ENABLED
+    assert bench.device.drive.power.state is not State.OPERATION_ENABLED
     assert abs(bench.device.drive.firmware.speed_rad_s) < 1.0
     bench.bus.shutdown()

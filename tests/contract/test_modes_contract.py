@@ -19,7 +19,7 @@ from tests.motors import LING
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 
@@ -27,7 +27,7 @@ def simulated_rig(synchronous: bool) -> Iterator[ModesRig]:
     timeline = Timeline()
     clock, segment = SimulatedClock(timeline), CanSegment(timeline)
     device = SimulatedServo(NODE, LING)
-    attach_to_segment(device, segment, timeline)
+    AttachedDevice(device, segment)
 
     def tell(action: Callable[[SimulatedServo], None]) -> None:
         device.wake(timeline.now)

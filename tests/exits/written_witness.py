@@ -24,7 +24,7 @@ class WrittenWitness(DriveWitness):
         self._moving = False
 
     def receive(self, frame: Frame, now: Instant) -> Sequence[Frame]:
-        if frame.can_id == SYNC_ID and self._drive.drive_state is State.OPERATION_ENABLED:
+        if frame.can_id == SYNC_ID and self._drive.drive.power.state is State.OPERATION_ENABLED:
             self._write(now, cycle=True)
         return super().receive(frame, now)
 

@@ -117,6 +117,6 @@ def rehearsed(
         faults=[fault for step in steps for fault in step["faults"]],
         moved=abs(float(state[S_COUNT]) - began[0]) > MOVED_COUNTS,
         stands=abs(float(state[S_SPEED_MEASURED])) < AT_REST_RAD_S,
-        enabled=servo.drive_state is State.OPERATION_ENABLED,
+        enabled=servo.drive.power.state is State.OPERATION_ENABLED,
         restored=figures["restored"] is not False,
     )

@@ -12,7 +12,7 @@ from hil.execution.simulated_drives import simulated_drives
 from hil.execution.world import World, WorldPlan
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 
 
 class ForeignNode:
@@ -68,7 +68,7 @@ def put_on_the_bus(world: World, *nodes: Any) -> None:
     bus: Any = world.link.bus
     segment = getattr(bus, "inner", bus).segment
     for node in nodes:
-        attach_to_segment(node, segment, segment.timeline, "foreign")
+        AttachedDevice(node, segment, "foreign")
 
 
 @contextmanager

@@ -17,17 +17,19 @@ from drivers.cia402.servo import ServoDrive
 from drivers.errors import BusDown
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
+from drivers.wire.frame_port import ERROR_FLAG
 from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.testing.bench_runs import BenchRunner
 from tests.motors import LING
 from virtual_bus.bus.controller import ErrorState
 from virtual_bus.bus.disturbance import Disturbance
+from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import AttachedDevice, attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -67,7 +69,7 @@ class Axis:
 def make_axis(timeline: Timeline, name: str = "axis1") -> Axis:
     segment, clock = CanSegment(timeline), SimulatedClock(timeline)
     servo = SimulatedServo(1, LING)
-    attached = attach_to_segment(servo, segment, timeline)
+    attached = AttachedDevice(servo, segment)
     bus = SimulatedBus(segment=segment)
     network = CanopenNetwork(BusLink(bus, clock, StampSource.MONOTONIC, name), clock)
     return Axis(segment, bus, servo, attached, network, ServoDrive(network, 1, name))
@@ -125,7 +127,7 @@ def test_a_host_that_goes_bus_off_is_told_so_and_the_drive_comes_to_rest_by_itse
     assert axis.bus.state is can.BusState.ERROR
     axis.settle(1_000)
     assert abs(axis.speed_rad_s) < 0.5
-    assert axis.servo.drive_state is not State.OPERATION_ENABLED
+    assert axis.servo.drive.power.state is not State.OPERATION_ENABLED
 
 
 def test_a_drive_survives_to_be_unplugged_for_less_than_its_host_s_time_out(axis: Axis) -> None:
@@ -135,15 +137,18 @@ def test_a_drive_survives_to_be_unplugged_for_less_than_its_host_s_time_out(axis
     run([axis], 50, [0.2])
     axis.attached.port.plug()
     run([axis], 100, [0.2])
-    assert axis.servo.drive_state is State.OPERATION_ENABLED
+    assert axis.servo.drive.power.state is State.OPERATION_ENABLED
     assert axis.attached.port.error_state is ErrorState.ACTIVE
 
 
-def test_python_can_gets_error_frames_where_it_asks_for_them() -> None:
+def test_error_frames_tell_of_the_senders_counters_and_no_receiver_gets_them() -> None:
     segment = CanSegment(Timeline())
-    asking = SimulatedBus("asking", segment=segment, receive_error_frames=True)
-    plain = SimulatedBus("plain", segment=segment)
+    sender, plain = SimulatedBus("sender", segment=segment), SimulatedBus("plain", segment=segment)
     attempts = 0
+    got: list[tuple[Instant, Frame]] = []
+    segment.add_error_monitor(
+        lambda error: got.append((error.at, error_frame_of(error, sender.port.controller)))
+    )
 
     def judge(_sender: str, _frame: Frame, _at: Instant) -> Disturbance | None:
         nonlocal attempts
@@ -151,20 +156,21 @@ def test_python_can_gets_error_frames_where_it_asks_for_them() -> None:
         return Disturbance(40) if attempts <= 16 else None
 
     segment.set_disturb(judge)
-    asking.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=bytes(8)))
-    got = [message for _ in range(20) if (message := asking.recv(0.01)) is not None]
+    sender.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=bytes(8)))
+    assert sender.recv(0.01) is None
+    told = [frame.data for _, frame in got]
     assert len(got) == segment.errors == 16
-    assert all(message.is_error_frame and len(message.data) == 8 for message in got)
-    assert [message.data[6] for message in got] == [8 * n for n in range(1, 17)]
-    assert [bool(message.data[1] & 0x08) for message in got] == [96 <= 8 * n < 128 for n in range(1, 17)]
-    assert got[-1].data[1] & 0x20, "transmit error passive"
-    assert all(earlier.timestamp < later.timestamp for earlier, later in pairwise(got))
+    assert all(frame.can_id & ERROR_FLAG and len(frame.data) == 8 for _, frame in got)
+    assert [data[6] for data in told] == [8 * n for n in range(1, 17)]
+    assert [bool(data[1] & 0x08) for data in told] == [96 <= 8 * n < 128 for n in range(1, 17)]
+    assert told[-1][1] & 0x20, "transmit error passive"
+    assert all(earlier < later for (earlier, _), (later, _) in pairwise(got))
     heard = plain.recv(0.01)
     assert heard is not None
     assert not heard.is_error_frame
     assert plain.recv(0.01) is None
-    assert asking.state is can.BusState.ACTIVE  # 128 - 1 after its success
-    for bus in (asking, plain):
+    assert sender.state is can.BusState.ACTIVE  # 128 - 1 after its success
+    for bus in (sender, plain):
         bus.shutdown()
 
 

@@ -173,7 +173,7 @@ class Rig:
         self.bus.cut_at = None
         network = CanopenNetwork(self.world.link, self.world.clock)
         network.pump(Instant(self.world.clock.now() + 2 * NS_PER_S))
-        assert self.servo.drive_state is not State.OPERATION_ENABLED, "the drive missed its host"
+        assert self.servo.drive.power.state is not State.OPERATION_ENABLED, "the drive missed its host"
         result = restore(network, read_journal(self.request.journal))
         assert result.failures == []
         append_restored(self.request.journal)
@@ -235,7 +235,7 @@ def test_ctrl_c_puts_the_drive_back_by_itself(rig: Rig, frames: dict[str, int], 
     assert isinstance(result.error, Interrupted), [(r.name, r.reason) for r in result.records]
     assert result.records[-1].name == name or rig.bus.sent >= (rig.stop.at or 0)
     assert rig.memory() == before
-    assert rig.servo.drive_state is State.SWITCH_ON_DISABLED
+    assert rig.servo.drive.power.state is State.SWITCH_ON_DISABLED
     assert "Ended early" in (rig.request.out / "report.md").read_text()
 
 

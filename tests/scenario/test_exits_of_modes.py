@@ -106,7 +106,7 @@ class ShaftWitness(DriveWitness):
         return abs(float(self._drive.drive.firmware.state[S_SPEED]))
 
     def _seen(self, frames: Any, now: Instant) -> Any:
-        if self._drive.drive_state is State.OPERATION_ENABLED:
+        if self._drive.drive.power.state is State.OPERATION_ENABLED:
             self.turned_rad_s = max(self.turned_rad_s, self.shaft_rad_s)
         return super()._seen(frames, now)
 
@@ -120,7 +120,7 @@ class ShaftWitness(DriveWitness):
             self._drive.wake(now)
             if ms * NS_PER_MS < REST_WITHIN_NS:
                 continue
-            state = self._drive.drive_state
+            state = self._drive.drive.power.state
             assert self.shaft_rad_s < STILL_RAD_S, f"{self.shaft_rad_s:.1f} rad/s in {state} after {ms} ms"
             assert state is not State.OPERATION_ENABLED, f"enabled after {ms} ms"
 

@@ -161,7 +161,7 @@ def test_a_disabled_drive_stays_so_and_says_what_was_not_measured(tmp_path: Path
     states: set[State] = set()
 
     def look(phase: str, elapsed_s: float) -> None:  # noqa: ARG001
-        states.add(rig.servos[0].drive_state)
+        states.add(rig.servos[0].drive.power.state)
 
     frames = Frames()
     with measuring_rig(tmp_path) as rig:
@@ -218,7 +218,7 @@ def test_a_drive_that_does_not_tell_is_not_measured_there(
 
 def assert_as_before(rig: Rig, before: dict[tuple[int, int, int], bytes], said: Sequence[str] = ()) -> None:
     assert rig.memory() == before
-    assert {servo.drive_state for servo in rig.servos} <= {State.SWITCH_ON_DISABLED, State.FAULT}
+    assert {servo.drive.power.state for servo in rig.servos} <= {State.SWITCH_ON_DISABLED, State.FAULT}
     assert not rig.folder.exists(), "nothing is left to put back"
     assert rig.said == list(said), "and all are at rest"
 
@@ -265,13 +265,13 @@ def test_the_journal_of_a_lost_bus_puts_everything_back(tmp_path: Path) -> None:
         cut.cut_at = 2000
         with pytest.raises(BusDown):
             rig.measure(cycles=5000, enable=True)
-        assert rig.servos[0].drive_state is State.OPERATION_ENABLED
+        assert rig.servos[0].drive.power.state is State.OPERATION_ENABLED
         journal = rig.folder / "node1.jsonl"
         assert f"hil restore --bus simulated --node 1 {journal}" in rig.said
         rig.world = whole
         network = CanopenNetwork(whole.link, whole.clock)
         network.pump(network.deadline_after(Duration(2 * NS_PER_S)))
-        assert rig.servos[0].drive_state is not State.OPERATION_ENABLED
+        assert rig.servos[0].drive.power.state is not State.OPERATION_ENABLED
         assert restore(network, read_journal(journal)).complete
         assert rig.memory() == before
 

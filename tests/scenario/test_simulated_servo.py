@@ -11,7 +11,7 @@ from tests.motors import AZAIZ, LING
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 SYNC = Frame(0x80)
@@ -27,7 +27,7 @@ class Master:
         self.port = self.segment.attach("master", lambda frame, at: self.heard.append((frame, at)))
 
     def add(self, node_id: int, servo: SimulatedServo) -> None:
-        attach_to_segment(servo, self.segment, self.timeline, f"drive {node_id}")
+        AttachedDevice(servo, self.segment, f"drive {node_id}")
 
     def wait_ms(self, milliseconds: float) -> None:
         self.timeline.run_until(Instant(self.timeline.now + round(milliseconds * NS_PER_MS)))
@@ -63,7 +63,7 @@ def test_two_axes_close_a_millisecond_cycle_on_one_bus(master: Master) -> None:
         master.add(node_id, servo)
     master.wait_ms(1)
     master.enable(1, 2)
-    assert all(servo.drive_state is State.OPERATION_ENABLED for servo in drives.values())
+    assert all(servo.drive.power.state is State.OPERATION_ENABLED for servo in drives.values())
     for _ in range(100):
         master.cycle(1, 2, torque_raw=300)
     identifiers = [frame.can_id for frame, _at in master.heard]
@@ -115,8 +115,8 @@ def test_unplugging_the_master_leaves_the_shaft_to_the_heartbeat_consumer(master
     assert servo.drive.firmware.speed_rad_s > 80.0
     master.port.detach()
     master.wait_ms(150)
-    states = [servo.drive_state]
+    states = [servo.drive.power.state]
     master.wait_ms(200)
-    states.append(servo.drive_state)
+    states.append(servo.drive.power.state)
     assert states == [State.QUICK_STOP, State.SWITCH_ON_DISABLED]
     assert servo.drive.firmware.speed_rad_s == 0.0

@@ -75,7 +75,7 @@ class DriveWitness:
 
     def _seen(self, frames: Sequence[Frame], now: Instant) -> Sequence[Frame]:
         self.seen_at = now
-        state, seen = self._drive.drive_state, self._seen_so_far
+        state, seen = self._drive.drive.power.state, self._seen_so_far
         if not seen.states or seen.states[-1][1] is not state:
             seen.states.append((now, state))
         for frame in frames:

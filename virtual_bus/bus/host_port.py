@@ -8,7 +8,6 @@ is held waits on the segment's own timeline, so a fault costs one event and no p
     segment -- end of an own frame --> inbox
 """
 
-from collections.abc import Callable
 from typing import Final
 
 from can.typechecking import CanFilters
@@ -16,8 +15,6 @@ from can.typechecking import CanFilters
 from drivers.timebase import Instant
 from drivers.wire.frame_port import EchoBasis, FramePort, accepts
 from virtual_bus.bus.controller import ErrorState
-from virtual_bus.bus.disturbance import BusError
-from virtual_bus.bus.error_message import error_frame_of
 from virtual_bus.bus.held_frames import NEVER, HeldFrames
 from virtual_bus.bus.judge import Direction, Judge
 from virtual_bus.bus.listener import Listener
@@ -124,7 +121,6 @@ class HostPort(FramePort):
         self._release_in = _Release(self, False)
         self._release_out = _Release(self, True)
         self._closed = False
-        self._deaf_to_errors: Callable[[], None] | None = None
         self.port: Port = segment.attach(name, _Ear(self))
 
     def put_before(self, judge: Judge, out: Direction) -> None:
@@ -181,15 +177,6 @@ class HostPort(FramePort):
         self.echoes = EchoBasis.BUS
         self.port.on_sent = self._on_sent
 
-    def hear_errors(self, segment: CanSegment) -> None:
-        """Let error frames come in from now on, each as a frame whose identifier bears ERROR_FLAG."""
-        self._deaf_to_errors = segment.add_error_monitor(self._on_error)
-
-    def _on_error(self, error: BusError) -> None:
-        if self.port.controller.on_bus:
-            frame = error_frame_of(error, self.port.controller)
-            self._store(ReceivedFrame(frame, error.at, False))
-
     def _on_sent(self, frame: Frame, at: Instant) -> None:
         self._keep(frame, at, True)
 
@@ -197,10 +184,7 @@ class HostPort(FramePort):
         """Put a frame into the inbox, if a filter lets it through and there is room."""
         if self.filters is not None and not accepts(self.filters, frame):
             return
-        self._store(ReceivedFrame(frame, at, own))
-
-    def _store(self, arrival: ReceivedFrame) -> None:
-        if not self.received.put(arrival):
+        if not self.received.put(ReceivedFrame(frame, at, own)):
             self.overruns += 1
 
     def send_held(self) -> None:
@@ -216,8 +200,6 @@ class HostPort(FramePort):
         """Send what is held, as a last command may be among it, and leave the segment."""
         self.send_held()
         self._closed = True
-        if self._deaf_to_errors is not None:
-            self._deaf_to_errors()
         self.port.detach()
 
     def _on_frame(self, frame: Frame, now: Instant) -> None:

@@ -23,8 +23,7 @@ class SimulatedBus(can.BusABC):
     Without ``segment`` it makes its own, on a timeline of its own. ``recv`` lets simulated
     time pass until a frame is there; ``send`` queues at the present instant and lets none pass.
     A message's timestamp is its end of frame in seconds of simulated time, or that of its release
-    if a fault held it. ``receive_error_frames``: error frames on the segment come as messages whose
-    ``is_error_frame`` is set, with identifier and data as SocketCAN has them.
+    if a fault held it.
     """
 
     def __init__(
@@ -35,7 +34,6 @@ class SimulatedBus(can.BusABC):
         segment: CanSegment | None = None,
         bitrate: int = 1_000_000,
         receive_own_messages: bool = False,
-        receive_error_frames: bool = False,
         **_: object,
     ) -> None:
         self.segment = segment if segment is not None else CanSegment(Timeline(), bitrate)
@@ -46,8 +44,6 @@ class SimulatedBus(can.BusABC):
         """Its frames without python-can."""
         if receive_own_messages:
             host_port.hear_itself()
-        if receive_error_frames:
-            host_port.hear_errors(self.segment)
         super().__init__(channel or "", can_filters)
 
     @property

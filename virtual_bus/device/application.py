@@ -117,9 +117,3 @@ class Application:
 
         Called before the error behaviour of 1029h acts, for CiA 402 object 6007h.
         """
-
-    def on_time(self, days: int, milliseconds: int, now: Instant) -> None:
-        """A TIME message: days since 1 January 1984 and milliseconds since midnight."""
-
-    def on_communication_restored(self, cause: CommunicationLoss, node_id: int, now: Instant) -> None:
-        """The lost node is heard again."""

@@ -29,7 +29,7 @@ from virtual_bus.device.parameter_storage import MemoryStore, ParameterStorage, 
 from virtual_bus.device.pdo_engine import PdoEngine
 from virtual_bus.device.sdo_server import SdoServer
 from virtual_bus.device.station import NEVER, Station
-from virtual_bus.device.sync_consumer import SyncConsumer, TimeConsumer
+from virtual_bus.device.sync_consumer import SyncConsumer
 from virtual_bus.frame import Frame
 
 RECOVERED_FROM_BUS_OFF: Final = 0x8140
@@ -67,11 +67,10 @@ class CanopenDevice:
         self._nmt = NmtSlave(station, self._reset_node, self._reset_communication)
         self._pdos = PdoEngine(station, self._emergency)
         self._sync = SyncConsumer(station, self._emergency, self._pdos)
-        self._time = TimeConsumer(station)
         store = store or MemoryStore()
         self._storage = ParameterStorage(station.dictionary, store)
         self._lss = LssSlave(station, store, self._take_node_id)
-        self._sdo = SdoServer(station, options.sdo_timeout_ms)
+        self._sdo = SdoServer(station)
         self._heartbeat = HeartbeatProducer(station)
         self._consumers = HeartbeatConsumers(station, self._emergency, self._nmt)
         self._guarding = NodeGuarding(station, self._emergency, self._nmt, self._heartbeat)
@@ -115,11 +114,6 @@ class CanopenDevice:
     def dictionary(self) -> ObjectDictionary:
         """All objects."""
         return self._station.dictionary
-
-    @property
-    def active_errors(self) -> tuple[int, ...]:
-        """EMCY error codes of the active errors, the oldest first."""
-        return self._emergency.active
 
     def raise_error(self, code: int, register: ErrorRegister, information: bytes = b"") -> None:
         """See :class:`virtual_bus.device.application.DeviceServices`."""
@@ -200,7 +194,6 @@ class CanopenDevice:
         self._application.advance(now)
         self._emergency.raise_error(RECOVERED_FROM_BUS_OFF, ErrorRegister.COMMUNICATION)
         self._emergency.clear_error(RECOVERED_FROM_BUS_OFF)
-        self._application.on_communication_restored(CommunicationLoss.BUS_OFF, 0, now)
         return self._take_frames()
 
     def _take_frames(self) -> Sequence[Frame]:
@@ -238,7 +231,7 @@ class CanopenDevice:
         self._station.node_id = self._lss.pending_node_id
         self._station.dictionary.restore(*_COMMUNICATION_PROFILE, self.node_id)
         self._emergency.update_register()
-        for part in (self._sdo, self._pdos, self._sync, self._time, self._consumers, self._guarding):
+        for part in (self._sdo, self._pdos, self._sync, self._consumers, self._guarding):
             part.reset_communication()
         self._boot_timer.stop()
         takes_ns = max(takes_ns, self._slow_boot())

@@ -19,21 +19,27 @@ from virtual_bus.device.object_dictionary import Access, ObjectDictionary, Varia
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 UNCOMPRESSED = 0
 """1022h: the EDS as it is (CiA 301, 7.5.2.24)."""
+_VERSION = "1"
+"""Of hardware and software."""
+_ERRORS_KEPT = 8
+_HEARTBEAT_CONSUMERS = 4
+_MAPPING_ENTRIES = 8
+"""As many as a PDO of octets holds."""
 RO, RW, CONST = Access.READ_ONLY, Access.READ_WRITE, Access.CONST
 
 
 def add_communication_objects(dictionary: ObjectDictionary, options: DeviceOptions) -> None:
     """Add every object of the communication profile; the parts of the device hook into them later."""
-    _add_errors(dictionary, options)
+    _add_errors(dictionary)
     _add_sync(dictionary)
     _add_identity(dictionary, options)
     _add_error_control(dictionary, options)
     _add_storage(dictionary)
     _add_sdo_server(dictionary)
     for number, default in enumerate(options.rpdos):
-        _add_rpdo(dictionary, number, default, options.mapping_entries)
+        _add_rpdo(dictionary, number, default)
     for number, default in enumerate(options.tpdos):
-        _add_tpdo(dictionary, number, default, options.mapping_entries)
+        _add_tpdo(dictionary, number, default)
 
 
 def _add(
@@ -42,11 +48,11 @@ def _add(
     return dictionary.add(entry, entry.title, data_type, access, **options)
 
 
-def _add_errors(dictionary: ObjectDictionary, options: DeviceOptions) -> None:
+def _add_errors(dictionary: ObjectDictionary) -> None:
     _add(dictionary, Cia301.ERROR_REGISTER, U8, RO, mappable=True)
     history = dictionary.add_array(Cia301.ERROR_HISTORY, Cia301.ERROR_HISTORY.title)
     history.add(0, "Number of errors", U8, RW)
-    for subindex in range(1, options.error_history + 1):
+    for subindex in range(1, _ERRORS_KEPT + 1):
         history.add(subindex, f"Standard error field {subindex}", U32, RO)
     _add(dictionary, Cia301.EMCY_COB_ID, U32, RW, default=EMERGENCY, node_relative=True)
     _add(dictionary, Cia301.EMCY_INHIBIT_TIME, U16, RW)
@@ -68,8 +74,8 @@ def _add_identity(dictionary: ObjectDictionary, options: DeviceOptions) -> None:
     _add(dictionary, Cia301.DEVICE_TYPE, U32, RO, default=identity.device_type)
     for entry, text in (
         (Cia301.DEVICE_NAME, identity.device_name),
-        (Cia301.HARDWARE_VERSION, identity.hardware_version),
-        (Cia301.SOFTWARE_VERSION, identity.software_version),
+        (Cia301.HARDWARE_VERSION, _VERSION),
+        (Cia301.SOFTWARE_VERSION, _VERSION),
     ):
         _add(dictionary, entry, DataType.VISIBLE_STRING, CONST, default=text.encode("ascii"))
     record = dictionary.add_record(Cia301.IDENTITY, Cia301.IDENTITY.title)
@@ -83,7 +89,7 @@ def _add_error_control(dictionary: ObjectDictionary, options: DeviceOptions) -> 
     _add(dictionary, Cia301.GUARD_TIME, U16, RW)
     _add(dictionary, Cia301.LIFE_TIME_FACTOR, U8, RW)
     consumers = dictionary.add_array(Cia301.CONSUMER_HEARTBEAT_TIME, Cia301.CONSUMER_HEARTBEAT_TIME.title)
-    for subindex in range(1, options.heartbeat_consumers + 1):
+    for subindex in range(1, _HEARTBEAT_CONSUMERS + 1):
         consumers.add(subindex, f"Consumer heartbeat time {subindex}", U32, RW)
     _add(dictionary, Cia301.PRODUCER_HEARTBEAT_TIME, U16, RW, default=options.heartbeat_ms)
 
@@ -104,29 +110,27 @@ def _add_sdo_server(dictionary: ObjectDictionary) -> None:
     record.add(2, "COB-ID server to client (tx)", U32, RO, default=SDO_ANSWER, node_relative=True)
 
 
-def _add_rpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault, entries: int) -> None:
+def _add_rpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault) -> None:
     record = dictionary.add_record(RPDO_COMMUNICATION + number, f"RPDO {number + 1} communication parameter")
     record.add(1, "COB-ID used by RPDO", U32, RW, default=default.cob_id, node_relative=True)
     record.add(2, "Transmission type", U8, RW, default=default.transmission_type)
     record.add(5, "Event-timer", U16, RW, default=default.event_timer_ms)
-    _add_mapping(dictionary, RPDO_MAPPING + number, f"RPDO {number + 1} mapping parameter", default, entries)
+    _add_mapping(dictionary, RPDO_MAPPING + number, f"RPDO {number + 1} mapping parameter", default)
 
 
-def _add_tpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault, entries: int) -> None:
+def _add_tpdo(dictionary: ObjectDictionary, number: int, default: PdoDefault) -> None:
     record = dictionary.add_record(TPDO_COMMUNICATION + number, f"TPDO {number + 1} communication parameter")
     record.add(1, "COB-ID used by TPDO", U32, RW, default=default.cob_id, node_relative=True)
     record.add(2, "Transmission type", U8, RW, default=default.transmission_type)
     record.add(3, "Inhibit time", U16, RW, default=default.inhibit_time_100us)
     record.add(5, "Event timer", U16, RW, default=default.event_timer_ms)
     record.add(6, "SYNC start value", U8, RW)
-    _add_mapping(dictionary, TPDO_MAPPING + number, f"TPDO {number + 1} mapping parameter", default, entries)
+    _add_mapping(dictionary, TPDO_MAPPING + number, f"TPDO {number + 1} mapping parameter", default)
 
 
-def _add_mapping(
-    dictionary: ObjectDictionary, index: int, name: str, default: PdoDefault, entries: int
-) -> None:
+def _add_mapping(dictionary: ObjectDictionary, index: int, name: str, default: PdoDefault) -> None:
     record = dictionary.add_record(index, name)
     record.add(0, "Number of mapped application objects", U8, RW, default=len(default.mapping))
-    for subindex in range(1, entries + 1):
+    for subindex in range(1, _MAPPING_ENTRIES + 1):
         word = default.mapping[subindex - 1] if subindex <= len(default.mapping) else 0
         record.add(subindex, f"Application object {subindex}", U32, RW, default=word)

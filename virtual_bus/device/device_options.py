@@ -16,8 +16,6 @@ class DeviceIdentity:
     revision_number: int = 0
     serial_number: int = 0
     device_name: str = "simulated device"
-    hardware_version: str = "1"
-    software_version: str = "1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +55,8 @@ class DeviceOptions:
     """RPDO 1.. in order: 1400h.. and 1600h.."""
     tpdos: tuple[PdoDefault, ...] = field(default_factory=unmapped_tpdos)
     """TPDO 1.. in order: 1800h.. and 1A00h.."""
-    mapping_entries: int = 8
-    """Sub-indices of each mapping parameter; 8, or up to 64 for a device that maps bits."""
     heartbeat_ms: int = 0
     """Default of 1017h."""
-    heartbeat_consumers: int = 4
-    """Sub-indices of 1016h."""
-    error_history: int = 8
-    """Sub-indices of 1003h."""
-    sdo_timeout_ms: int = 3000
-    """An SDO transfer in which the client falls silent for that long is aborted (05040000h)."""
     boot_after_reset_ms: int = 0
     """From an NMT reset, or a node-ID by LSS, until the boot-up message. From power-on it is none."""
     clock_offset_ns: int = 0

@@ -58,11 +58,6 @@ class EmergencyProducer:
 
         return entry
 
-    @property
-    def active(self) -> tuple[int, ...]:
-        """Codes of the active errors, the oldest first."""
-        return tuple(code for code, _source in self._active)
-
     def raise_error(
         self, code: int, register: ErrorRegister, information: bytes = b"", source: int = 0
     ) -> None:

@@ -12,7 +12,7 @@ from drivers.timebase import NS_PER_MS, Instant
 from virtual_bus.device.application import CommunicationLoss
 from virtual_bus.device.emergency import EmergencyProducer
 from virtual_bus.device.nmt import NmtSlave
-from virtual_bus.device.object_dictionary import Variable
+from virtual_bus.device.object_dictionary import Check, Variable
 from virtual_bus.device.sdo_abort import AbortCode
 from virtual_bus.device.station import Station
 from virtual_bus.frame import Frame
@@ -98,10 +98,13 @@ class HeartbeatConsumer:
         self._configure()
 
     def _on_write(self, _value: int) -> None:
+        self._clear_loss()
+        self._configure()
+
+    def _clear_loss(self) -> None:
         if self._lost:
             self._lost = False
             self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
-        self._configure()
 
     @property
     def _watched(self) -> int:
@@ -121,12 +124,7 @@ class HeartbeatConsumer:
         if len(frame.data) != 1:
             return
         self._timer.start(Instant(now + self._timeout_ns))
-        if self._lost:
-            self._lost = False
-            self._emergency.clear_error(HEARTBEAT_ERROR, self._watched)
-            self._station.application.on_communication_restored(
-                CommunicationLoss.HEARTBEAT, self._watched, now
-            )
+        self._clear_loss()
 
     def _on_timeout(self, now: Instant) -> None:
         node_id = self._watched
@@ -158,29 +156,21 @@ class HeartbeatConsumers:
         for consumer in self._consumers:
             consumer.reset_communication()
 
-    def _checker(self, own: Variable) -> "_Checker":
-        return _Checker(own, self._variables, self._station)
-
-
-class _Checker:
-    """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved, and no node hears
-    its own heartbeat."""
-
-    def __init__(self, own: Variable, variables: list[Variable], station: Station) -> None:
-        self._station = station
-        self._own = own
-        self._variables = variables
-
-    def __call__(self, value: int) -> AbortCode | None:
-        node_id, milliseconds = value >> 16, value & 0xFFFF
-        if not milliseconds or not node_id:
+    def _checker(self, own: Variable) -> Check:
+        def check(value: int) -> AbortCode | None:
+            """7.5.2.19: one consumer time for a node, else 06040043h; bits 24..31 are reserved, and no node
+            hears its own heartbeat."""
+            node_id, milliseconds = value >> 16, value & 0xFFFF
+            if not milliseconds or not node_id:
+                return None
+            if node_id > NODE_ID_MAX or node_id == self._station.node_id:
+                return AbortCode.INVALID_VALUE
+            for other in self._variables:
+                if other is not own and other.value & 0xFFFF and other.value >> 16 & 0xFF == node_id:
+                    return AbortCode.PARAMETER_INCOMPATIBLE
             return None
-        if node_id > NODE_ID_MAX or node_id == self._station.node_id:
-            return AbortCode.INVALID_VALUE
-        for other in self._variables:
-            if other is not self._own and other.value & 0xFFFF and other.value >> 16 & 0xFF == node_id:
-                return AbortCode.PARAMETER_INCOMPATIBLE
-        return None
+
+        return check
 
 
 _SOURCE = 0x100
@@ -235,7 +225,6 @@ class NodeGuarding:
         if self._lost:
             self._lost = False
             self._emergency.clear_error(HEARTBEAT_ERROR, _SOURCE)
-            station.application.on_communication_restored(CommunicationLoss.LIFE_GUARDING, 0, now)
 
     def _on_timeout(self, now: Instant) -> None:
         if self._heartbeat.running:

@@ -128,7 +128,6 @@ class ReceivePdo(PdoParameters):
         if self._missed:
             self._missed = False
             self._emergency.clear_error(PDO_DEADLINE, self._number)
-            self.station.application.on_communication_restored(CommunicationLoss.RPDO_DEADLINE, 0, now)
 
     def _on_deadline(self, now: Instant) -> None:
         self._missed = True

@@ -38,14 +38,15 @@ from virtual_bus.frame import Frame
 _SERVED_IN = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 _NO_MULTIPLEXER = bytes(3)
 EXPEDITED_BYTES = 4
+_TIMEOUT_NS = 3000 * NS_PER_MS
+"""A transfer in which the client falls silent for that long is aborted (05040000h)."""
 
 
 class SdoServer:
     """The default SDO server."""
 
-    def __init__(self, station: Station, timeout_ms: int) -> None:
+    def __init__(self, station: Station) -> None:
         self._station = station
-        self._timeout_ns = timeout_ms * NS_PER_MS
         self._transfer: Transfer | None = None
         self._request_id: int | None = None
         self._response_id = 0
@@ -74,7 +75,7 @@ class SdoServer:
         except SdoAbort as abort:
             self._abort(abort.code, request)
         if self._transfer is not None:
-            self._timer.start(Instant(now + self._timeout_ns))
+            self._timer.start(Instant(now + _TIMEOUT_NS))
 
     def _serve(self, request: bytes) -> None:
         if request[0] == ABORT_COMMAND:

@@ -1,6 +1,6 @@
-"""Consumers of SYNC and of TIME (CiA 301, 7.2.5, 7.2.6 and 7.5.2.5..7.5.2.22).
+"""Consumer of SYNC (CiA 301, 7.2.5 and 7.5.2.5..7.5.2.22): 1005h, 1006h, 1007h and the counter of 1019h.
 
-SYNC: 1005h, 1006h, 1007h and the counter of 1019h. TIME, 1012h: the master's calendar for the application.
+1012h, of TIME, is kept and checked; nothing here has a use for the master's calendar.
 """
 
 from typing import Final
@@ -18,7 +18,7 @@ from virtual_bus.frame import Frame
 
 SYNC_LENGTH: Final = 0x8240
 """EMCY: unexpected SYNC data length (CiA 301, table 26)."""
-GENERATES_SYNC: Final = 1 << 30
+_PRODUCES: Final = 1 << 30
 COUNTER_MAX: Final = 240
 _OPERATIONAL: Final = NmtState.OPERATIONAL
 _PRE_OPERATIONAL: Final = NmtState.PRE_OPERATIONAL
@@ -46,6 +46,9 @@ class SyncConsumer:
             if variable is not None:
                 variable.check = check
                 variable.on_write = self._on_write
+        time = dictionary.get(Cia301.TIME_COB_ID)
+        if time is not None:
+            time.check = self._check_cob_id
 
     def reset_communication(self) -> None:
         """Take all parameters from the dictionary."""
@@ -101,8 +104,8 @@ class SyncConsumer:
         self._wrong_length = wrong
 
     def _check_cob_id(self, value: int) -> AbortCode | None:
-        # 7.5.2.5: 06090030h for bit 30 on a device that generates no SYNC, and for bit 29 with 11 bits only.
-        if value & (GENERATES_SYNC | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
+        # 7.5.2.5, 7.5.2.15: 06090030h for bit 30, as it produces neither, and for bit 29 with 11 bits only.
+        if value & (_PRODUCES | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
             return AbortCode.INVALID_VALUE
         return None
 
@@ -111,47 +114,3 @@ class SyncConsumer:
         if self._station.value(Cia301.CYCLE_PERIOD):
             return AbortCode.DEVICE_STATE
         return AbortCode.INVALID_VALUE if value == 1 or value > COUNTER_MAX else None
-
-
-CONSUMES = 1 << 31
-PRODUCES = 1 << 30
-MILLISECONDS_MASK = (1 << 28) - 1
-TIME_OF_DAY_BYTES = 6
-
-
-class TimeConsumer:
-    """Takes TIME messages in PRE-OPERATIONAL and OPERATIONAL, if bit 31 of 1012h says so."""
-
-    def __init__(self, station: Station) -> None:
-        self._station = station
-        self._listening: int | None = None
-        variable = station.dictionary.get(Cia301.TIME_COB_ID)
-        if variable is not None:
-            variable.check = _check_cob_id
-            variable.on_write = self._configure
-
-    def reset_communication(self) -> None:
-        """Take the COB-ID from the dictionary."""
-        self._configure(self._station.value(Cia301.TIME_COB_ID))
-
-    def _configure(self, value: int) -> None:
-        if self._listening is not None:
-            self._station.ignore(self._listening, self._on_time)
-        self._listening = value & cob_id.CAN_ID if value & CONSUMES else None
-        if self._listening is not None:
-            self._station.listen(self._listening, self._on_time)
-
-    def _on_time(self, frame: Frame, now: Instant) -> None:
-        served = self._station.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
-        if not served or len(frame.data) != TIME_OF_DAY_BYTES:
-            return
-        milliseconds = int.from_bytes(frame.data[:4], "little") & MILLISECONDS_MASK
-        days = int.from_bytes(frame.data[4:6], "little")
-        self._station.application.on_time(days, milliseconds, now)
-
-
-def _check_cob_id(value: int) -> AbortCode | None:
-    # 7.5.2.15: 06090030h for a producer where there is none, for bit 29, for a restricted CAN-ID.
-    if value & (PRODUCES | cob_id.EXTENDED) or cob_id.restricted(value & cob_id.CAN_ID):
-        return AbortCode.INVALID_VALUE
-    return None

@@ -383,8 +383,3 @@ class SimulatedServo(CanopenDevice):
         drive = drive or DriveParameters()
         self.drive = ServoApplication(motor, drive)
         super().__init__(node_id, self.drive, device_options(node_id, drive, seed), store, vendor)
-
-    @property
-    def drive_state(self) -> State:
-        """State of the CiA 402 state machine."""
-        return self.drive.power.state

@@ -18,7 +18,6 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.station import NEVER
 from virtual_bus.event_heap import Action
 from virtual_bus.frame import Device, Frame
-from virtual_bus.timeline import Timeline
 
 POLL_NS: Final = 50 * NS_PER_MS
 """Longest time in one ``receive``, so that ``stop`` is noticed."""
@@ -40,17 +39,17 @@ class _Wake(Action):
 
 
 class AttachedDevice(Listener):
-    """A device on a segment, woken by the segment's timeline.
+    """A device on a segment, powered on when this is made, and woken by the segment's timeline.
 
     Events are never taken back: one that comes too early, because the device has put its deadline
     off, is entered again. That is cheaper than to move an event at every frame.
     """
 
-    def __init__(self, device: Device, segment: CanSegment, timeline: Timeline, name: str) -> None:
+    def __init__(self, device: Device, segment: CanSegment, name: str = "device") -> None:
         self.device = device
         self.frames_lost = 0
         """Frames that did not fit into the port's transmit queue."""
-        self._timeline = timeline
+        self._timeline = timeline = segment.timeline
         self._scheduled: Instant | None = None
         self._wake = _Wake(self)
         self.port = segment.attach(name, self)
@@ -119,13 +118,6 @@ class AttachedDevice(Listener):
             due = self.device.wake_at
             assert due is None or due > now, "a device must not ask for a wake that has passed"
         self._schedule()
-
-
-def attach_to_segment(
-    device: Device, segment: CanSegment, timeline: Timeline, name: str = "device"
-) -> AttachedDevice:
-    """Power ``device`` on at ``timeline.now`` and keep it going as the timeline runs."""
-    return AttachedDevice(device, segment, timeline, name)
 
 
 class RealTimeHost:

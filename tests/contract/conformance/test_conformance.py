@@ -12,7 +12,7 @@ from tests.contract.conformance.suite import ConformanceSuite
 from tests.motors import LING
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 
@@ -23,7 +23,7 @@ class TestInSimulatedTime(ConformanceSuite):
     def rig(self) -> Iterator[Rig]:
         timeline = Timeline()
         segment = CanSegment(timeline)
-        attach_to_segment(SimulatedServo(NODE, LING), segment, timeline)
+        AttachedDevice(SimulatedServo(NODE, LING), segment)
         with can.Bus(interface="simulated", segment=segment, ignore_config=True) as bus:
             yield Rig(bus)
 

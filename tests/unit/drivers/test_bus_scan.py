@@ -17,7 +17,7 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 UNCONFIGURED = 255
@@ -64,7 +64,7 @@ class Bench:
         if serial_number is not None:
             identity = servo.dictionary.variable(0x1018, 4)
             identity.value = identity.default = serial_number
-        attach_to_segment(servo, self.segment, self.timeline)
+        AttachedDevice(servo, self.segment)
         return servo
 
     def scan(self, listen_s: float = 1.0) -> BusScan:

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 
 from drivers.errors import MISSING, BadInput
-from drivers.wire.adapters import BITRATES_BIT_S
+from drivers.wire.slcan_protocol import BITRATE_CODES
 from hil.configuration.bench_file import bench_from, load_bench, load_faults
 from hil.configuration.config import BenchConfig, BitRate
 from hil.configuration.config_errors import BadInputs, bad_inputs_of
@@ -318,7 +318,7 @@ def test_a_cycle_too_short_for_its_frames(readback: str, least_us: int) -> None:
 
 
 def test_bit_rates_are_those_of_the_adapters() -> None:
-    assert get_args(BitRate) == BITRATES_BIT_S
+    assert get_args(BitRate) == tuple(BITRATE_CODES)
 
 
 def test_an_axis_needs_a_plain_name() -> None:

@@ -13,7 +13,7 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 
@@ -26,10 +26,10 @@ class Segment:
         self.sent: list[int] = []
         segment.add_monitor(lambda frame, _at: self.sent.append(frame.can_id))
         for node in nodes:
-            attach_to_segment(SimulatedServo(node, LING2012.parameters), segment, self.timeline, f"{node}")
+            AttachedDevice(SimulatedServo(node, LING2012.parameters), segment, f"{node}")
         kinds = tuple(Stream(can_id, Duration(50 * NS_PER_MS), bytes_max=8) for can_id in streams)
         for number, other in enumerate(background_nodes(kinds, 0)):
-            attach_to_segment(other, segment, self.timeline, f"stream {number}")
+            AttachedDevice(other, segment, f"stream {number}")
         self.bus = SimulatedBus(segment=segment)
         clock = SimulatedClock(self.timeline)
         self.link, self.clock = BusLink(self.bus, clock, StampSource.MONOTONIC, "can0"), clock

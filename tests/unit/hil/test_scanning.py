@@ -25,7 +25,7 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.bus.simulated_bus import SimulatedBus
 from virtual_bus.device.background import Stream, background_nodes
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 TOLD = Path(__file__).with_name("told")
@@ -61,9 +61,9 @@ class Segment:
             servo = SimulatedServo(node, LING2012.parameters)
             identity = servo.dictionary.variable(0x1018, 4)
             identity.value = identity.default = 0x20 + number
-            attach_to_segment(servo, self.segment, self.timeline, f"drive {number}")
+            AttachedDevice(servo, self.segment, f"drive {number}")
         for other in background_nodes(streams, 0):
-            attach_to_segment(other, self.segment, self.timeline, f"stream {other.stream.can_id}")
+            AttachedDevice(other, self.segment, f"stream {other.stream.can_id}")
 
     def open(self, plan: ScanPlan, _say: Any) -> OpenedBus:
         """As :func:`open_to_look` does."""

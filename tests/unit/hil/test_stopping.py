@@ -96,7 +96,7 @@ def test_a_drive_that_another_master_streams_to_is_stopped() -> None:
         assert bench.speed() < 0.5
         bench.let_run(1.0)
         assert bench.speed() < 0.5, "and stays so"
-        assert bench.servos[0].drive_state is State.SWITCH_ON_DISABLED
+        assert bench.servos[0].drive.power.state is State.SWITCH_ON_DISABLED
 
 
 def test_one_that_is_enabled_again_and_again_is_taken_out_of_operational() -> None:

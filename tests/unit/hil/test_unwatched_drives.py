@@ -157,7 +157,7 @@ def test_a_guarded_drive_stops_without_its_host_and_a_lost_one_is_missed(lacks: 
         bench.drive.enable(bench.soon())
         bench.cycles(100)
         bench.world.clock.sleep_until(bench.soon())
-        assert bench.servo.drive_state is not State.OPERATION_ENABLED
+        assert bench.servo.drive.power.state is not State.OPERATION_ENABLED
         with pytest.raises(PeerFault):
             bench.cycles(100)
 

@@ -86,9 +86,6 @@ class RecordingApplication(Application):
     def on_communication_loss(self, cause: CommunicationLoss, node_id: int, now: Instant) -> None:
         self.calls.append(("loss", cause, node_id, now))
 
-    def on_communication_restored(self, cause: CommunicationLoss, node_id: int, now: Instant) -> None:
-        self.calls.append(("restored", cause, node_id, now))
-
 
 DEFAULTS = DeviceOptions(
     rpdos=(

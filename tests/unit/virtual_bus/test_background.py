@@ -15,7 +15,7 @@ from tests.unit.virtual_bus.can_reference import wire_bits
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.device.background import CATCH_UP_MAX, BackgroundNode, Stream, background_nodes
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -87,7 +87,7 @@ def test_the_load_is_that_of_the_frames() -> None:
         Stream(0x72B, Duration(5 * MS), remote=True, bytes_min=1, bytes_max=1),
     ]
     for node in background_nodes(streams, 3):
-        attach_to_segment(node, segment, timeline)
+        AttachedDevice(node, segment)
     timeline.run_until(Instant(1_000 * MS + MS // 2))
     assert segment.frames in range(1_698, 1_702)
     assert segment.load_percent(Instant(0), timeline.now) == pytest.approx(

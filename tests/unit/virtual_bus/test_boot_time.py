@@ -9,7 +9,7 @@ from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.drive.servo_parameters import DriveParameters
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 RESETS = pytest.mark.parametrize("reset", [0x81, 0x82])
@@ -25,7 +25,7 @@ class Tap:
         self.timeline = Timeline()
         segment = CanSegment(self.timeline)
         self.servo = SimulatedServo(5, LING, drive)
-        attach_to_segment(self.servo, segment, self.timeline)
+        AttachedDevice(self.servo, segment)
         self._master = segment.attach("master", lambda _frame, _at: None)
         self.seen: list[tuple[Instant, Frame]] = []
         segment.add_monitor(lambda frame, at: self.seen.append((at, frame)))

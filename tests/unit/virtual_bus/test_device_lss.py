@@ -10,7 +10,7 @@ from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceIdentity, DeviceOptions
 from virtual_bus.device.parameter_storage import MemoryStore, ParameterStore
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.timeline import Timeline
 
 IDENTITY = DeviceIdentity(vendor_id=0x319, product_code=0x1001, revision_number=2, serial_number=77)
@@ -234,7 +234,7 @@ def test_activated_bit_rate_is_that_of_its_controller_on_a_segment() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     made = CanopenDevice(5, RecordingApplication(), DeviceOptions(IDENTITY))
-    attached = attach_to_segment(made, segment, timeline)
+    attached = AttachedDevice(made, segment)
     master = segment.attach("master", lambda _frame, _at: None)
     for request in (b"\x04\x01", b"\x13\x00\x02", b"\x15\x05"):
         master.send(Frame(0x7E5, request.ljust(8, b"\x00")))

@@ -121,17 +121,6 @@ def test_failing_memory_is_a_hardware_error() -> None:
     assert error.value.code == AbortCode.HARDWARE
 
 
-def test_time_reaches_the_application() -> None:
-    bench = Bench()
-    seen: list[tuple[int, int]] = []
-    bench.application.on_time = lambda days, milliseconds, now: seen.append((days, milliseconds))  # type: ignore[method-assign]
-    bench.put(0x100, (86_399_999 | 0xF << 28).to_bytes(4, "little") + (15_000).to_bytes(2, "little"))
-    bench.put(0x100, bytes(5))
-    bench.write(0x1012, 0, 0x100, 4)
-    bench.put(0x100, bytes(6))
-    assert seen == [(15_000, 86_399_999)]
-
-
 @pytest.mark.parametrize("value", [0xC0000100, 0xA0000100, 0x80000701])
 def test_time_cob_id_is_checked(value: int) -> None:
     with pytest.raises(SdoRefused) as error:
@@ -146,7 +135,6 @@ def test_bus_off_ends_operational_and_is_told_afterwards() -> None:
     assert ("loss", CommunicationLoss.BUS_OFF, 0, 0) in bench.application.calls
     raised, cleared = bench.device.bus_recovered(bench.now)
     assert (raised.data[:2], cleared.data) == (b"\x40\x81", bytes(8))
-    assert bench.application.calls[-1] == ("restored", CommunicationLoss.BUS_OFF, 0, 0)
 
 
 def test_stored_value_that_no_longer_fits_is_left_alone() -> None:

@@ -18,7 +18,7 @@ from virtual_bus.faults.kinds.clock_drift import ClockDrift
 from virtual_bus.faults.kinds.clock_step import ClockStep
 from virtual_bus.faults.node_fault import NodeFault
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.hosting.injection import Injection
 from virtual_bus.timeline import Timeline
 
@@ -40,9 +40,7 @@ class TappedDrive:
         self._sync_at = Instant(0)
         parameters = DriveParameters(clock_offset_us=OFFSET_US, clock_drift_ppm=drift_ppm)
         injection = Injection(FaultPlan(node_faults=faults), seed=1)
-        attached = attach_to_segment(
-            injection.wrap(SimulatedServo(1, LING, parameters)), segment, self.timeline
-        )
+        attached = AttachedDevice(injection.wrap(SimulatedServo(1, LING, parameters)), segment)
         injection.on_start(attached.wake_now)
         self.nmt(1)
         injection.start(self.timeline.now)

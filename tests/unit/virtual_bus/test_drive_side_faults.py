@@ -28,7 +28,7 @@ from virtual_bus.faults.kinds.reorder import Reorder
 from virtual_bus.faults.kinds.slow_drive import SlowDrive
 from virtual_bus.faults.replay import RecordedFaults
 from virtual_bus.frame import Frame
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.hosting.faulty_device import FaultyDevice
 from virtual_bus.hosting.injection import Faults, Injection, refuse_misplaced
 from virtual_bus.timeline import Timeline
@@ -96,7 +96,7 @@ def run(
     segment.add_monitor(tap)
     for node in range(1, nodes + 1):
         servo = SimulatedServo(node, LING, DriveParameters(clock_offset_us=0))
-        attached = attach_to_segment(injection.wrap(servo), segment, timeline, f"node {node}")
+        attached = AttachedDevice(injection.wrap(servo), segment, f"node {node}")
         injection.on_start(attached.wake_now)
     host.frame_port.transmit(Frame(0, b"\x01\x00"))
     timeline.run_until(Instant(5 * NS_PER_MS))

@@ -8,7 +8,7 @@ from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.configuration.motor_file import LING2012
 from virtual_bus.bus.segment import CanSegment
 from virtual_bus.drive.servo import SimulatedServo
-from virtual_bus.hosting.devices import attach_to_segment
+from virtual_bus.hosting.devices import AttachedDevice
 from virtual_bus.instruments.dynamometer.brake import RESPONSE_S, STEP_NS, Brake, ServoShaft
 from virtual_bus.instruments.dynamometer.hosting import TimelineLine
 from virtual_bus.instruments.dynamometer.instrument import Instrument
@@ -169,7 +169,7 @@ def test_the_brake_holds_the_shaft_of_a_simulated_drive_like_friction() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     servo = SimulatedServo(1, LING2012.parameters)
-    attach_to_segment(servo, segment, timeline)
+    AttachedDevice(servo, segment)
     timeline.run_until(Instant(NS_PER_MS))
     shaft = ServoShaft(servo)
     firmware = servo.drive.firmware

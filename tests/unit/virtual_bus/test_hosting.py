@@ -9,6 +9,7 @@ from typing import ClassVar
 import can
 import pytest
 
+from drivers.canopen.error_codes import ErrorRegister
 from drivers.canopen.nmt_states import NmtState
 from drivers.errors import BusDown
 from drivers.timebase import Instant
@@ -22,7 +23,7 @@ from virtual_bus.device.canopen_device import CanopenDevice
 from virtual_bus.device.device_options import DeviceOptions
 from virtual_bus.drive.servo import SimulatedServo
 from virtual_bus.frame import Device, Frame
-from virtual_bus.hosting.devices import attach_to_segment, serve
+from virtual_bus.hosting.devices import AttachedDevice, serve
 from virtual_bus.timeline import SimulatedClock, Timeline
 
 MS = 1_000_000
@@ -32,10 +33,10 @@ def device(node_id: int = NODE, heartbeat_ms: int = 0) -> CanopenDevice:
     return CanopenDevice(node_id, RecordingApplication(), DeviceOptions(heartbeat_ms=heartbeat_ms))
 
 
-def loss_of_heartbeat(watcher: CanopenDevice) -> list[tuple[object, object]]:
+def losses_of_heartbeat(watcher: CanopenDevice) -> list[object]:
     application = watcher.application
     assert isinstance(application, RecordingApplication)
-    return [(call[0], call[-1]) for call in application.calls if call[0] in ("loss", "restored")]
+    return [call[-1] for call in application.calls if call[0] == "loss"]
 
 
 def test_timers_of_an_attached_device_follow_the_timeline() -> None:
@@ -43,7 +44,7 @@ def test_timers_of_an_attached_device_follow_the_timeline() -> None:
     segment = CanSegment(timeline)
     seen: list[tuple[int, int]] = []
     segment.add_monitor(lambda frame, at: seen.append((frame.can_id, at // MS)))
-    attach_to_segment(device(heartbeat_ms=10), segment, timeline)
+    AttachedDevice(device(heartbeat_ms=10), segment)
     timeline.run_until(Instant(35 * MS))
     assert seen == [(0x705, 0), (0x705, 10), (0x705, 20), (0x705, 30)]
 
@@ -53,7 +54,7 @@ def test_deadline_that_is_put_off_does_not_fire_early() -> None:
     segment = CanSegment(timeline)
     master = segment.attach("master", lambda _frame, _at: None)
     node = device()
-    attach_to_segment(node, segment, timeline)
+    AttachedDevice(node, segment)
     master.send(Frame(0, bytes([START, 0])))
     master.send(Frame(0x600 + NODE, b"\x23\x16\x10\x01\x96\x00\x7f\x00"))
     for milliseconds in range(1, 1001, 50):
@@ -69,14 +70,15 @@ def test_two_devices_hear_each_other() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     watcher, watched = device(1), device(2, heartbeat_ms=10)
-    attach_to_segment(watcher, segment, timeline)
-    plugged = attach_to_segment(watched, segment, timeline)
+    AttachedDevice(watcher, segment)
+    plugged = AttachedDevice(watched, segment)
     watcher.dictionary.download(0x1016, 1, (2 << 16 | 25).to_bytes(4, "little"))
+    register = watcher.dictionary.variable(0x1001)
     timeline.run_until(Instant(100 * MS))
-    before = watcher.active_errors
+    before = register.value
     plugged.detach()
     timeline.run_until(Instant(200 * MS))
-    assert (before, watcher.active_errors) == ((), (0x8130,))
+    assert (before, register.value) == (0, ErrorRegister.GENERIC | ErrorRegister.COMMUNICATION)
 
 
 def test_device_that_is_plugged_in_again_boots_up_anew() -> None:
@@ -85,12 +87,12 @@ def test_device_that_is_plugged_in_again_boots_up_anew() -> None:
     seen: list[tuple[int, bytes]] = []
     segment.add_monitor(lambda frame, at: seen.append((at // MS, frame.data)))
     node = device(heartbeat_ms=10)
-    plugged = attach_to_segment(node, segment, timeline)
+    plugged = AttachedDevice(node, segment)
     timeline.run_until(Instant(15 * MS))
     node.receive(Frame(0, bytes([START, 0])), timeline.now)
     plugged.detach()
     timeline.run_until(Instant(42 * MS))
-    attach_to_segment(node, segment, timeline)
+    AttachedDevice(node, segment)
     timeline.run_until(Instant(55 * MS))
     assert seen == [(0, b"\x00"), (10, b"\x7f"), (42, b"\x00"), (52, b"\x7f")]
 
@@ -99,7 +101,7 @@ def test_full_queue_loses_frames_and_counts_them() -> None:
     timeline = Timeline()
     segment = CanSegment(timeline)
     node = device()
-    attached = attach_to_segment(node, segment, timeline)
+    attached = AttachedDevice(node, segment)
     for _ in range(300):
         node.dictionary.download(0x1017, 0, b"\x01\x00")
     attached.wake_now()
@@ -126,7 +128,8 @@ def test_served_devices_hear_each_other() -> None:
     watcher, watched = device(1), device(2, heartbeat_ms=40)
     watcher.dictionary.variable(0x1016, 1).power_on = 2 << 16 | 25
     serve([watcher, watched], bus, clock, lambda: clock.now() >= 50 * MS)
-    assert loss_of_heartbeat(watcher)[:2] == [("loss", 25 * MS), ("restored", 40 * MS)]
+    # 25 ms after each heartbeat, those at 0 and 40 ms: the second ended the first loss
+    assert losses_of_heartbeat(watcher)[:2] == [25 * MS, 65 * MS]
     bus.shutdown()
 
 
