@@ -10,7 +10,7 @@ import pytest
 from design.delay.delay_loop import Array
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.held_loop import PeriodStep, Switch
-from design.sampled.lifting import discrete_norm, lifted
+from design.sampled.lifting import lifted_gain
 from design.sampled.lossy_loop import LossyLoop
 from design.speed.hinf_design import HinfDesign, design_hinf
 from design.speed.loss_certificate import (
@@ -71,7 +71,7 @@ def steps_of(losses: tuple[int, ...], behind: int) -> list[PeriodStep]:
 
 def gain_under(loop: LossyLoop, losses: tuple[int, ...]) -> float:
     chain = [each for step in steps_of(losses, loop.network.behind) for each in loop.chain(step)]
-    return discrete_norm(lifted(loop, chain))
+    return lifted_gain(loop, chain)
 
 
 def test_no_pattern_of_losses_exceeds_what_is_certified_of_hinf(hinf_once: SampledAnalysis) -> None:
