@@ -95,10 +95,15 @@ class SampledNetwork:
         return self.delay_max_s if self.strategy is Strategy.ARRIVAL else self.agreed_delay_s
 
     @property
+    def constant_delay_s(self) -> float:
+        """Of the loop with a constant delay that stands for this one, [Ling2012] (2.13)."""
+        return (self.losses_max + 1) * self.period_s + self.delay_max_s
+
+    @property
     def age_max_s(self) -> float:
         """Oldest that an applied sample can become, s."""
         if self.strategy is Strategy.ARRIVAL:
-            return (self.losses_max + 1) * self.period_s + self.delay_max_s
+            return self.constant_delay_s
         if self.strategy is Strategy.STAMP:
             return self.agreed_delay_s + (self.losses_max + 1) * self.period_s
         return self.agreed_delay_s + self.period_s

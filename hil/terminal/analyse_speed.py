@@ -190,7 +190,7 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
         raise BadInput(
             "--delay-ms", "", None, "the constant delay, ms", "or give --period-ms and the network"
         )
-    return (network.losses_max + 1) * network.period_s + network.delay_max_s
+    return network.constant_delay_s
 
 
 def _chance(
@@ -198,14 +198,13 @@ def _chance(
 ) -> "Chance | None":
     if runs is None:
         return None
-    from design.speed.monte_carlo import Chance, Uncertainty
+    from design.speed.monte_carlo import Chance
 
-    width = 0.01 * uncertainty_percent
     return Chance(
         runs=runs,
         seed=seed,
         duration_s=duration_s,
         loss_probability=loss,
         load_nm=load_nm,
-        uncertainty=Uncertainty(width, width, width, width, width),
+        uncertainty=0.01 * uncertainty_percent,
     )

@@ -27,7 +27,7 @@ from design.sampled.admissible_steps import deliveries_of
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.held_loop import SampledNetwork, Strategy
 from design.sampled.loss_patterns import Pattern
-from design.speed.monte_carlo import Chance, Estimate, run_many
+from design.speed.monte_carlo import Chance, Estimate, diverged, quantile, run_many
 from hil.studies.numbers import finite
 
 
@@ -226,19 +226,19 @@ def _pattern(network: SampledNetwork, pattern: Pattern) -> list[dict[str, Any]]:
 
 def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
     """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
-    trials = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
+    peaks_rad_s = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
     share = 100.0 / request.speed_rad_s
-    quantiles = {f"p{100 * q:g}": trials.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
+    quantiles = {f"p{100 * q:g}": quantile(peaks_rad_s, q) for q in (0.5, 0.9, 0.99)}
     return {
         "runs": chance.runs,
         "seed": chance.seed,
         "duration_s": chance.duration_s,
         "loss_probability": chance.loss_probability,
         "load_nm": chance.load_nm,
-        "diverged": _estimate(trials.diverged),
+        "diverged": _estimate(diverged(peaks_rad_s)),
         "peak_rad_s": {name: _estimate(value) for name, value in quantiles.items()},
         "peak_percent": {name: _estimate(value, share) for name, value in quantiles.items()},
-        "largest_peak_rad_s": finite(float(np.max(trials.peaks_rad_s))),
+        "largest_peak_rad_s": finite(float(np.max(peaks_rad_s))),
     }
 
 
