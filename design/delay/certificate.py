@@ -99,15 +99,15 @@ def _certified_in(state_scale: Array, loop: DelayLoop, order: int, scale: float)
     return CertifiedGain(gain, order, proved(problem, y))
 
 
-def certified_gain_auto(model: SpeedModel, loop: DelayLoop, order_max: int = ORDER_MAX) -> CertifiedGain:
+def certified_gain_auto(model: SpeedModel, loop: DelayLoop) -> CertifiedGain:
     """The certificate of the lowest order that comes within :data:`CLOSE_ENOUGH` of the exact gain.
 
-    If none does up to ``order_max``, or the solver fails at a higher order: the best there is.
+    If none does up to :data:`ORDER_MAX`, or the solver fails at a higher order: the best there is.
     """
     exact = hinf_norm(loop)
     best: CertifiedGain | None = None
     failure: NoSolution | None = None
-    for order in range(order_max + 1):
+    for order in range(ORDER_MAX + 1):
         try:
             certified = certified_gain(model, loop, order)
         except NoSolution as error:

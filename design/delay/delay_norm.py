@@ -89,12 +89,12 @@ def largest_stable_delay_s(loop: DelayLoop) -> float:
     return min(firsts, default=math.inf)
 
 
-def hinf_norm(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> float:
+def hinf_norm(loop: DelayLoop) -> float:
     """sup over w of |G(jw)| in units of z per unit of d; inf if the loop is unstable."""
-    return hinf_peak(loop, tolerance).gain
+    return hinf_peak(loop).gain
 
 
-def hinf_peak(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> Peak:
+def hinf_peak(loop: DelayLoop) -> Peak:
     """As :func:`hinf_norm`, with the frequency of the peak (0 for an unstable loop)."""
     if not is_stable(loop):
         return Peak(math.inf, 0.0)
@@ -103,12 +103,12 @@ def hinf_peak(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> Peak:
     if gain == 0.0:
         return Peak(0.0, 0.0)
     while True:
-        above = _point_above(function, gain * (1.0 + tolerance), _tail_start(function, gain))
+        above = _point_above(function, gain * (1.0 + NORM_TOLERANCE), _tail_start(function, gain))
         if above is None:
             return Peak(gain, w / function.time_unit_s)
         higher, at = _climb(function, above)
         # A summit that is no higher was a rounding error of the sign; the search may end there.
-        if higher <= gain * (1.0 + tolerance):
+        if higher <= gain * (1.0 + NORM_TOLERANCE):
             return Peak(max(gain, higher), (at if higher > gain else w) / function.time_unit_s)
         gain, w = higher, at
 

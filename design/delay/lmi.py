@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from design.delay.delay_loop import Array
 from design.errors import NoSolution
-
-Array = NDArray[np.float64]
 
 SOLVER = "Clarabel"
 _ENDS = ("Solved", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
@@ -116,10 +115,9 @@ class LmiProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LmiSolution:
-    """An optimum: y, its objective, and the multiplier of each inequality (positive semidefinite)."""
+    """An optimum: y, and the multiplier of each inequality (positive semidefinite)."""
 
     y: Array
-    objective: float
     duals: list[Array] = field(repr=False)
 
 
@@ -142,7 +140,7 @@ def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) ->
         length = m * (m + 1) // 2
         duals.append(_matrix(z[start : start + length], m))
         start += length
-    return LmiSolution(y, float(problem.objective @ y), duals)
+    return LmiSolution(y, duals)
 
 
 def last_answer(problem: LmiProblem, tolerance: float) -> Array | None:

@@ -19,9 +19,8 @@ from design.statespace import Array, StateSpace, connect, series
 
 @dataclass(frozen=True, slots=True)
 class AxisRobustness:
-    """One axis over resistance and inductance, each within +-``spread`` of nominal."""
+    """One axis over resistance and inductance, each within a box about nominal."""
 
-    spread: float
     stable: bool
     """Of every motor of the box, by the bound of the sensitivity."""
     real_mu_peak: float
@@ -48,7 +47,7 @@ def axis_robustness(
     omega = _grid(K, resistance_ohm / inductance_h, weights.error.pole_rad_s)
     mu, at = _peak(resistance_ohm, inductance_h, K, omega, spread)
     stable = nominal.is_stable() and math.isfinite(sensitivity.bound)
-    return AxisRobustness(spread, stable, mu, at, sensitivity, weighted)
+    return AxisRobustness(stable, mu, at, sensitivity, weighted)
 
 
 def _grid(K: StateSpace, corner: float, slowest: float) -> Array:

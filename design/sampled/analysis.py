@@ -54,6 +54,11 @@ class SampledAnalysis:
     """Error that no sequence exceeds, rad/s; None: none was proved."""
 
     @property
+    def patterns(self) -> list[Pattern]:
+        """The worst that are known."""
+        return [self.worst.pattern, self.slowest, *self.regular]
+
+    @property
     def network(self) -> SampledNetwork:
         """What the loop runs over."""
         return self.loop.network
@@ -121,13 +126,12 @@ def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
     assert isinstance(analysis.loop, HeldLoop)
     if analysis.refuted:
         return replace(analysis, peak_found=math.inf)
-    reached = worst_peak(analysis.loop).peak
+    reached = worst_peak(analysis.loop)
     bound = None
     if analysis.decay_certified_per_s:
-        patterns = [analysis.worst.pattern, analysis.slowest, *analysis.regular]
         with suppress(NoSolution):
             bound = certify_peak(
-                analysis.loop, patterns, analysis.gain_found, analysis.decay_certified_per_s, reached
+                analysis.loop, analysis.patterns, analysis.gain_found, analysis.decay_certified_per_s, reached
             )
     if bound is None:
         return replace(analysis, peak_found=reached)

@@ -97,7 +97,7 @@ def sampled(budget: Budget) -> None:
     budget.report(
         "sampled loop: certificate of the decay", lambda: certify_decay(loop, patterns, worst.gain), 3
     )
-    decay, peak = min(each.decay_per_s for each in patterns), worst_peak(loop).peak
+    decay, peak = min(each.decay_per_s for each in patterns), worst_peak(loop)
     budget.report(
         "sampled loop: certificate of the peak",
         lambda: certify_peak(loop, patterns, worst.gain, 0.999 * decay, peak),

@@ -65,7 +65,7 @@ def peaks_of(seed: int) -> tuple[float, float, float]:
         proof = certify_decay(loop, patterns, gain)
         if proof is None or proof.decay_per_s is None or proof.decay_per_s <= 0.0:
             continue
-        reached = worst_peak(loop).peak
+        reached = worst_peak(loop)
         bound = certify_peak(loop, patterns, gain, proof.decay_per_s, reached)
         assert bound is not None
         periods = 6 if loop.network.losses_max else 9
