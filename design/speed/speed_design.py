@@ -41,7 +41,7 @@ _REFINED = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedDesign:
-    """A gain with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
+    """A feedback with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
 
     K: Array
     delay_s: float

@@ -238,7 +238,7 @@ def _request(
     return DesignRequest(
         motor=motor,
         gamma=gain_for_error(percent, load, at_rad_s) if percent else wanted.gamma,
-        delay_s=_delay_s(delay_s, network),
+        delay_s=network.constant_delay_s if network else delay_s,
         network=network,
         method=way.method.value,
         feedback=Feedback(way.feedback.value),
@@ -324,13 +324,6 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
         return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
-
-
-def _delay_s(delay_s: float | None, network: "SampledNetwork | None") -> float | None:
-    """[Ling2012] (2.13) for a network."""
-    if network is not None:
-        return (network.losses_max + 1) * network.period_s + network.delay_max_s
-    return delay_s
 
 
 def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:

@@ -24,30 +24,24 @@ from hil.configuration.toml_text import toml_text
 from hil.studies.numbers import finite
 from hil.studies.speed.synthesis import DesignResult
 
-_US_PER_S = 1e6
+US_PER_S = 1e6
 
 
 def whole_us(time_s: float) -> int:
     """Up to the next whole microsecond; what is one up to rounding stays."""
-    return math.ceil(time_s * _US_PER_S - 1e-6)
+    return math.ceil(time_s * US_PER_S - 1e-6)
 
 
 def plant_of(motor: PmsmParameters) -> DesignPlant:
     """What a design depends on."""
-    return DesignPlant(
-        resistance_ohm=motor.resistance_ohm,
-        inductance_q_h=motor.inductance_q_h,
-        inertia_kg_m2=motor.inertia_kg_m2,
-        viscous_friction_nm_s=motor.viscous_friction_nm_s,
-        torque_constant_nm_a=motor.torque_constant_nm_a,
-    )
+    return DesignPlant.model_validate(motor, from_attributes=True)
 
 
 def controller_of(result: DesignResult) -> StateFeedbackController:
     """The table [controller] of a design."""
     return StateFeedbackController(
         kind="state_feedback",
-        gain=tuple(result.K.tolist()),
+        gain=tuple(result.design.K.tolist()),
         made_for=_made_for(result),
         certificate=Certificate.model_validate(
             {
@@ -78,11 +72,15 @@ def _constant(result: DesignResult) -> dict[str, object]:
     }
 
 
+def controller_text(controller: Section) -> str:
+    """The file that a bench names as ``controller``."""
+    return toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
+
+
 def write_controller(path: Path, controller: Section) -> None:
     """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-    text = toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(controller_text(controller), encoding="utf-8")
     except OSError as error:
         raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
 
@@ -90,7 +88,7 @@ def write_controller(path: Path, controller: Section) -> None:
 def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
     made_for = MadeFor(
-        delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6),
+        delay_us=math.floor(result.design.delay_s * US_PER_S + 1e-6),
         plant=plant_of(result.request.motor),
         current_loop=_current_loop(result),
     )
@@ -103,7 +101,7 @@ def _network(network: SampledNetwork) -> dict[str, object]:
         "strategy": network.strategy.value,
         "period_us": whole_us(network.period_s),
         "losses_in_a_row_max": network.losses_max,
-        "delay_max_us": math.floor(network.delay_max_s * _US_PER_S + 1e-6),
+        "delay_max_us": math.floor(network.delay_max_s * US_PER_S + 1e-6),
         "agreed_delay_us": whole_us(network.agreed_delay_s) if waits else None,
     }
 

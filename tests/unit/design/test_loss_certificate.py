@@ -26,7 +26,7 @@ from design.speed.predictor_gains import GainBoxes
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 from hil.control.load_filter import FilterNoise, LoadFilter
 from hil.control.motion import MotionModel
-from hil.studies.speed.losses import loss_certificate, loss_figures
+from hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
 pytestmark = pytest.mark.long
@@ -132,7 +132,7 @@ def test_the_loop_with_losses_is_that_of_the_trials(hinf: HinfDesign) -> None:
 
 
 def test_single_losses_can_destabilise_hinf_at_4_ms_and_the_command_says_so() -> None:
-    made = design_hinf(replace(REQUEST, delay_s=3.1e-3))
+    made = design_hinf(replace(REQUEST, delay_max_s=3.1e-3))
     attempts = with_losses(partial(hinf_losses, made), 1)
     assert [each.network.losses_max for each in attempts] == [1, 0]
     assert attempts[0].refuted
