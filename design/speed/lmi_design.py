@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq
 
 from design.delay.certificate import certified_gain
 from design.delay.delay_lmi import gain_problem, scaled
@@ -25,7 +25,7 @@ from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
 from design.delay.lmi import solve
 from design.delay.speed_loop import Feedback, SpeedModel
 from design.errors import NoSolution
-from design.speed.speed_design import SpeedDesign, largest_delay, least_gain
+from design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 
 _ROUNDS = 6
 _ENOUGH = 2e-6
@@ -154,11 +154,8 @@ def _climb(
     model: SpeedModel, K: Array, delay_s: float, gamma: float, feedback: Feedback
 ) -> tuple[float, Array]:
     """From (K, delay) to the local optimum of the delay."""
-    free = np.array(model.free_gains(feedback))
     for _ in range(_ROUNDS):
-        walk = _Walk(model, K, free, delay_s, gamma)
-        x = walk.run(sign=-1.0)
-        K_new = walk.gain_of(x)
+        K_new = _Walk(model, K, feedback, delay_s, gamma, for_delay=True).run()
         reached = certified_delay_within(model, K_new, gamma)
         if reached <= delay_s * (1.0 + _ENOUGH):
             if reached > delay_s:
@@ -175,10 +172,8 @@ def _descend(model: SpeedModel, K: Array, delay_s: float, feedback: Feedback) ->
     if value is None:
         return None
     gain = scale * math.sqrt(value.squared)
-    free = np.array(model.free_gains(feedback))
     for _ in range(_ROUNDS):
-        walk = _Walk(model, K, free, delay_s, gain, for_delay=False)
-        K_new = walk.gain_of(walk.run(sign=1.0))
+        K_new = _Walk(model, K, feedback, delay_s, gain, for_delay=False).run()
         reached = _value(model, K_new, delay_s, gain)
         if reached is None or reached.squared >= 1.0 - _ENOUGH:
             break
@@ -186,38 +181,20 @@ def _descend(model: SpeedModel, K: Array, delay_s: float, feedback: Feedback) ->
     return gain, K
 
 
-class _Walk:
-    """SLSQP over x = [K/scale of the free entries, log of the delay or of the gain relative to the start]."""
+class _Walk(GainWalk):
+    """The certified gain stays within ``gamma``, or is made the least share of it."""
 
     def __init__(
-        self, model: SpeedModel, K: Array, free: Array, delay_s: float, gamma: float,
-        for_delay: bool = True,
-    ) -> None:  # fmt: skip
-        self._model = model
-        self._K = K
-        self._free = free
-        self._scale = np.where(free == 0, 1.0, np.abs(K[free]))
-        self._delay_s = delay_s
+        self, model: SpeedModel, K: Array, feedback: Feedback, delay_s: float, gamma: float, for_delay: bool
+    ) -> None:
+        super().__init__(model, K, feedback, delay_s, for_delay)
         self._gamma = gamma
-        self._for_delay = for_delay
         self._known: tuple[bytes, float, Array] | None = None
 
-    def gain_of(self, x: Array) -> Array:
-        return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
-
-    def run(self, sign: float) -> Array:
-        start = np.append(self._K[self._free] / self._scale, 0.0)
-        gradient = np.append(np.zeros(len(self._free)), sign)
-        answer = minimize(
-            lambda x: sign * float(x[-1]),
-            start,
-            jac=lambda _x: gradient,
-            bounds=[(value - 0.4, value + 0.4) for value in start],
-            constraints=[{"type": "ineq", "fun": self._slack, "jac": self._slope}],
-            method="SLSQP",
-            options={"ftol": 1e-9, "maxiter": 25},
-        )
-        return np.asarray(answer.x)
+    def run(self) -> Array:
+        """K where it ends."""
+        x = self.optimum(self.start, self.start, 0.4, 1e-9, 25, fun=self._slack, jac=self._slope)
+        return self.gain_of(x)
 
     def _slack(self, x: Array) -> float:
         return self._ask(x)[0]
@@ -230,8 +207,7 @@ class _Walk:
         key = x.tobytes()
         if self._known is not None and self._known[0] == key:
             return self._known[1], self._known[2]
-        delay_s = self._delay_s * math.exp(x[-1]) if self._for_delay else self._delay_s
-        value = _value(self._model, self.gain_of(x), delay_s, self._gamma, slopes=True)
+        value = _value(self._model, self.gain_of(x), self.delay_of(x), self._gamma, slopes=True)
         if value is None:
             # no certificate: as bad as the bounds of the walk let it be, sloping back to the start
             slack, slope = -1.0 - float(np.sum(np.square(x))), -2.0 * x

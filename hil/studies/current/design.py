@@ -51,8 +51,8 @@ def design_current(request: CurrentRequest) -> CurrentResult:
     full = design_axis(motor, axis, weights, gamma)
     chosen = full
     if request.structure != "full":
-        tuned = tune(plant, weights, Structure(request.structure), full.margins.phase_margin_rad_s)
-        chosen = describe(plant, weights, tuned.controller, least)
+        tuned, _ = tune(plant, weights, Structure(request.structure), full.margins.phase_margin_rad_s)
+        chosen = describe(plant, weights, tuned, least)
     reduced = _reduced(chosen, request)
     figures = design_figures(chosen, reduced)
     figures["axis"], figures["structure"], figures["gamma"] = axis, request.structure, gamma
