@@ -116,7 +116,7 @@ def finish_predictor(
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
     from hil.studies.speed.controller_text import write_controller
-    from hil.studies.speed.dynamic import DEAD_TIME_S, ENCODER_COUNTS, SPEED_FILTER_HZ, request_of
+    from hil.studies.speed.dynamic import DEAD_TIME_US, ENCODER_COUNTS, SPEED_FILTER_HZ, request_of
     from hil.studies.speed.hinf import design_speed_hinf
     from hil.studies.speed.predictor import design_speed_predictor
 
@@ -131,7 +131,7 @@ def finish_predictor(
         options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm,
         encoder_counts=options.encoder_counts or ENCODER_COUNTS,
         speed_filter_hz=options.speed_filter_hz or SPEED_FILTER_HZ,
-        dead_time_s=DEAD_TIME_S if dead_time_us is None else 1e-6 * dead_time_us,
+        dead_time_us=DEAD_TIME_US if dead_time_us is None else dead_time_us,
     )
     design = design_speed_hinf if structure == "hinf" else design_speed_predictor
     on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")

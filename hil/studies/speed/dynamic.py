@@ -21,7 +21,7 @@ from hil.studies.speed.controller_text import US_PER_S, plant_of, sequence_proof
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0
-DEAD_TIME_S = 100e-6
+DEAD_TIME_US = 100.0
 """Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
 _INNER_RATE_HZ = 16_000.0
 """At which a drive takes the difference of its encoder's counts."""
@@ -40,7 +40,7 @@ def request_of(
     *,
     encoder_counts: int = ENCODER_COUNTS,
     speed_filter_hz: float = SPEED_FILTER_HZ,
-    dead_time_s: float = DEAD_TIME_S,
+    dead_time_us: float = DEAD_TIME_US,
 ) -> PredictorRequest:
     """What a design goes by, the noise of the encoder and of the torque worked out."""
     noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, _INNER_RATE_HZ)
@@ -54,7 +54,7 @@ def request_of(
         delay_max_s,
         load_nm,
         command_noise_nm,
-        dead_time_s,
+        1e-6 * dead_time_us,
     )
 
 

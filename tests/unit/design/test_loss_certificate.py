@@ -25,7 +25,6 @@ from design.speed.predictor_design import PredictorDesign, losses_gain
 from design.speed.predictor_gains import GainBoxes
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import MotionModel
 from hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
@@ -161,8 +160,7 @@ def test_every_gain_of_either_filter_lies_in_its_box() -> None:
         corners = np.array(boxes.corners(lost))[:, 1:]
         axes = np.stack([corners[4] - corners[0], corners[2] - corners[0], corners[1] - corners[0]], axis=1)
         inside.append((np.linalg.inv(axes), corners[0]))
-    shaft = MotionModel(REQUEST.motor.inertia_kg_m2, REQUEST.motor.viscous_friction_nm_s, 5026.5, 3141.59265)
-    host = LoadFilter(shaft, FilterNoise(NOISE_RAD_S, 0.01, WALKS.quiet, WALKS.bold), PERIOD_S)
+    host = LoadFilter(PLANT, FilterNoise(NOISE_RAD_S, 0.01, WALKS.quiet, WALKS.bold), PERIOD_S)
     own = AdaptiveFilter(KALMAN, WALKS)
     seen = []
     for _ in range(3000):

@@ -20,7 +20,6 @@ from design.speed.predictor_plant import encoder_noise_rad_s, kalman_model, plan
 from design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
 from hil.control import load_filter
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import MotionModel
 from tests.random_motors import speed_noise_rad_s
 from virtual_bus.drive.firmware import FirmwareParameters
 
@@ -58,7 +57,7 @@ def test_the_noise_of_an_encoder_is_that_of_the_simulated_drive() -> None:
 def test_the_filters_of_design_and_host_are_one() -> None:
     assert STEP_SIGMAS == load_filter.STEP_SIGMAS
     host = LoadFilter(
-        MotionModel(MOTOR.inertia_kg_m2, MOTOR.viscous_friction_nm_s, math.tau * 800.0, math.tau * 500.0),
+        PLANT,
         FilterNoise(NOISE_RAD_S, 0.01, 1.0, 8.0),
         PERIOD_S,
     )
