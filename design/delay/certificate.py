@@ -13,7 +13,7 @@ import numpy as np
 from design.delay.delay_lmi import gain_problem, ordinary_gain_problem, scaled, stability_problem
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
-from design.delay.lmi import SOLVER, LmiProblem, rounding_of, smallest_eigenvalues, solve
+from design.delay.lmi import LmiProblem, rounding_of, smallest_eigenvalues, solve
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
 
@@ -22,16 +22,6 @@ CLOSE_ENOUGH = 1.001
 """Certified over exact gain at which no higher order is tried."""
 _DELAY_TOLERANCE_S = 1e-7
 _STABLE_MARGIN = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Proof:
-    """What stands behind a certified figure."""
-
-    solver: str
-    status: str
-    min_margin: float
-    """Smallest eigenvalue of all inequalities in the scaled problem, less the bound of its rounding error."""
 
 
 _SHARES = (1.2, 1.0, 2.0)
@@ -46,7 +36,8 @@ class CertifiedGain:
 
     gain: float
     order: int
-    proof: Proof
+    min_margin: float
+    """Smallest eigenvalue of all inequalities in the scaled problem, less the bound of its rounding error."""
 
 
 def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedGain:
@@ -158,9 +149,9 @@ def certified_delay_s(model: SpeedModel, loop: DelayLoop, order: int) -> float:
     return low
 
 
-def proved(problem: LmiProblem, y: Array) -> Proof:
-    """The check in numpy. Raises NoSolution if an inequality does not hold beyond rounding."""
+def proved(problem: LmiProblem, y: Array) -> float:
+    """The margin, by the check in numpy. Raises NoSolution if an inequality does not hold beyond rounding."""
     margin = float(min(smallest_eigenvalues(problem, y)) - rounding_of(problem, y))
     if not margin > 0.0:
         raise NoSolution(problem.what, "the answer fails its check", f"smallest eigenvalue {margin:.2e}")
-    return Proof(SOLVER, "Solved", margin)
+    return margin

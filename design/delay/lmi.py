@@ -16,7 +16,8 @@ from design.delay.delay_loop import Array
 from design.errors import NoSolution
 
 SOLVER = "Clarabel"
-_ENDS = ("Solved", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
+SOLVED = "Solved"
+_ENDS = (SOLVED, "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
 """Statuses that do not say that there is no solution."""
 
 
@@ -127,7 +128,7 @@ def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) ->
     Raises NoSolution with the solver's status for anything but an optimum.
     """
     answer = _ask(problem, tolerance, enough)
-    if str(answer.status) not in ("Solved", "AlmostSolved"):
+    if str(answer.status) not in (SOLVED, "AlmostSolved"):
         raise NoSolution(
             problem.what,
             f"{SOLVER} says {answer.status}",

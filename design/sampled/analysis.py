@@ -71,7 +71,7 @@ class SampledAnalysis:
     @property
     def decay_certified_per_s(self) -> float | None:
         """Decay under every sequence, 1/s."""
-        return None if self.decay_proof is None else self.decay_proof.decay_per_s
+        return None if self.decay_proof is None else self.decay_proof.figure
 
     @property
     def gain_found(self) -> float:
@@ -81,7 +81,7 @@ class SampledAnalysis:
     @property
     def gain_certified(self) -> float | None:
         """Gain that no sequence exceeds, rad/s per N m."""
-        return None if self.gain_proof is None else self.gain_proof.gain
+        return None if self.gain_proof is None else self.gain_proof.figure
 
     @property
     def certified(self) -> bool:

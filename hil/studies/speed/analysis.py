@@ -18,7 +18,7 @@ from design.delay.certificate import (
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
 from design.delay.delay_response import step_peak
-from design.delay.lmi import SOLVER
+from design.delay.lmi import SOLVED, SOLVER
 from design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
 from design.errors import NoSolution
 from design.motor import PmsmParameters
@@ -119,9 +119,8 @@ def _certified(
         except NoSolution as error:
             failures.append(str(error))
             continue
-        proof = certified.proof
-        status = "; ".join([*failures, f"{proof.status} at order {certified.order}"])
-        return certified, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
+        status = "; ".join([*failures, f"{SOLVED} at order {certified.order}"])
+        return certified, {"solver": SOLVER, "status": status, "min_margin": certified.min_margin}
     return None, {"solver": SOLVER, "status": "; ".join(failures), "min_margin": None}
 
 
@@ -203,7 +202,7 @@ def sequence_figures(analysis: SampledAnalysis, percent: float) -> dict[str, Any
         },
         "sequence_certificate": {
             "solver": SOLVER,
-            "status": analysis.without_certificate or "Solved",
+            "status": analysis.without_certificate or SOLVED,
             "min_margin": min(margins) if analysis.certified else None,
         },
     }

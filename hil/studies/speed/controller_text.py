@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from design.delay.lmi import SOLVER
+from design.delay.lmi import SOLVED, SOLVER
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.bandwidth_range import BandwidthRange
@@ -60,15 +60,14 @@ def _constant(result: DesignResult) -> dict[str, object]:
     certified = result.certified
     if certified is None:
         return {"solver": SOLVER, "status": "see sequences"}
-    proof = certified.proof
     covered = result.bandwidths if result.sampled is None else None
     return {
         "gamma": certified.gain,
         "gamma_all_bandwidths": None if covered is None else covered.gain,
         "order": certified.order,
-        "solver": proof.solver,
-        "status": proof.status,
-        "min_margin": proof.min_margin,
+        "solver": SOLVER,
+        "status": SOLVED,
+        "min_margin": certified.min_margin,
     }
 
 
@@ -113,15 +112,13 @@ def sequence_proof(
     if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
         return None
     gain, decay = sampled.gain_proof, sampled.decay_proof
-    assert gain.gain is not None
-    assert decay.decay_per_s is not None
     return SequenceProof(
-        gain_certified=gain.gain,
+        gain_certified=gain.figure,
         gain_certified_all_bandwidths=bandwidths.gain if bandwidths else None,
         gain_found=sampled.gain_found,
         step_peak_certified_rad_s=sampled.peak_certified,
         step_peak_found_rad_s=finite(sampled.peak_found),
-        decay_certified_per_s=decay.decay_per_s,
+        decay_certified_per_s=decay.figure,
         decay_certified_all_bandwidths_per_s=bandwidths.decay_per_s if bandwidths else None,
         decay_found_per_s=sampled.decay_found_per_s,
         min_margin=min(gain.min_margin, decay.min_margin),
