@@ -6,7 +6,7 @@ given is the one for which that is so.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,14 +135,16 @@ def certified_delay_s(model: SpeedModel, loop: DelayLoop, order: int) -> float:
     low = 0.0
     if math.isinf(high):
         high = 1.0 / min(abs(np.linalg.eigvals(loop.A + loop.BK).real))
-        while high < 1e3 and certified_stable(model, loop.with_delay(high), order):
+        while high < 1e3 and certified_stable(model, replace(loop, delay_s=high), order):
             low, high = high, 2.0 * high
         if low == high:
             return math.inf
     while high - low > _DELAY_TOLERANCE_S:
         middle = 0.5 * (low + high)
         # a higher order proves all that a lower one does, but a solver may fail at it
-        if any(certified_stable(model, loop.with_delay(middle), lower) for lower in range(order, -1, -1)):
+        if any(
+            certified_stable(model, replace(loop, delay_s=middle), lower) for lower in range(order, -1, -1)
+        ):
             low = middle
         else:
             high = middle

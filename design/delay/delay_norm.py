@@ -16,7 +16,7 @@ Between two current loops: the rate stands in one row of A and B K, so that n an
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +83,7 @@ def is_stable(loop: DelayLoop) -> bool:
 
 def largest_stable_delay_s(loop: DelayLoop) -> float:
     """The delay up to which the loop is stable; inf if no delay makes it unstable, 0 if none is needed."""
-    if not is_stable(loop.with_delay(0.0)):
+    if not is_stable(replace(loop, delay_s=0.0)):
         return 0.0
     firsts = [crossing.first_delay_s for crossing in crossings(loop) if crossing.destabilising]
     return min(firsts, default=math.inf)

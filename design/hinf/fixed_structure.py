@@ -108,7 +108,7 @@ class _Scaled:
 
     @classmethod
     def of(cls, G: StateSpace, weights: Weights, rate: float) -> "_Scaled":
-        parts = (weights.error, weights.control, weights.output)
+        parts = weights.by_function.values()
         rates = np.array([x for w in parts for x in (w.zero_rad_s, w.pole_rad_s)]) / rate
         systems = (G, *(weight.system for weight in parts))
         return cls(systems, rate, float(rates.min()), float(rates.max()))

@@ -36,6 +36,16 @@ class Family:
     target: int
     windows: tuple[Window, ...]
 
+    def over(self, parts: Sequence[float]) -> Iterator[PeriodStep]:
+        """The steps whose switchings are at these parts of their windows, in every admissible way."""
+        tried = [
+            sorted({window.first_s + part * (window.last_s - window.first_s) for part in parts})
+            for window in self.windows
+        ]
+        for times_s in itertools.product(*tried):
+            if all(earlier <= later for earlier, later in itertools.pairwise(times_s)):
+                yield self.at(times_s)
+
     def at(self, times_s: Sequence[float]) -> PeriodStep:
         """The step whose switchings are at ``times_s``."""
         switches = [Switch(window.back, time_s) for window, time_s in zip(self.windows, times_s, strict=True)]

@@ -13,7 +13,7 @@ where it came to rest. What is returned is proved afterwards, like every certifi
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -145,8 +145,8 @@ def _value(model: SpeedModel, K: Array, delay_s: float, gamma: float, slopes: bo
         )
 
     steps = _STEP * np.maximum(np.abs(K), 1e-3 * np.abs(K).max())
-    by_gain = np.array([-shifted(loop.with_gain(K + row)) / row.sum() for row in np.diag(steps)])
-    by_log_delay = -shifted(loop.with_delay(delay_s * math.exp(_STEP))) / _STEP
+    by_gain = np.array([-shifted(replace(loop, K=K + row)) / row.sum() for row in np.diag(steps)])
+    by_log_delay = -shifted(replace(loop, delay_s=delay_s * math.exp(_STEP))) / _STEP
     return _Value(squared, by_gain, by_log_delay)
 
 

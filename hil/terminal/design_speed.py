@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.analyse_speed import StrategyName
+from hil.terminal.analyse_speed import LoadOption, SpeedOption, StrategyName
 from hil.terminal.current_loop_options import (
     AxisOption,
     BenchOption,
@@ -32,10 +32,6 @@ from hil.terminal.design_predictor import (
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, flag, motor_file
 from hil.terminal.output import on_terminal, print_figures, put, say_written
-from hil.terminal.speed_options import (
-    LoadOption,
-    SpeedOption,
-)
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:

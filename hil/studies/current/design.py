@@ -22,8 +22,7 @@ from design.motor import PmsmParameters
 from design.statespace import StateSpace, zpk
 from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text
-from hil.studies.current.figures import robust_figures, sampled_design
-from hil.studies.current.request import CurrentRequest, OtherAxis
+from hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 
 GAMMA = 1.0
 """The demand (40), if nothing else is asked for."""

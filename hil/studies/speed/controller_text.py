@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,11 @@ US_PER_S = 1e6
 def whole_us(time_s: float) -> int:
     """Up to the next whole microsecond; what is one up to rounding stays."""
     return math.ceil(time_s * US_PER_S - 1e-6)
+
+
+def begun_us(time_s: float) -> int:
+    """Down to a whole microsecond; what is one up to rounding stays."""
+    return math.floor(time_s * US_PER_S + 1e-6)
 
 
 def plant_of(motor: PmsmParameters) -> DesignPlant:
@@ -86,21 +92,21 @@ def write_controller(path: Path, controller: Section) -> None:
 
 def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
-    made_for = MadeFor(
-        delay_us=math.floor(result.design.delay_s * US_PER_S + 1e-6),
+    return MadeFor(
+        delay_us=begun_us(result.design.delay_s),
         plant=plant_of(result.request.motor),
         current_loop=_current_loop(result),
+        **({} if network is None else _network(network)),
     )
-    return made_for if network is None else made_for.model_copy(update=_network(network))
 
 
-def _network(network: SampledNetwork) -> dict[str, object]:
+def _network(network: SampledNetwork) -> dict[str, Any]:
     waits = network.strategy is not Strategy.ARRIVAL
     return {
         "strategy": network.strategy.value,
         "period_us": whole_us(network.period_s),
         "losses_in_a_row_max": network.losses_max,
-        "delay_max_us": math.floor(network.delay_max_s * US_PER_S + 1e-6),
+        "delay_max_us": begun_us(network.delay_max_s),
         "agreed_delay_us": whole_us(network.agreed_delay_s) if waits else None,
     }
 

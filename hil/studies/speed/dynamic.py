@@ -1,6 +1,5 @@
 """``hil design speed --structure``: what all controllers with states of their own have in common."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from design.speed.predictor_plant import encoder_noise_rad_s
 from hil.configuration.config_files import Section
 from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, LossCertificate, MadeFor
 from hil.studies.numbers import finite, margin_figures, short
-from hil.studies.speed.controller_text import US_PER_S, plant_of, sequence_proof, whole_us
+from hil.studies.speed.controller_text import US_PER_S, begun_us, plant_of, sequence_proof, whole_us
 
 ENCODER_COUNTS = 65_536
 SPEED_FILTER_HZ = 500.0
@@ -185,19 +184,19 @@ class DynamicResult(ABC):
         """With a certificate, for as many losses in a row as that covers."""
         request, (least, most) = self.design.request, self.loop.bandwidths
         hz = request.current_bandwidth_hz
-        made = MadeFor(
+        certified = certified_of(self.losses)
+        held: dict[str, Any] = {}
+        if certified is not None or self.measured:
+            held = {
+                "losses_in_a_row_max": self.losses_max if certified is None else certified.network.losses_max,
+                "delay_max_us": begun_us(request.delay_max_s),
+            }
+        return MadeFor(
             delay_us=whole_us(request.period_s + request.delay_max_s),
             period_us=whole_us(request.period_s),
             plant=plant_of(request.motor),
             current_loop=CurrentLoop(
                 bandwidth_hz=hz, bandwidth_min_hz=short(hz * least), bandwidth_max_hz=short(hz * most)
             ),
+            **held,
         )
-        certified = certified_of(self.losses)
-        if certified is None and not self.measured:
-            return made
-        held = {
-            "losses_in_a_row_max": self.losses_max if certified is None else certified.network.losses_max,
-            "delay_max_us": math.floor(request.delay_max_s * US_PER_S + 1e-6),
-        }
-        return made.model_copy(update=held)
