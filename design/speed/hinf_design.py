@@ -21,7 +21,6 @@ from design.speed.conditioned import Conditioned, conditioned, truncated
 from design.speed.hinf_loop import HinfLoop
 from design.speed.hinf_problem import (
     HinfController,
-    HinfProblem,
     HinfWeights,
     design_controller,
     weighted_norms,
@@ -49,7 +48,6 @@ class HinfDesign:
     """A controller, reduced, and where it is from."""
 
     request: PredictorRequest
-    problem: HinfProblem
     weights: HinfWeights
     found: HinfController
     controller: Conditioned
@@ -89,14 +87,9 @@ class HinfDesign:
         return min(cost, WORST) if math.isfinite(cost) else WORST
 
 
-def problem_of(request: PredictorRequest) -> HinfProblem:
-    """What is to be controlled."""
-    return HinfProblem(request.plant, request.period_s, request.delay_s, request.delay_margin_s)
-
-
 def design_hinf(request: PredictorRequest) -> HinfDesign:
     """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
-    problem, around_s = problem_of(request), request.period_s + request.delay_s
+    around_s = request.period_s + request.delay_s
     unit = request.floor_rad_s() / request.load_nm
 
     def weights(point: Array) -> HinfWeights:
@@ -105,11 +98,11 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
 
     def full(point: Array) -> HinfDesign | None:
         try:
-            controller = design_controller(problem, weights(point))
+            controller = design_controller(request, weights(point))
             whole = conditioned(controller.K, unit)
         except (DesignError, np.linalg.LinAlgError):
             return None
-        return HinfDesign(request, problem, weights(point), controller, whole)
+        return HinfDesign(request, weights(point), controller, whole)
 
     best: HinfDesign | None = None
 
@@ -176,4 +169,4 @@ def uncertainty_norm(made: HinfDesign) -> float:
     """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
     h = made.request.period_s
     omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
-    return float(np.max(weighted_norms(made.problem, made.controller.K, omega)))
+    return float(np.max(weighted_norms(made.request, made.controller.K, omega)))
