@@ -51,8 +51,8 @@ def controller_of(result: DesignResult) -> StateFeedbackController:
         made_for=_made_for(result),
         certificate=Certificate.model_validate(
             {
-                "method": result.request.method,
-                "target": "sampled" if result.request.for_sampled else "constant",
+                "method": result.request.way.method,
+                "target": "sampled" if result.request.way.for_sampled else "constant",
                 "gamma_exact": finite(result.gamma_exact),
                 "sequences": sequence_proof(result.sampled, result.bandwidths),
                 **_constant(result),

@@ -39,6 +39,20 @@ _KEPT = 1.0 + 1e-6
 
 
 @dataclass(frozen=True, slots=True)
+class Way:
+    """How a feedback is found."""
+
+    method: str
+    """exact, lmi or ccl."""
+    feedback: Feedback
+    integral: bool
+    integral_time_s: float | None
+    """K2/K3; None: in proportion to the delay."""
+    for_sampled: bool
+    """Whether the loop over the network itself is made best, and not the one with the constant delay."""
+
+
+@dataclass(frozen=True, slots=True)
 class DesignRequest:
     """What is known, and what is wanted; ``gamma`` or the delay may be open, not both."""
 
@@ -49,18 +63,12 @@ class DesignRequest:
     """The constant delay; None: the largest."""
     network: SampledNetwork | None
     """The network behind the delay, for the figures of the sampled loop."""
-    method: str
-    """exact, lmi or ccl."""
-    feedback: Feedback
-    integral: bool
+    way: Way
     load_nm: float
     speed_rad_s: float
     """For figures in percent."""
-    integral_time_s: float | None = None
-    current_bandwidth_hz: float | None = None
+    current_bandwidth_hz: float | None
     """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
-    for_sampled: bool = False
-    """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
 
     def percent(self, gain: float) -> float:
         """Of the speed, that a gain in rad/s per N m makes of the load."""
@@ -94,10 +102,10 @@ class DesignResult:
             "current_bandwidth_hz": request.current_bandwidth_hz,
             "gamma": design.gain,
             "delay_s": design.delay_s,
-            "method": request.method,
-            "feedback": request.feedback.value,
-            "integral": request.integral,
-            "target": "sampled" if request.for_sampled else "constant",
+            "method": request.way.method,
+            "feedback": request.way.feedback.value,
+            "integral": request.way.integral,
+            "target": "sampled" if request.way.for_sampled else "constant",
             "certificate": self._certificate(),
             "gamma_exact": finite(self.gamma_exact),
             "error_percent": request.percent(design.gain),
@@ -132,7 +140,7 @@ def _robustness(result: DesignResult) -> dict[str, Any]:
 
     def plant(motor: PmsmParameters, share: float) -> SpeedModel:
         rate = current_rate_rad_s(request.motor, request.current_bandwidth_hz) * share
-        return speed_model(motor, request.integral, rate / math.tau)
+        return speed_model(motor, request.way.integral, rate / math.tau)
 
     model = plant(request.motor, 1.0)
     held = None if request.network is None else HeldLoop(model, design.K, request.network)
@@ -159,7 +167,7 @@ def with_bandwidths(result: DesignResult) -> DesignResult:
         return result
 
     def model_at(hz: float) -> SpeedModel:
-        return speed_model(request.motor, request.integral, hz)
+        return speed_model(request.motor, request.way.integral, hz)
 
     if sampled is None:
         assert result.certified is not None
@@ -191,7 +199,7 @@ class Unreachable(DesignError):
         gamma = request.gamma or math.nan
         return {
             "feasible": False,
-            "method": request.method,
+            "method": request.way.method,
             "demand": {
                 "gamma": gamma,
                 "delay_s": best.delay_s,
@@ -232,11 +240,11 @@ class Unreachable(DesignError):
             ways.append(f"a period of at most {1e3 * do['period_s']:.4g} ms with the same losses")
         if do.get("loss_max") is not None:
             ways.append(f"at most {do['loss_max']} losses in a row at the same period")
-        if request.network is not None and not request.for_sampled:
+        if request.network is not None and not request.way.for_sampled:
             ways.append("perhaps --target sampled, which makes the loop best that really runs")
         return (
             f"{_amount(demand)} is out of reach at a delay of {1e3 * self.best.delay_s:.4g} ms by the method "
-            f"{request.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
+            f"{request.way.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
         )
 
 
@@ -249,10 +257,10 @@ def design_speed(request: DesignRequest, tell: Callable[[str], None] = lambda _:
 
     Raises Unreachable, or NoSolution if the method ends without an answer.
     """
-    model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
+    model = speed_model(request.motor, request.way.integral, request.current_bandwidth_hz)
     if request.network is not None:
         tell("gain and decay over every sequence of losses and delays: some 10 s")
-    result = _for_sampled(model, request) if request.for_sampled else _for_constant(model, request)
+    result = _for_sampled(model, request) if request.way.for_sampled else _for_constant(model, request)
     if result.sampled is None:
         return result
     tell("largest error after a load step over every sequence: up to two minutes")
@@ -272,7 +280,7 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
         if request.gamma is not None and design.gain > request.gamma * _KEPT:
             raise Unreachable(request, design, _needed(model, request))
     loop = model.loop(design.K, design.delay_s)
-    exact = request.method == "exact"
+    exact = request.way.method == "exact"
     certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
     sampled = analyse_sampled(model, design.K, request.network) if request.network else None
     if request.gamma is not None and sampled is not None:
@@ -282,7 +290,7 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
 
 def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
     assert request.network is not None
-    best = least_sampled_gain(model, request.network, request.feedback, request.integral_time_s)
+    best = least_sampled_gain(model, request.network, request.way.feedback, request.way.integral_time_s)
     sampled = analyse_sampled(model, best.K, request.network)
     design = replace(best, gain=_certified(sampled))
     _demand_sampled(request, design)
@@ -303,18 +311,18 @@ def _demand_sampled(request: DesignRequest, design: SpeedDesign) -> None:
 
 
 def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> SpeedDesign:
-    if request.method == "exact":
-        return largest_delay(model, gamma, request.feedback, request.integral_time_s)
-    if request.method == "lmi":
-        return largest_certified_delay(model, gamma, request.feedback)
+    if request.way.method == "exact":
+        return largest_delay(model, gamma, request.way.feedback, request.way.integral_time_s)
+    if request.way.method == "lmi":
+        return largest_certified_delay(model, gamma, request.way.feedback)
     return largest_ccl_delay(model, gamma)
 
 
 def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> SpeedDesign:
-    if request.method == "exact":
-        return least_gain(model, delay_s, request.feedback, request.integral_time_s)
-    certified = least_certified_gain(model, delay_s, request.feedback)
-    return certified if request.method == "lmi" else _least_by_ccl(model, delay_s, certified.gain)
+    if request.way.method == "exact":
+        return least_gain(model, delay_s, request.way.feedback, request.way.integral_time_s)
+    certified = least_certified_gain(model, delay_s, request.way.feedback)
+    return certified if request.way.method == "lmi" else _least_by_ccl(model, delay_s, certified.gain)
 
 
 def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> SpeedDesign:
