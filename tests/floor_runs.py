@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from design.delay.speed_loop import peak_floor_rad_s, speed_model
 from design.motor import PmsmParameters
 from design.speed.conditioned import Conditioned
+from design.speed.predictor_design import PredictorRequest
 from design.speed.speed_design import least_gain
 from design.speed.speed_pid import first_order_current_loop, pid_by_rule
 from drivers.rotation import RAD_S_PER_RPM
 from hil.configuration.bench_file import bench_from
 from hil.configuration.config import BenchConfig
-from hil.studies.speed.dynamic import PredictorDrive, PredictorNetwork
+from hil.studies.speed.dynamic import request_of
 from hil.studies.speed.hinf import design_speed_hinf
 from hil.studies.speed.predictor import PredictorResult, design_speed_predictor
 from tests.shaft_run import ShaftRun, run_watched
@@ -104,16 +105,18 @@ class Case:
         return bench_from(tables | ({"faults": faults} if faults else {}), self.name, Path())
 
 
+def request(case: Case) -> PredictorRequest:
+    """What the designs go by."""
+    motor = case.parameters
+    noise_nm = 0.05 * motor.rated_torque_nm
+    return request_of(
+        motor, CURRENT_HZ, PERIOD_S, case.delay_s, case.load_nm, noise_nm, encoder_counts=case.counts
+    )
+
+
 def predictor(case: Case) -> PredictorResult:
     """Its design; its file would refuse the motors that it is tried on, so it names none."""
-    motor = case.parameters
-    return design_speed_predictor(
-        motor,
-        PredictorDrive(CURRENT_HZ, case.counts, 500.0, 16_000.0, 100e-6),
-        PredictorNetwork(PERIOD_S, case.delay_s, 0, measured=False),
-        case.load_nm,
-        0.05 * motor.rated_torque_nm,
-    )
+    return design_speed_predictor(request(case), 0)
 
 
 def table_of(found: PredictorResult) -> dict[str, Any]:
@@ -123,15 +126,11 @@ def table_of(found: PredictorResult) -> dict[str, Any]:
 
 def hinf(case: Case) -> dict[str, Any]:
     """H-infinity output feedback for the same drive; its file, too, would refuse other motors."""
-    motor = case.parameters
-    found = design_speed_hinf(
-        motor,
-        PredictorDrive(CURRENT_HZ, case.counts, 500.0, 16_000.0, 100e-6),
-        PredictorNetwork(PERIOD_S, case.delay_s, 0, measured=False),
-        case.load_nm,
-        0.05 * motor.rated_torque_nm,
+    return (
+        design_speed_hinf(request(case), 0)
+        .controller()
+        .model_dump(mode="json", exclude={"made_for", "figures"})
     )
-    return found.controller().model_dump(mode="json", exclude={"made_for", "figures"})
 
 
 def observing(case: Case) -> dict[str, Any]:
@@ -142,9 +141,7 @@ def observing(case: Case) -> dict[str, Any]:
     k, l_1, l_2 by the criterion of H-infinity: peak, inertia +-30 %, delay margin, torque noise.
     """
     motor = case.parameters
-    drive = PredictorDrive(CURRENT_HZ, case.counts, 500.0, 16_000.0, 100e-6)
-    network = PredictorNetwork(PERIOD_S, case.delay_s, 0, measured=False)
-    made = design_speed_hinf(motor, drive, network, case.load_nm, 0.05 * motor.rated_torque_nm)
+    made = design_speed_hinf(request(case), 0)
     lever, around_s = PERIOD_S / motor.inertia_kg_m2, PERIOD_S + case.delay_s
     late = round(case.delay_s / PERIOD_S)
 

@@ -34,7 +34,6 @@ _REFINEMENTS, _PEAKS = 4, 5
 class CoupledRobustness:
     """Both axes at one speed."""
 
-    speed_rad_s: float
     real_mu_bound: float
     """Below 1: stable with every motor of the box; the box may grow by its inverse."""
     real_mu_rad_s: float
@@ -62,7 +61,7 @@ def coupled_robustness(
         order = np.argsort(omega)
         omega, mu = omega[order], mu[order]
     k = int(np.argmax(mu))
-    return CoupledRobustness(speed_rad_s, float(mu[k]), float(omega[k]))
+    return CoupledRobustness(float(mu[k]), float(omega[k]))
 
 
 def _between_peaks(omega: Array, mu: Array) -> Array:

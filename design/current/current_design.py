@@ -58,14 +58,6 @@ def rule_weights(motor: PmsmParameters, axis: str) -> Weights:
     )
 
 
-def printed_weights(axis: str) -> Weights:
-    """(44) to (49) as printed, (45) read as 0.5 (1 + 1e-3 s)/(1 + 2e-5 s), (46)'s pole as 271.35e4."""
-    control = Weight(25.0, 1e3, 5e4)
-    if axis == "q":
-        return Weights(Weight(1 / 1.51, 177.3493, 0.0117), control, Weight(1e4, 135.68, 271.35e4))
-    return Weights(Weight(1 / 1.7, 68.7386, 0.0040), control, Weight(1e4, 577.3503, 1.1547e7))
-
-
 def axis_gamma_min(G: StateSpace, weights: Weights) -> float:
     """The least gamma of the mixed-sensitivity problem of ``G``.
 

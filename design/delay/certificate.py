@@ -6,14 +6,14 @@ given is the one for which that is so.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from design.delay.delay_lmi import gain_problem, ordinary_gain_problem, scaled, stability_problem
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s, rough_norm
-from design.delay.lmi import SOLVER, LmiProblem, rounding_of, smallest_eigenvalues, solve
+from design.delay.lmi import LmiProblem, rounding_of, smallest_eigenvalues, solve
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
 
@@ -22,16 +22,6 @@ CLOSE_ENOUGH = 1.001
 """Certified over exact gain at which no higher order is tried."""
 _DELAY_TOLERANCE_S = 1e-7
 _STABLE_MARGIN = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Proof:
-    """What stands behind a certified figure."""
-
-    solver: str
-    status: str
-    min_margin: float
-    """Smallest eigenvalue of all inequalities in the scaled problem, less the bound of its rounding error."""
 
 
 _SHARES = (1.2, 1.0, 2.0)
@@ -46,7 +36,8 @@ class CertifiedGain:
 
     gain: float
     order: int
-    proof: Proof
+    min_margin: float
+    """Smallest eigenvalue of all inequalities in the scaled problem, less the bound of its rounding error."""
 
 
 def certified_gain(model: SpeedModel, loop: DelayLoop, order: int) -> CertifiedGain:
@@ -99,15 +90,15 @@ def _certified_in(state_scale: Array, loop: DelayLoop, order: int, scale: float)
     return CertifiedGain(gain, order, proved(problem, y))
 
 
-def certified_gain_auto(model: SpeedModel, loop: DelayLoop, order_max: int = ORDER_MAX) -> CertifiedGain:
+def certified_gain_auto(model: SpeedModel, loop: DelayLoop) -> CertifiedGain:
     """The certificate of the lowest order that comes within :data:`CLOSE_ENOUGH` of the exact gain.
 
-    If none does up to ``order_max``, or the solver fails at a higher order: the best there is.
+    If none does up to :data:`ORDER_MAX`, or the solver fails at a higher order: the best there is.
     """
     exact = hinf_norm(loop)
     best: CertifiedGain | None = None
     failure: NoSolution | None = None
-    for order in range(order_max + 1):
+    for order in range(ORDER_MAX + 1):
         try:
             certified = certified_gain(model, loop, order)
         except NoSolution as error:
@@ -144,23 +135,25 @@ def certified_delay_s(model: SpeedModel, loop: DelayLoop, order: int) -> float:
     low = 0.0
     if math.isinf(high):
         high = 1.0 / min(abs(np.linalg.eigvals(loop.A + loop.BK).real))
-        while high < 1e3 and certified_stable(model, loop.with_delay(high), order):
+        while high < 1e3 and certified_stable(model, replace(loop, delay_s=high), order):
             low, high = high, 2.0 * high
         if low == high:
             return math.inf
     while high - low > _DELAY_TOLERANCE_S:
         middle = 0.5 * (low + high)
         # a higher order proves all that a lower one does, but a solver may fail at it
-        if any(certified_stable(model, loop.with_delay(middle), lower) for lower in range(order, -1, -1)):
+        if any(
+            certified_stable(model, replace(loop, delay_s=middle), lower) for lower in range(order, -1, -1)
+        ):
             low = middle
         else:
             high = middle
     return low
 
 
-def proved(problem: LmiProblem, y: Array) -> Proof:
-    """The check in numpy. Raises NoSolution if an inequality does not hold beyond rounding."""
+def proved(problem: LmiProblem, y: Array) -> float:
+    """The margin, by the check in numpy. Raises NoSolution if an inequality does not hold beyond rounding."""
     margin = float(min(smallest_eigenvalues(problem, y)) - rounding_of(problem, y))
     if not margin > 0.0:
         raise NoSolution(problem.what, "the answer fails its check", f"smallest eigenvalue {margin:.2e}")
-    return Proof(SOLVER, "Solved", margin)
+    return margin

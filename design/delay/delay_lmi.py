@@ -124,7 +124,7 @@ def _decrease(unknowns: Unknowns, signals: _Signals) -> MatrixInequality:
     return inequality
 
 
-def gain_problem(loop: ScaledLoop, order: int, margin: float = STRICT) -> LmiProblem:
+def gain_problem(loop: ScaledLoop, order: int) -> LmiProblem:
     """Least squared gain that the functional of ``order`` certifies; the last unknown is that square.
 
     Order 0: [Ling2012] Theorem 3.3, (3.10), after Schur complements and with Y and W eliminated.
@@ -136,7 +136,7 @@ def gain_problem(loop: ScaledLoop, order: int, margin: float = STRICT) -> LmiPro
     decrease = _decrease(unknowns, signals)
     _count_gain(decrease, signals.now @ loop.C)
     what = f"certificate of the gain at order {order}"
-    return LmiProblem(what, unknowns, [*_positivity(unknowns, n, order), decrease], unknowns.last, margin)
+    return LmiProblem(what, unknowns, [*_positivity(unknowns, n, order), decrease], unknowns.last, STRICT)
 
 
 def _count_gain(decrease: MatrixInequality, output: Array) -> None:

@@ -14,7 +14,7 @@ like size whatever the plant's rates.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
@@ -41,14 +41,6 @@ class DelayLoop:
     def BK(self) -> Array:
         """Matrix of the delayed state, (n, n)."""
         return np.outer(self.B, self.K)
-
-    def with_delay(self, delay_s: float) -> "DelayLoop":
-        """The same plant and gain with another delay."""
-        return DelayLoop(self.A, self.B, self.K, self.E, self.C, delay_s)
-
-    def with_gain(self, K: ArrayLike) -> "DelayLoop":
-        """The same plant and delay with another gain."""
-        return DelayLoop(self.A, self.B, np.asarray(K, dtype=float), self.E, self.C, self.delay_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

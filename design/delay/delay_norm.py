@@ -16,7 +16,7 @@ Between two current loops: the rate stands in one row of A and B K, so that n an
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,18 +83,18 @@ def is_stable(loop: DelayLoop) -> bool:
 
 def largest_stable_delay_s(loop: DelayLoop) -> float:
     """The delay up to which the loop is stable; inf if no delay makes it unstable, 0 if none is needed."""
-    if not is_stable(loop.with_delay(0.0)):
+    if not is_stable(replace(loop, delay_s=0.0)):
         return 0.0
     firsts = [crossing.first_delay_s for crossing in crossings(loop) if crossing.destabilising]
     return min(firsts, default=math.inf)
 
 
-def hinf_norm(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> float:
+def hinf_norm(loop: DelayLoop) -> float:
     """sup over w of |G(jw)| in units of z per unit of d; inf if the loop is unstable."""
-    return hinf_peak(loop, tolerance).gain
+    return hinf_peak(loop).gain
 
 
-def hinf_peak(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> Peak:
+def hinf_peak(loop: DelayLoop) -> Peak:
     """As :func:`hinf_norm`, with the frequency of the peak (0 for an unstable loop)."""
     if not is_stable(loop):
         return Peak(math.inf, 0.0)
@@ -103,12 +103,12 @@ def hinf_peak(loop: DelayLoop, tolerance: float = NORM_TOLERANCE) -> Peak:
     if gain == 0.0:
         return Peak(0.0, 0.0)
     while True:
-        above = _point_above(function, gain * (1.0 + tolerance), _tail_start(function, gain))
+        above = _point_above(function, gain * (1.0 + NORM_TOLERANCE), _tail_start(function, gain))
         if above is None:
             return Peak(gain, w / function.time_unit_s)
         higher, at = _climb(function, above)
         # A summit that is no higher was a rounding error of the sign; the search may end there.
-        if higher <= gain * (1.0 + tolerance):
+        if higher <= gain * (1.0 + NORM_TOLERANCE):
             return Peak(max(gain, higher), (at if higher > gain else w) / function.time_unit_s)
         gain, w = higher, at
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from design.delay.delay_loop import Array
 from design.errors import NoSolution
 
-Array = NDArray[np.float64]
-
 SOLVER = "Clarabel"
-_ENDS = ("Solved", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
+SOLVED = "Solved"
+_ENDS = (SOLVED, "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
 """Statuses that do not say that there is no solution."""
 
 
@@ -116,10 +116,9 @@ class LmiProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LmiSolution:
-    """An optimum: y, its objective, and the multiplier of each inequality (positive semidefinite)."""
+    """An optimum: y, and the multiplier of each inequality (positive semidefinite)."""
 
     y: Array
-    objective: float
     duals: list[Array] = field(repr=False)
 
 
@@ -129,7 +128,7 @@ def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) ->
     Raises NoSolution with the solver's status for anything but an optimum.
     """
     answer = _ask(problem, tolerance, enough)
-    if str(answer.status) not in ("Solved", "AlmostSolved"):
+    if str(answer.status) not in (SOLVED, "AlmostSolved"):
         raise NoSolution(
             problem.what,
             f"{SOLVER} says {answer.status}",
@@ -142,7 +141,7 @@ def solve(problem: LmiProblem, tolerance: float = 1e-9, enough: float = 1e-8) ->
         length = m * (m + 1) // 2
         duals.append(_matrix(z[start : start + length], m))
         start += length
-    return LmiSolution(y, float(problem.objective @ y), duals)
+    return LmiSolution(y, duals)
 
 
 def last_answer(problem: LmiProblem, tolerance: float) -> Array | None:

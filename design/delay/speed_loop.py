@@ -123,9 +123,9 @@ def gain_for_error(
     return gain if units is Units.SI else gain / RAD_S_PER_RPM
 
 
-def percent_of_speed(gain: float, load_nm: float, speed_rad_s: float, units: Units = Units.SI) -> float:
+def percent_of_speed(gain: float, load_nm: float, speed_rad_s: float) -> float:
     """Inverse of :func:`gain_for_error`."""
-    return gain / gain_for_error(1.0, load_nm, speed_rad_s, units)
+    return gain / gain_for_error(1.0, load_nm, speed_rad_s)
 
 
 def peak_floor_rad_s(motor: PmsmParameters, delay_s: float) -> float:

@@ -38,15 +38,6 @@ class Structure(Enum):
     """k (s + a)(s + b)/(s (s^2 + 2 d w s + w^2)), the form of [Azaiz2007] (71)"""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedDesign:
-    """The best controller found of its structure, and the norm of its closed loop."""
-
-    structure: Structure
-    controller: StateSpace
-    gamma: float
-
-
 def _pi(theta: Array) -> tuple[list[complex], list[complex], float]:
     k, a = np.exp(theta)
     return [-a], [0.0], float(k)
@@ -71,15 +62,17 @@ _FORMS: dict[Structure, Callable[[Array], tuple[list[complex], list[complex], fl
 }
 
 
-def tune(G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: float) -> FixedDesign:
-    """The best controller of ``structure`` for the first-order plant ``G``, started about ``crossing_rad_s``.
+def tune(
+    G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: float
+) -> tuple[StateSpace, float]:
+    """The best controller of ``structure`` that is found for the first-order plant ``G``, and its norm.
 
-    Raises InfeasibleDesign if no start led to a stable loop.
+    ``crossing_rad_s``: about which is begun. Raises InfeasibleDesign if no start led to a stable loop.
     """
     plant = mixed_sensitivity(G, weights)
     corner, gain = -float(G.A[0, 0]), float((G.C @ G.B)[0, 0])
     slow = _Scaled.of(G, weights, corner)
-    best: FixedDesign | None = None
+    best: tuple[StateSpace, float] | None = None
     for factor in (0.25, 0.5, 1.0, 2.0):
         crossing = crossing_rad_s / corner
         k = factor * crossing * corner / gain
@@ -93,8 +86,8 @@ def tune(G: StateSpace, weights: Weights, structure: Structure, crossing_rad_s: 
         rise = corner ** (len(poles) - len(zeros))
         K = from_zpk([z * corner for z in zeros], [p * corner for p in poles], scaled * rise)
         norm = hinf_norm(closed_loop(plant, K)).gain
-        if math.isfinite(norm) and (best is None or norm < best.gamma):
-            best = FixedDesign(structure, K, norm)
+        if math.isfinite(norm) and (best is None or norm < best[1]):
+            best = K, norm
     if best is None:
         raise InfeasibleDesign(
             f"a stable loop with the structure {structure.value}",
@@ -115,7 +108,7 @@ class _Scaled:
 
     @classmethod
     def of(cls, G: StateSpace, weights: Weights, rate: float) -> "_Scaled":
-        parts = (weights.error, weights.control, weights.output)
+        parts = weights.by_function.values()
         rates = np.array([x for w in parts for x in (w.zero_rad_s, w.pole_rad_s)]) / rate
         systems = (G, *(weight.system for weight in parts))
         return cls(systems, rate, float(rates.min()), float(rates.max()))

@@ -89,14 +89,24 @@ def _phase_margin(L: Response, omega: Array, values: ComplexArray) -> tuple[floa
 
 
 def _modulus_margin(L: Response, omega: Array, values: ComplexArray) -> tuple[float, float]:
-    distance = np.abs(1.0 + values)
-    k = int(np.argmin(distance))
-    bounds = (math.log(omega[max(k - 1, 0)]), math.log(omega[min(k + 1, len(omega) - 1)]))
+    nearest, place = highest(lambda w: -np.abs(1.0 + L(w)), omega, -np.abs(1.0 + values), 1e-9)
+    return -nearest, place
 
-    def near(log_omega: float) -> float:
-        return float(np.abs(1.0 + L(np.array([math.exp(log_omega)]))[0]))
 
-    optimum = scipy.optimize.minimize_scalar(near, bounds=bounds, method="bounded", options={"xatol": 1e-9})
-    if optimum.fun < distance[k]:
-        return float(optimum.fun), math.exp(optimum.x)
-    return float(distance[k]), float(omega[k])
+def highest(
+    function: Callable[[Array], Array], omega: Array, values: Array, tolerance: float
+) -> tuple[float, float]:
+    """The largest value and its frequency: the best of a grid, and the top of the hill on which it stands.
+
+    ``tolerance``: of the frequency, relative.
+    """
+    k = int(np.argmax(values))
+    optimum = scipy.optimize.minimize_scalar(
+        lambda log_omega: -float(function(np.array([math.exp(log_omega)]))[0]),
+        bounds=(math.log(omega[max(k - 1, 0)]), math.log(omega[min(k + 1, len(omega) - 1)])),
+        method="bounded",
+        options={"xatol": tolerance},
+    )
+    if -optimum.fun > values[k]:
+        return -float(optimum.fun), math.exp(optimum.x)
+    return float(values[k]), float(omega[k])

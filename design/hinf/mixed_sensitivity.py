@@ -17,7 +17,7 @@ def axis_plant(resistance_ohm: float, inductance_h: float) -> StateSpace:
 
 def mixed_sensitivity(G: StateSpace, weights: Weights) -> GeneralisedPlant:
     """The plant (2) with the states [G, w1, w2, w3] of (55); w = i_ref, u = v."""
-    w1, w2, w3 = (weight.system for weight in (weights.error, weights.control, weights.output))
+    w1, w2, w3 = (weight.system for weight in weights.by_function.values())
     parts = append(G, w1, w2, w3)
     # inputs of the parts: v, e, u, i; outputs: i, e1, e2, e3; outside: [i_ref, u]
     feedback = np.zeros((4, 4))

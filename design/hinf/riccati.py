@@ -31,6 +31,7 @@ _ROUGH = 1e-9
 """Relative size of the last step of Newton above which others are tried, in better coordinates."""
 _DERIVATIVE_HOLDS = 1e-3
 """A step of Newton that leaves less of the residual had a derivative that is as good for the next one."""
+_LOOSE = 1e-6
 _PRECISION = 16.0 * float(np.finfo(np.longdouble).eps)
 """Relative error of an entry of the equation's terms, in extended precision."""
 
@@ -249,12 +250,12 @@ def _symplectic_scale(H: Array) -> Array:
     return np.asarray(2.0 ** np.round((logs[:n] - logs[n:]) / 2.0), dtype=float)
 
 
-def _is_nonnegative(X: LongArray, noise: Array, tolerance: float = 1e-6) -> bool:
-    """Whether X >= 0 up to ``tolerance``, each state measured by its own size.
+def _is_nonnegative(X: LongArray, noise: Array) -> bool:
+    """Whether X >= 0 up to :data:`_LOOSE`, each state measured by its own size.
 
     An entry below the rounding errors counts as zero. An X that stops being >= 0 does so through
     infinity, so a loose tolerance does not hide it.
     """
-    size = np.sqrt(np.maximum(np.abs(np.diag(_double(X))), 4.0 / tolerance * noise + 1e-300))
+    size = np.sqrt(np.maximum(np.abs(np.diag(_double(X))), 4.0 / _LOOSE * noise + 1e-300))
     scaled = _double(X / _long(np.outer(size, size)))
-    return bool(np.linalg.eigvalsh(scaled).min() >= -tolerance)
+    return bool(np.linalg.eigvalsh(scaled).min() >= -_LOOSE)

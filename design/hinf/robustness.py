@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 
 from design.hinf.box_sensitivity import AxisBox, Worst, worst_over_box
+from design.hinf.margins import highest
 from design.hinf.mixed_sensitivity import axis_plant
 from design.hinf.weights import Weights
 from design.statespace import Array, StateSpace, connect, series
@@ -19,9 +19,8 @@ from design.statespace import Array, StateSpace, connect, series
 
 @dataclass(frozen=True, slots=True)
 class AxisRobustness:
-    """One axis over resistance and inductance, each within +-``spread`` of nominal."""
+    """One axis over resistance and inductance, each within a box about nominal."""
 
-    spread: float
     stable: bool
     """Of every motor of the box, by the bound of the sensitivity."""
     real_mu_peak: float
@@ -46,37 +45,19 @@ def axis_robustness(
     sensitivity, weighted = worst_over_box(box, K), worst_over_box(box, K, weights.error)
     nominal = connect(series(axis_plant(resistance_ohm, inductance_h), K), [[-1.0]], [[1.0]], [[1.0]])
     omega = _grid(K, resistance_ohm / inductance_h, weights.error.pole_rad_s)
-    mu, at = _peak(resistance_ohm, inductance_h, K, omega, spread)
+
+    def mu(at: Array) -> Array:
+        return axis_real_mu(resistance_ohm, inductance_h, K, at, spread)
+
+    peak, at = highest(mu, omega, mu(omega), 1e-10)
     stable = nominal.is_stable() and math.isfinite(sensitivity.bound)
-    return AxisRobustness(spread, stable, mu, at, sensitivity, weighted)
+    return AxisRobustness(stable, peak, at, sensitivity, weighted)
 
 
 def _grid(K: StateSpace, corner: float, slowest: float) -> Array:
     rates = np.abs(K.poles())
     high = math.log10(max(rates.max(), corner)) + 1.0
     return np.logspace(math.log10(slowest) - 2.0, high, 2400)
-
-
-def _peak(
-    resistance_ohm: float, inductance_h: float, K: StateSpace, omega: Array, spread: float
-) -> tuple[float, float]:
-    """The largest mu and its frequency: the best of the grid, and the top of the hill it stands on."""
-
-    def mu(at: Array) -> Array:
-        return axis_real_mu(resistance_ohm, inductance_h, K, at, spread)
-
-    values = mu(omega)
-    k = int(np.argmax(values))
-    bounds = (math.log(omega[max(k - 1, 0)]), math.log(omega[min(k + 1, len(omega) - 1)]))
-    optimum = scipy.optimize.minimize_scalar(
-        lambda log_omega: -float(mu(np.array([math.exp(log_omega)]))[0]),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": 1e-10},
-    )
-    if -optimum.fun > values[k]:
-        return -float(optimum.fun), math.exp(optimum.x)
-    return float(values[k]), float(omega[k])
 
 
 def axis_real_mu(

@@ -61,13 +61,11 @@ class Synthesis:
     controller: StateSpace
     generator: StateSpace
     """M of (23): inputs [y; Phi's output], outputs [u; Phi's input]."""
-    X: Array
     Y: Array
     state_feedback_modes: ComplexArray
     """Eigenvalues of E_x - W_x X, 1/s."""
     observer_modes: ComplexArray
     """Eigenvalues of E_y - W_y Y, 1/s."""
-    controls: int
 
     def with_parameter(self, parameter: StateSpace) -> StateSpace:
         """F_l(M, Phi). Error: ValueError unless Phi is stable with a norm below gamma."""
@@ -99,7 +97,7 @@ def synthesise(plant: GeneralisedPlant, gamma: float) -> Synthesis:
         gamma = max(factor * least for factor, _ in _VERIFIED if factor * least <= gamma)
         solved = evaluated(problem, gamma)
     assert isinstance(solved, Solved)
-    return _controllers(normal, gamma, solved, plant.controls)
+    return _controllers(normal, gamma, solved)
 
 
 def gamma_min(plant: GeneralisedPlant, relative: float = GAMMA_MIN_RELATIVE) -> float:
@@ -142,7 +140,7 @@ def _doubt(
             return _hidden(Fails(COUPLING), factor * gamma)
         if factor == 1.0:
             continue
-        K = _controllers(normal, factor * gamma, solved, plant.controls).controller
+        K = _controllers(normal, factor * gamma, solved).controller
         if not norm_is_below(closed_loop(plant, K), level * gamma):
             return NoSolution(
                 f"gamma_min near {gamma:.6g}",
@@ -244,7 +242,7 @@ def verified_norm(plant: GeneralisedPlant, controller: StateSpace) -> float:
     return hinf_norm(closed_loop(plant, controller)).gain
 
 
-def _controllers(normal: NormalPlant, gamma: float, solved: Solved, controls: int) -> Synthesis:
+def _controllers(normal: NormalPlant, gamma: float, solved: Solved) -> Synthesis:
     """M of theorem 2, (23) to (31), with the normalisation and D22 undone."""
     m2, p2 = normal.B2.shape[1], normal.C2.shape[0]
     m1, p1 = normal.B1.shape[1], len(normal.C1)
@@ -272,11 +270,9 @@ def _controllers(normal: NormalPlant, gamma: float, solved: Solved, controls: in
         gamma=gamma,
         controller=generator.part(slice(0, m2), slice(0, p2)),
         generator=generator,
-        X=np.asarray(solved.X.X, dtype=float),
         Y=np.asarray(solved.Y.X, dtype=float),
         state_feedback_modes=solved.X.closed_loop * rate,
         observer_modes=solved.Y.closed_loop * rate,
-        controls=controls,
     )
 
 

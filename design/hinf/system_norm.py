@@ -20,6 +20,7 @@ from design.statespace import Array, Peak, StateSpace, balanced, rebalanced
 _NEAR_AXIS = 1e-5
 """|real part| below this part of an eigenvalue's magnitude: perhaps a crossing, so it is looked at."""
 _STEPS_MAX = 60
+_RELATIVE = 1e-11
 _OWN_PERIOD_S = 2.0
 """With which the bilinear map is s = (z - 1)/(z + 1), whatever the period: crossings of all rates alike."""
 
@@ -29,8 +30,8 @@ def largest_gain(system: StateSpace, frequency_rad_s: Array) -> Array:
     return np.asarray(np.linalg.norm(system.response(frequency_rad_s), 2, axis=(1, 2)), dtype=float)
 
 
-def hinf_norm(system: StateSpace, relative: float = 1e-11) -> Peak:
-    """The largest singular value over frequency, to ``relative``; infinite for an unstable system."""
+def hinf_norm(system: StateSpace) -> Peak:
+    """The largest singular value over frequency, to :data:`_RELATIVE`; infinite for an unstable system."""
     if not system.is_stable():
         return Peak(math.inf, math.nan)
     even = balanced(system)
@@ -38,10 +39,10 @@ def hinf_norm(system: StateSpace, relative: float = 1e-11) -> Peak:
     peak = _best(even, frequencies)
     for _ in range(_STEPS_MAX):
         refined = _refined(even, peak)
-        crossings = _crossings(even, refined.gain * (1.0 + relative))
+        crossings = _crossings(even, refined.gain * (1.0 + _RELATIVE))
         middle = np.sqrt(crossings[:-1] * crossings[1:]) if len(crossings) > 1 else crossings
         higher = _best(even, np.concatenate([crossings, middle, [refined.frequency_rad_s]]))
-        if higher.gain <= refined.gain * (1.0 + relative):
+        if higher.gain <= refined.gain * (1.0 + _RELATIVE):
             return refined
         peak = higher
     return peak

@@ -63,6 +63,11 @@ class Weights:
     control: Weight
     output: Weight
 
+    @property
+    def by_function(self) -> dict[str, Weight]:
+        """Each by the closed-loop function that it weighs: S, K S or T."""
+        return {"S": self.error, "KS": self.control, "T": self.output}
+
 
 def crossing_weight(low: float, high: float, crossing_rad_s: float) -> Weight:
     """The weight with these gains at the ends and |w| = 1 at ``crossing_rad_s``.

@@ -3,7 +3,7 @@
 The nodes say what may come next. With ``arrival`` node i is: the sample that acts was taken i + 1 periods
 ago. The sample that acts at a time t is some s(t) that never goes back, and any such s can happen that
 
-    is at least T0 old, at most T old when it begins to act, and at least floor((t - T)/h) - D,
+    is at most T old when it begins to act, and at least floor((t - T)/h) - D,
 
 for of D + 1 samples in a row one comes, and later than t only if it was taken after t - T. With ``stamp``
 node i is: i samples in a row did not come. With ``history`` there is one node.
@@ -35,6 +35,16 @@ class Family:
     source: int
     target: int
     windows: tuple[Window, ...]
+
+    def over(self, parts: Sequence[float]) -> Iterator[PeriodStep]:
+        """The steps whose switchings are at these parts of their windows, in every admissible way."""
+        tried = [
+            sorted({window.first_s + part * (window.last_s - window.first_s) for part in parts})
+            for window in self.windows
+        ]
+        for times_s in itertools.product(*tried):
+            if all(earlier <= later for earlier, later in itertools.pairwise(times_s)):
+                yield self.at(times_s)
 
     def at(self, times_s: Sequence[float]) -> PeriodStep:
         """The step whose switchings are at ``times_s``."""
@@ -74,10 +84,7 @@ def _arrivals(network: SampledNetwork, node: int) -> Iterator[Family]:
         yield Family(node, node + 1, ())
     windows = []
     for back in range(min(node, behind), -1, -1):
-        first_s = max(0.0, network.delay_min_s - back * h)
-        last_s = network.offset_s if back == behind else h
-        if first_s <= last_s:
-            windows.append(Window(back, first_s, last_s))
+        windows.append(Window(back, 0.0, network.offset_s if back == behind else h))
     for count in range(1, len(windows) + 1):
         chosen = windows[:count]
         yield Family(node, chosen[-1].back, tuple(chosen))

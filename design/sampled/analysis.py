@@ -54,6 +54,11 @@ class SampledAnalysis:
     """Error that no sequence exceeds, rad/s; None: none was proved."""
 
     @property
+    def patterns(self) -> list[Pattern]:
+        """The worst that are known."""
+        return [self.worst.pattern, self.slowest, *self.regular]
+
+    @property
     def network(self) -> SampledNetwork:
         """What the loop runs over."""
         return self.loop.network
@@ -66,7 +71,7 @@ class SampledAnalysis:
     @property
     def decay_certified_per_s(self) -> float | None:
         """Decay under every sequence, 1/s."""
-        return None if self.decay_proof is None else self.decay_proof.decay_per_s
+        return None if self.decay_proof is None else self.decay_proof.figure
 
     @property
     def gain_found(self) -> float:
@@ -76,7 +81,7 @@ class SampledAnalysis:
     @property
     def gain_certified(self) -> float | None:
         """Gain that no sequence exceeds, rad/s per N m."""
-        return None if self.gain_proof is None else self.gain_proof.gain
+        return None if self.gain_proof is None else self.gain_proof.figure
 
     @property
     def certified(self) -> bool:
@@ -121,13 +126,12 @@ def with_peak(analysis: SampledAnalysis) -> SampledAnalysis:
     assert isinstance(analysis.loop, HeldLoop)
     if analysis.refuted:
         return replace(analysis, peak_found=math.inf)
-    reached = worst_peak(analysis.loop).peak
+    reached = worst_peak(analysis.loop)
     bound = None
     if analysis.decay_certified_per_s:
-        patterns = [analysis.worst.pattern, analysis.slowest, *analysis.regular]
         with suppress(NoSolution):
             bound = certify_peak(
-                analysis.loop, patterns, analysis.gain_found, analysis.decay_certified_per_s, reached
+                analysis.loop, analysis.patterns, analysis.gain_found, analysis.decay_certified_per_s, reached
             )
     if bound is None:
         return replace(analysis, peak_found=reached)

@@ -102,6 +102,4 @@ def _sampled(one: HeldLoop, other: HeldLoop, known: list[Pattern]) -> Figures | 
         return None
     if gain_proof is None or decay_proof is None:
         return None
-    assert gain_proof.gain is not None
-    assert decay_proof.decay_per_s is not None
-    return (gain_proof.gain, decay_proof.decay_per_s) if decay_proof.decay_per_s > 0.0 else None
+    return (gain_proof.figure, decay_proof.figure) if decay_proof.figure > 0.0 else None

@@ -2,11 +2,11 @@
 
     x' = A x + B1 u + B2 d      z = C x      u = K x(s), held; s is the sample that is applied
 
-A sensor samples at 0, h, 2h ... A sample arrives after T0 to T, and at most D in a row are lost. A
+A sensor samples at 0, h, 2h ... A sample arrives within T, and at most D in a row are lost. A
 sample that arrives after a newer one is dropped.
 Which sample is applied when is the strategy's:
 
-    arrival   the newest, as soon as it arrives                    age    T0 .. (D + 1) h + T
+    arrival   the newest, as soon as it arrives                    age     0 .. (D + 1) h + T
     stamp     x(k h) at k h + eta if it came, else the last held   age   eta .. eta + (D + 1) h
     history   x(k h) at k h + eta, always: each packet carries     age   eta .. eta + h
               the last D + 1 samples, so the latest that is needed is there by D h + T
@@ -53,8 +53,6 @@ class SampledNetwork:
     """T: from sample to actuator."""
     agreed_delay_s: float = 0.0
     """eta of the strategies stamp and history."""
-    delay_min_s: float = 0.0
-    """T0."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
@@ -63,10 +61,6 @@ class SampledNetwork:
             raise UnsuitableNetwork(f"{self.losses_max} losses in a row", "0 or more")
         if not (math.isfinite(self.delay_max_s) and self.delay_max_s >= 0.0):
             raise UnsuitableNetwork(f"a delay of {self.delay_max_s * 1e3:g} ms", "0 or more")
-        if not 0.0 <= self.delay_min_s <= self.delay_max_s:
-            raise UnsuitableNetwork(
-                f"a least delay of {self.delay_min_s * 1e3:g} ms", f"0 to {self.delay_max_s * 1e3:g} ms"
-            )
         if self.strategy is Strategy.ARRIVAL:
             return
         needed = self.delay_max_s
@@ -95,10 +89,15 @@ class SampledNetwork:
         return self.delay_max_s if self.strategy is Strategy.ARRIVAL else self.agreed_delay_s
 
     @property
+    def constant_delay_s(self) -> float:
+        """Of the loop with a constant delay that stands for this one, [Ling2012] (2.13)."""
+        return (self.losses_max + 1) * self.period_s + self.delay_max_s
+
+    @property
     def age_max_s(self) -> float:
         """Oldest that an applied sample can become, s."""
         if self.strategy is Strategy.ARRIVAL:
-            return (self.losses_max + 1) * self.period_s + self.delay_max_s
+            return self.constant_delay_s
         if self.strategy is Strategy.STAMP:
             return self.agreed_delay_s + (self.losses_max + 1) * self.period_s
         return self.agreed_delay_s + self.period_s

@@ -60,7 +60,9 @@ _LEAST = 1e-5
 _ROUNDS = 30
 """Of changes of the best."""
 _DELAY_PARTS = (0.0, 0.5, 1.0)
-"""Of a window, where the moment of a single switching is tried; several are tried at the ends."""
+"""Of a window, where the moment of a single switching is tried."""
+_ENDS = (0.0, 1.0)
+"""The same of several."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,21 +294,11 @@ def _letters(loop: SwitchedLoop) -> list[Letter]:
 def _until_delivery(by_source: dict[int, list[Family]], node: int) -> Iterator[tuple[PeriodStep, ...]]:
     for family in by_source[node]:
         if family.windows:
-            yield from ((step,) for step in _extremes(family))
+            parts = _DELAY_PARTS if len(family.windows) == 1 else _ENDS
+            yield from ((step,) for step in family.over(parts))
         else:
             step = family.at(())
             yield from ((step, *rest) for rest in _until_delivery(by_source, family.target))
-
-
-def _extremes(family: Family) -> Iterator[PeriodStep]:
-    parts = _DELAY_PARTS if len(family.windows) == 1 else (0.0, 1.0)
-    tried = [
-        sorted({window.first_s + part * (window.last_s - window.first_s) for part in parts})
-        for window in family.windows
-    ]
-    for times in itertools.product(*tried):
-        if all(earlier <= later for earlier, later in itertools.pairwise(times)):
-            yield family.at(times)
 
 
 def _steps(letters: Sequence[Letter], chain: Chain) -> tuple[PeriodStep, ...]:

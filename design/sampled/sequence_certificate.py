@@ -17,14 +17,14 @@ What is given out has been put into all inequalities, at its own gain, in numpy.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from design.delay.delay_loop import Array
-from design.delay.lmi import SOLVER, LmiProblem, MatrixInequality
+from design.delay.lmi import LmiProblem, MatrixInequality
 from design.errors import NoSolution
 from design.sampled.admissible_steps import delivery_node_count, node_count
 from design.sampled.held_loop import SwitchedLoop
@@ -70,11 +70,8 @@ class SequenceCertificate:
     P: list[Array]
     min_margin: float
     """Smallest eigenvalue of all inequalities, in coordinates in which they are of size 1."""
-    decay_per_s: float | None = None
-    gain: float | None = None
-    """rad/s per N m."""
-    solver: str = SOLVER
-    status: str = "Solved"
+    figure: float
+    """The decay, 1/s, or the gain, rad/s per N m."""
 
 
 def _problem(system: Inequalities, chosen: Sequence[Sequence[int]], growth: float) -> LmiProblem:
@@ -110,14 +107,13 @@ def certify_gain(
     """
     for units_at in _UNITS_AT:
         # the solver's luck turns with the units; whatever it says, the proof decides
-        best: SequenceCertificate | None = None
         L = coordinates(loop, patterns, units_at * found)
-        for way in ways_of(loop, remembering, _node_count(loop, other)):
-            nodes, edges = _graph(loop, L, way, other)
+        best: SequenceCertificate | None = None
+        for nodes, edges in _graphs(loop, L, remembering, other):
             certificate = _least_gain(loop, nodes, edges, L, found)
-            if certificate is not None and (best is None or _gain(certificate) < _gain(best)):
+            if certificate is not None and (best is None or certificate.figure < best.figure):
                 best = certificate
-            if best is not None and _gain(best) < _CLOSE * found:
+            if best is not None and best.figure < _CLOSE * found:
                 break
         if best is not None:
             return best
@@ -138,37 +134,23 @@ def certify_decay(
     worst = min(pattern.decay_per_s for pattern in patterns)
     best: SequenceCertificate | None = None
     L = coordinates(loop, patterns, _UNITS_AT[0] * gain)
-    for way in ways_of(loop, remembering, _node_count(loop, other)):
-        nodes, edges = _graph(loop, L, way, other)
+    for nodes, edges in _graphs(loop, L, remembering, other):
         certificate = _fastest(Inequalities(loop, nodes, edges, L, None), worst)
-        if certificate is not None and (best is None or _decay(certificate) > _decay(best)):
+        if certificate is not None and (best is None or certificate.figure > best.figure):
             best = certificate
-        if best is not None and _decay(best) > worst / _CLOSE:
+        if best is not None and best.figure > worst / _CLOSE:
             break
     return best
 
 
-def _graph(
-    loop: SwitchedLoop, L: Array, remembering: bool, other: SwitchedLoop | None
-) -> tuple[int, list[Edge]]:
+def _graphs(
+    loop: SwitchedLoop, L: Array, remembering: Sequence[bool], other: SwitchedLoop | None
+) -> Iterator[tuple[int, list[Edge]]]:
     """From delivery to delivery; with an ``other`` loop period by period, for what lies between adds up."""
-    nodes, edges = edges_of(loop, L, remembering, other)
-    return between_deliveries(edges) if other is None else (nodes, edges)
-
-
-def _node_count(loop: SwitchedLoop, other: SwitchedLoop | None) -> int:
-    """Of that graph where nodes do not remember."""
-    return delivery_node_count(loop.network) if other is None else node_count(loop.network)
-
-
-def _gain(certificate: SequenceCertificate) -> float:
-    assert certificate.gain is not None
-    return certificate.gain
-
-
-def _decay(certificate: SequenceCertificate) -> float:
-    assert certificate.decay_per_s is not None
-    return certificate.decay_per_s
+    count = delivery_node_count(loop.network) if other is None else node_count(loop.network)
+    for way in ways_of(loop, remembering, count):
+        nodes, edges = edges_of(loop, L, way, other)
+        yield between_deliveries(edges) if other is None else (nodes, edges)
 
 
 def ways_of(loop: SwitchedLoop, remembering: Sequence[bool], nodes: int) -> Sequence[bool]:
@@ -215,7 +197,7 @@ def _least_gain(
     for gain in sorted(gains):
         margin = proved(Inequalities(loop, nodes, edges, L, gain), P, 1.0)
         if margin > MARGIN:
-            return SequenceCertificate([L.T @ matrix @ L for matrix in P], margin, gain=gain)
+            return SequenceCertificate([L.T @ matrix @ L for matrix in P], margin, gain)
     return None
 
 
@@ -230,7 +212,7 @@ def _fastest(system: Inequalities, worst: float) -> SequenceCertificate | None:
         answer = exchanged(system, partial(_problem, system, growth=growth), growth, objective_max=0.0)
         proof = None if answer is None else _decay_of(system, answer[0], rate)
         if proof is not None:
-            low, best = _decay(proof), proof
+            low, best = proof.figure, proof
         elif best is None:
             return None
         else:

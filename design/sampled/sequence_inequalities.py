@@ -290,8 +290,6 @@ def coordinates(loop: SwitchedLoop, patterns: Sequence[Pattern], gain: float) ->
 def _whole_delays(loop: SwitchedLoop) -> list[Pattern]:
     """Each delay of whole periods, for ever: there the sample that is held acts throughout."""
     network = loop.network
-    first = math.ceil(network.delay_min_s / network.period_s)
     return [
-        repeated(loop, (Delivery(1, periods * network.period_s),))
-        for periods in range(first, network.behind + 1)
+        repeated(loop, (Delivery(1, periods * network.period_s),)) for periods in range(network.behind + 1)
     ]

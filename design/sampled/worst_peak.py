@@ -7,33 +7,26 @@ from above.
 """
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
 
 from design.delay.delay_loop import Array
-from design.sampled.admissible_steps import Family, families
+from design.sampled.admissible_steps import families
 from design.sampled.held_loop import HeldLoop, PeriodStep
 
 _BEAM = 150
 """Sequences kept for each node and each of the two orders."""
 _PHASES = (0.0, 0.25, 0.5, 0.75)
 """Parts of a period after a sample at which the load steps."""
+_ENDS = (0.0, 1.0)
+"""Parts of its window at which a switching is tried."""
 _INSTANTS = 8
 """Between two switchings, at which the error is looked at."""
 _PERIODS_MIN = 40
 _AGES = 8
 """So many of the largest ages the search goes on, and some periods at least."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorstPeak:
-    """The largest error, rad/s per N m, and when it comes, s after the load; inf: where it comes to rest."""
-
-    peak: float
-    at_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +37,16 @@ class _Step:
     target: int
     M: Array
     errors: Array
-    times_s: Array
 
 
-def worst_peak(loop: HeldLoop) -> WorstPeak:
-    """The largest that the search finds."""
-    steps = [_under_load(loop, step) for family in families(loop.network) for step in _ends(family)]
+def worst_peak(loop: HeldLoop) -> float:
+    """The largest error that the search finds, rad/s per N m."""
+    steps = [_under_load(loop, step) for family in families(loop.network) for step in family.over(_ENDS)]
     h, k = loop.network.period_s, loop.kept
     periods = max(_PERIODS_MIN, int(_AGES * loop.network.age_max_s / h))
     model = loop.model
     rest = np.linalg.solve(model.A + np.outer(model.B1, loop.K), -model.B2)
-    best = WorstPeak(abs(float(model.C @ rest)), math.inf)
+    best = abs(float(model.C @ rest))
     for phase in _PHASES:
         rest_s = (1.0 - phase) * h
         start = np.append(np.zeros(k), 1.0)
@@ -62,17 +54,13 @@ def worst_peak(loop: HeldLoop) -> WorstPeak:
             : len(loop.model.A)
         ]
         beams = {node: start[None, :] for node in {step.source for step in steps}}
-        for period in range(periods):
+        for _ in range(periods):
             reached: dict[int, list[Array]] = {}
             for step in steps:
                 if step.source not in beams:
                     continue
                 states = beams[step.source]
-                errors = np.abs(states @ step.errors.T)
-                row, column = np.unravel_index(int(np.argmax(errors)), errors.shape)
-                if errors[row, column] > best.peak:
-                    at_s = rest_s + period * h + float(step.times_s[column])
-                    best = WorstPeak(float(errors[row, column]), at_s)
+                best = max(best, float(np.max(np.abs(states @ step.errors.T))))
                 reached.setdefault(step.target, []).append(states @ step.M.T)
             beams = {node: _kept(loop, np.vstack(states)) for node, states in reached.items()}
     return best
@@ -92,16 +80,6 @@ def _kept(loop: HeldLoop, states: Array) -> Array:
     return np.asarray(states[sorted(chosen)])
 
 
-def _ends(family: Family) -> list[PeriodStep]:
-    """The steps whose switchings are at the ends of their windows."""
-    ends = [sorted({window.first_s, window.last_s}) for window in family.windows]
-    return [
-        family.at(times)
-        for times in itertools.product(*ends)
-        if all(earlier <= later for earlier, later in itertools.pairwise(times))
-    ]
-
-
 def _loaded(loop: HeldLoop, length_s: float) -> Array:
     """The flow of [xi, 1] under a load of 1 N m."""
     size = loop.size
@@ -118,14 +96,13 @@ def _under_load(loop: HeldLoop, step: PeriodStep) -> _Step:
     jumps = [loop.sampling, *(loop.applying(switch.back) for switch in step.switches)]
     instants = [0.0, *(switch.at_s for switch in step.switches), loop.network.period_s]
     C = np.append(loop.model.C, np.zeros(size + 1 - len(loop.model.C)))
-    errors, times = [], []
+    errors = []
     for J, (begin_s, end_s) in zip(jumps, itertools.pairwise(instants), strict=True):
         total[:size] = J @ total[:size]
         flow = _loaded(loop, max(0.0, end_s - begin_s) / _INSTANTS)
-        for instant in range(_INSTANTS):
+        for _ in range(_INSTANTS):
             total = flow @ total
             errors.append(C @ total)
-            times.append(begin_s + (end_s - begin_s) * (instant + 1) / _INSTANTS)
     M = np.zeros((k + 1, k + 1))
     M[:k], M[k] = total[:k], total[size]
-    return _Step(step.source, step.target, M, np.array(errors), np.array(times))
+    return _Step(step.source, step.target, M, np.array(errors))

@@ -27,7 +27,8 @@ from design.delay.delay_loop import Array
 from design.delay.lmi import LmiProblem, MatrixInequality, Unknowns, solve
 from design.delay.speed_loop import SpeedModel
 from design.errors import NoSolution
-from design.speed.lmi_design import CertifiedDesign, certified_delay_within, certified_gain_or_inf
+from design.speed.lmi_design import certified_delay_within, certified_gain_or_inf
+from design.speed.speed_design import SpeedDesign
 
 ITERATIONS_MAX = 30
 """k_max of Step 4."""
@@ -53,19 +54,17 @@ class _Plant:
     """K = scaled K / scale."""
 
 
-def largest_ccl_delay(
-    model: SpeedModel, gamma: float, iterations_max: int = ITERATIONS_MAX
-) -> CertifiedDesign:
+def largest_ccl_delay(model: SpeedModel, gamma: float) -> SpeedDesign:
     """The delay, s, to which Algorithm 4.2 comes for ``gamma``, rad/s per N m, with full feedback.
 
     Raises NoSolution if even the first feasible set, S = X, is not found.
     """
-    delay_s, K, point = _first_gain(model, gamma, iterations_max)
+    delay_s, K, point = _first_gain(model, gamma)
     delay_s = max(delay_s, certified_delay_within(model, K, gamma))
     step = _FIRST_STEP
     while step > _LAST_STEP:
         tried_s = delay_s * (1.0 + step)
-        gain, point = _complement(model, tried_s, gamma, point, iterations_max)
+        gain, point = _complement(model, tried_s, gamma, point)
         if gain is None:
             step /= 4.0
             continue
@@ -73,12 +72,10 @@ def largest_ccl_delay(
         delay_s = max(tried_s, certified_delay_within(model, K, gamma))
     # a hair below the delay that root finding gave, so that rounding cannot spoil the certificate
     delay_s *= 1.0 - 1e-7
-    return CertifiedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0))
+    return SpeedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0).gain)
 
 
-def _first_gain(
-    model: SpeedModel, gamma: float, iterations_max: int
-) -> tuple[float, Array, dict[str, Array]]:
+def _first_gain(model: SpeedModel, gamma: float) -> tuple[float, Array, dict[str, Array]]:
     """Steps 2 to 4 once: a delay, s, the gain that fulfils (3.10) there, the last point."""
     first_s = _first_delay(model, gamma)
     for start in range(_STARTS):
@@ -86,18 +83,18 @@ def _first_gain(
         point = _with_equal(model, delay_s, gamma)
         if point is None:
             continue
-        K, point = _complement(model, delay_s, gamma, point, iterations_max)
+        K, point = _complement(model, delay_s, gamma, point)
         if K is not None:
             return delay_s, K, point
     raise NoSolution(
         f"Algorithm 4.2 for {gamma:g} rad/s per N m",
-        f"(3.10) does not hold after {iterations_max} iterations",
+        f"(3.10) does not hold after {ITERATIONS_MAX} iterations",
         f"delays from {first_s * 1e3:g} ms down to {first_s * 0.5 ** (_STARTS - 1) * 1e3:g} ms",
     )
 
 
 def _complement(
-    model: SpeedModel, delay_s: float, gamma: float, point: dict[str, Array], iterations_max: int
+    model: SpeedModel, delay_s: float, gamma: float, point: dict[str, Array]
 ) -> tuple[Array | None, dict[str, Array]]:
     """Steps 3 and 4 at one delay: the gain that fulfils (3.10), or None; the last point.
 
@@ -107,7 +104,7 @@ def _complement(
     plant = _plant(model, delay_s, gamma)
     unknowns, inequalities = _inequalities(plant)
     last = math.inf
-    for k in range(iterations_max):
+    for k in range(ITERATIONS_MAX):
         objective = _linearised_trace(unknowns, point)
         problem = LmiProblem("Step 3 of Algorithm 4.2", unknowns, inequalities, objective, STRICT)
         try:
@@ -120,7 +117,7 @@ def _complement(
         gain = certified_gain_or_inf(model, K, delay_s, gamma)
         if gain <= gamma:
             return K, point
-        if k >= _SETTLED and gain - gamma > (last - gain) * (iterations_max - 1 - k):
+        if k >= _SETTLED and gain - gamma > (last - gain) * (ITERATIONS_MAX - 1 - k):
             return None, point
         last = gain
     return None, point

@@ -21,12 +21,11 @@ from design.speed.conditioned import Conditioned, conditioned, truncated
 from design.speed.hinf_loop import HinfLoop
 from design.speed.hinf_problem import (
     HinfController,
-    HinfProblem,
     HinfWeights,
     design_controller,
     weighted_norms,
 )
-from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
+from design.speed.loop_robustness import CHANGES, LoopRobustness, peaks_over_floor, stable_bandwidths
 from design.speed.plant_loop import later_s
 from design.speed.predictor_design import PHASES, WORST, PredictorRequest, peak_cost
 
@@ -49,7 +48,6 @@ class HinfDesign:
     """A controller, reduced, and where it is from."""
 
     request: PredictorRequest
-    problem: HinfProblem
     weights: HinfWeights
     found: HinfController
     controller: Conditioned
@@ -59,11 +57,11 @@ class HinfDesign:
         plant = self.request.plant.changed(inertia, current)
         return HinfLoop(self.controller, plant, self.request.delay_s + more_s)
 
-    def ratio(self, inertia: float = 1.0, phases: tuple[float, ...] = PHASES, lost: int = 0) -> float:
+    def ratio(self, inertia: float, lost: int = 0) -> float:
         """Peak after the step over the floor of that inertia, both without noise."""
         request = self.request
         periods = math.ceil(4.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
-        speeds = self.loop(inertia).load_steps(request.load_nm, periods, phases, lost)
+        speeds = self.loop(inertia).load_steps(request.load_nm, periods, PHASES, lost)
         return float(np.max(np.abs(speeds))) / request.floor_rad_s(inertia, lost)
 
     @cached_property
@@ -89,14 +87,9 @@ class HinfDesign:
         return min(cost, WORST) if math.isfinite(cost) else WORST
 
 
-def problem_of(request: PredictorRequest) -> HinfProblem:
-    """What is to be controlled."""
-    return HinfProblem(request.plant, request.period_s, request.delay_s, request.delay_margin_s)
-
-
 def design_hinf(request: PredictorRequest) -> HinfDesign:
     """The design. Raises InfeasibleDesign where nothing keeps what is asked."""
-    problem, around_s = problem_of(request), request.period_s + request.delay_s
+    around_s = request.period_s + request.delay_s
     unit = request.floor_rad_s() / request.load_nm
 
     def weights(point: Array) -> HinfWeights:
@@ -105,11 +98,11 @@ def design_hinf(request: PredictorRequest) -> HinfDesign:
 
     def full(point: Array) -> HinfDesign | None:
         try:
-            controller = design_controller(problem, weights(point))
+            controller = design_controller(request, weights(point))
             whole = conditioned(controller.K, unit)
         except (DesignError, np.linalg.LinAlgError):
             return None
-        return HinfDesign(request, problem, weights(point), controller, whole)
+        return HinfDesign(request, weights(point), controller, whole)
 
     best: HinfDesign | None = None
 
@@ -150,37 +143,30 @@ def _reduced(made: HinfDesign, unit: float) -> HinfDesign:
     return made
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HinfRobustness(LoopRobustness):
-    """With the reduced controller."""
+def hinf_robustness(made: HinfDesign) -> LoopRobustness:
+    """The figures with the reduced controller."""
+    request = made.request
 
-    uncertainty_norm: float
-    """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
-
-
-def hinf_robustness(made: HinfDesign) -> HinfRobustness:
-    """The figures."""
-    request, h = made.request, made.request.period_s
-
-    def gain(loop: HinfLoop) -> float:
+    def gain(inertia: float = 1.0, current: float = 1.0) -> float:
+        loop = made.loop(inertia, current)
         return loop.gain(loop.chain())
 
     def stable(delay_s: float) -> bool:
         return HinfLoop(made.controller, request.plant, delay_s).spectral_radius() < 1.0
 
-    omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
-    return HinfRobustness(
-        peak_over_floor=made.ratio(),
-        peak_over_floor_inertia_less=made.ratio(0.7),
-        peak_over_floor_inertia_more=made.ratio(1.3),
-        peak_over_floor_lost=made.ratio(lost=LOST),
-        gain=gain(made.loop()),
-        gain_inertia_less=gain(made.loop(inertia=0.7)),
-        gain_inertia_more=gain(made.loop(inertia=1.3)),
-        gain_current_loop_slower=gain(made.loop(current=0.5)),
-        bandwidths=stable_bandwidths(lambda share: made.loop(current=share).spectral_radius() < 1.0),
-        uncertainty_norm=float(np.max(weighted_norms(made.problem, made.controller.K, omega))),
-        margins=made.loop().margins(),
-        delay_margin_s=later_s(stable, request.delay_s, request.period_s),
-        command_noise_nm=made.noise_nm,
+    return LoopRobustness(
+        peaks_over_floor(made.ratio),
+        gain(),
+        {name: gain(*change) for name, change in CHANGES.items()},
+        stable_bandwidths(lambda share: made.loop(current=share).spectral_radius() < 1.0),
+        made.loop().margins(),
+        later_s(stable, request.delay_s, request.period_s),
+        made.noise_nm,
     )
+
+
+def uncertainty_norm(made: HinfDesign) -> float:
+    """Peak of |W T|: below 1 every inertia and delay that W covers leaves the loop stable."""
+    h = made.request.period_s
+    omega = np.concatenate([np.geomspace(1e-3 / h, math.pi / h, 2000), np.linspace(1.0, math.pi / h, 2000)])
+    return float(np.max(weighted_norms(made.request, made.controller.K, omega)))

@@ -25,7 +25,8 @@ from design.hinf.plant import GeneralisedPlant
 from design.hinf.synthesis import gamma_min, synthesise, verified_norm
 from design.hinf.weights import Weight, crossing_weight
 from design.speed.plant_loop import SHAFT, split
-from design.speed.predictor_plant import FILTERED, LOAD, PredictorPlant
+from design.speed.predictor_design import PredictorRequest
+from design.speed.predictor_plant import FILTERED, LOAD
 from design.statespace import StateSpace, balanced, series, state_space
 
 _INERTIA_LEAST = 0.7
@@ -52,62 +53,54 @@ class HinfWeights:
     """omega_i."""
 
 
-@dataclass(frozen=True, slots=True)
-class HinfProblem:
-    """The plant and what must be borne."""
+def uncertainty(request: PredictorRequest) -> Weight:
+    """W: at every frequency above |e^(-j omega delay) /0.7 - 1| for the delays up to the margin."""
+    crossing = _TURN / request.delay_margin_s
+    return crossing_weight(_UNCERTAIN_AT_REST, _UNCERTAIN_AT_MOST, crossing)
 
-    plant: PredictorPlant
-    period_s: float
-    delay_s: float
-    """tau: from a sample to the voltage that its command makes."""
-    delay_margin_s: float
 
-    @property
-    def uncertainty(self) -> Weight:
-        """W: at every frequency above |e^(-j omega delay) /0.7 - 1| for the delays up to the margin."""
-        crossing = _TURN / self.delay_margin_s
-        return crossing_weight(_UNCERTAIN_AT_REST, _UNCERTAIN_AT_MOST, crossing)
+def sampled_uncertainty(request: PredictorRequest) -> StateSpace:
+    """W by Tustin's rule, which moves it down in frequency: so it still covers."""
+    return from_bilinear(uncertainty(request).system, request.period_s)
 
-    @property
-    def sampled_uncertainty(self) -> StateSpace:
-        """W by Tustin's rule, which moves it down in frequency: so it still covers."""
-        return from_bilinear(self.uncertainty.system, self.period_s)
 
-    def integral(self, weights: HinfWeights) -> StateSpace:
-        """From the measured speed to y."""
-        lead = -math.expm1(-weights.integral_rad_s * self.period_s)
-        return state_space([[1.0]], [[lead]], [[1.0]], [[1.0]], self.period_s)
+def integral_of(request: PredictorRequest, weights: HinfWeights) -> StateSpace:
+    """From the measured speed to y."""
+    lead = -math.expm1(-weights.integral_rad_s * request.period_s)
+    return state_space([[1.0]], [[lead]], [[1.0]], [[1.0]], request.period_s)
 
-    def generalised(self, weights: HinfWeights) -> StateSpace:
-        """From [d, n, u] to [z1, z2, y]; states [x, c_1 .., q, that of W]."""
-        shaft, W, q = self.shaft(), self.sampled_uncertainty, self.integral(weights)
-        n = shaft.order
-        A, B = np.zeros((n + 2, n + 2)), np.zeros((n + 2, 3))
-        A[:n, :n], A[n, :n], A[n, n], A[-1, -1] = shaft.A, q.B @ shaft.C, 1.0, W.A[0, 0]
-        B[:n, [0, 2]], B[n, 1], B[-1, 2] = shaft.B, q.B[0, 0] * weights.noise_rad_s, W.B[0, 0]
-        y = np.concatenate([shaft.C[0], [1.0, 0.0]])
-        C = np.vstack([weights.error * y, np.append(np.zeros(n + 1), W.C[0, 0]), y])
-        D = np.zeros((3, 3))
-        D[0, 1], D[1, 2], D[2, 1] = weights.error * weights.noise_rad_s, W.D[0, 0], weights.noise_rad_s
-        return StateSpace(A, B, C, D, self.period_s)
 
-    def shaft(self) -> StateSpace:
-        """From [d, u] to the measured speed; states [x, c_1 .. c_(m+1)]. d is held over a period."""
-        h = self.period_s
-        whole, rest_s = split(self.delay_s, h)
-        (_, before), (later, after) = self.plant.step(rest_s), self.plant.step(h - rest_s)
-        full = self.plant.step(h)[0]
-        n = SHAFT + whole + 1
-        A, B, C = np.zeros((n, n)), np.zeros((n, 2)), np.zeros((1, n))
-        A[:SHAFT, :SHAFT] = full[:SHAFT, :SHAFT]
-        A[:SHAFT, -1] = (later @ before)[:SHAFT]
-        A[SHAFT + 1 :, SHAFT:-1] = np.eye(whole)
-        B[:SHAFT, 0], B[SHAFT, 1], C[0, FILTERED] = full[:SHAFT, LOAD], 1.0, 1.0
-        if whole:
-            A[:SHAFT, -2] = after[:SHAFT]
-        else:
-            B[:SHAFT, 1] = after[:SHAFT]
-        return StateSpace(A, B, C, np.zeros((1, 2)), h)
+def generalised(request: PredictorRequest, weights: HinfWeights) -> StateSpace:
+    """From [d, n, u] to [z1, z2, y]; states [x, c_1 .., q, that of W]."""
+    shaft, W, q = shaft_of(request), sampled_uncertainty(request), integral_of(request, weights)
+    n = shaft.order
+    A, B = np.zeros((n + 2, n + 2)), np.zeros((n + 2, 3))
+    A[:n, :n], A[n, :n], A[n, n], A[-1, -1] = shaft.A, q.B @ shaft.C, 1.0, W.A[0, 0]
+    B[:n, [0, 2]], B[n, 1], B[-1, 2] = shaft.B, q.B[0, 0] * weights.noise_rad_s, W.B[0, 0]
+    y = np.concatenate([shaft.C[0], [1.0, 0.0]])
+    C = np.vstack([weights.error * y, np.append(np.zeros(n + 1), W.C[0, 0]), y])
+    D = np.zeros((3, 3))
+    D[0, 1], D[1, 2], D[2, 1] = weights.error * weights.noise_rad_s, W.D[0, 0], weights.noise_rad_s
+    return StateSpace(A, B, C, D, request.period_s)
+
+
+def shaft_of(request: PredictorRequest) -> StateSpace:
+    """From [d, u] to the measured speed; states [x, c_1 .. c_(m+1)]. d is held over a period."""
+    h, plant = request.period_s, request.plant
+    whole, rest_s = split(request.delay_s, h)
+    (_, before), (later, after) = plant.step(rest_s), plant.step(h - rest_s)
+    full = plant.step(h)[0]
+    n = SHAFT + whole + 1
+    A, B, C = np.zeros((n, n)), np.zeros((n, 2)), np.zeros((1, n))
+    A[:SHAFT, :SHAFT] = full[:SHAFT, :SHAFT]
+    A[:SHAFT, -1] = (later @ before)[:SHAFT]
+    A[SHAFT + 1 :, SHAFT:-1] = np.eye(whole)
+    B[:SHAFT, 0], B[SHAFT, 1], C[0, FILTERED] = full[:SHAFT, LOAD], 1.0, 1.0
+    if whole:
+        A[:SHAFT, -2] = after[:SHAFT]
+    else:
+        B[:SHAFT, 1] = after[:SHAFT]
+    return StateSpace(A, B, C, np.zeros((1, 2)), h)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,19 +114,19 @@ class HinfController:
     """The least that any controller reaches."""
 
 
-def design_controller(problem: HinfProblem, weights: HinfWeights) -> HinfController:
+def design_controller(request: PredictorRequest, weights: HinfWeights) -> HinfController:
     """The central controller. Raises SingularPlant or InfeasibleDesign."""
-    sampled = balanced(problem.generalised(weights))
+    sampled = balanced(generalised(request, weights))
     plant = GeneralisedPlant(to_bilinear(sampled), controls=1, measurements=1)
     least = gamma_min(plant, _GAMMA_RELATIVE)
     central = synthesise(plant, _ABOVE_LEAST * least).controller
-    K = series(from_bilinear(central, problem.period_s), problem.integral(weights)).scaled(-1.0)
+    K = series(from_bilinear(central, request.period_s), integral_of(request, weights)).scaled(-1.0)
     return HinfController(K, verified_norm(plant, central), least)
 
 
-def weighted_norms(problem: HinfProblem, K: StateSpace, frequency_rad_s: Array) -> Array:
+def weighted_norms(request: PredictorRequest, K: StateSpace, frequency_rad_s: Array) -> Array:
     """(k,) |W T| at the k frequencies, T of the loop cut at the command."""
-    loop = problem.shaft().part(slice(0, 1), slice(1, 2)).response(frequency_rad_s)[:, 0, 0]
+    loop = shaft_of(request).part(slice(0, 1), slice(1, 2)).response(frequency_rad_s)[:, 0, 0]
     loop = loop * K.response(frequency_rad_s)[:, 0, 0]
-    W = problem.sampled_uncertainty.response(frequency_rad_s)[:, 0, 0]
+    W = sampled_uncertainty(request).response(frequency_rad_s)[:, 0, 0]
     return np.asarray(np.abs(W * loop / (1.0 + loop)), dtype=float)

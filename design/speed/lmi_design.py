@@ -1,4 +1,4 @@
-"""The best gain that the certificate of a given order can vouch for: Theorem 4.1 of [Ling2012], solved.
+"""The best gain that the certificate of Theorem 3.3 can vouch for: Theorem 4.1 of [Ling2012], solved.
 
 For a fixed gain K the certified figure is a convex programme; over K it is not. Theorem 4.1's question,
 "the largest delay with a certificate for gamma", is therefore asked over K and the delay alone:
@@ -13,19 +13,19 @@ where it came to rest. What is returned is proved afterwards, like every certifi
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq
 
-from design.delay.certificate import CertifiedGain, certified_gain
+from design.delay.certificate import certified_gain
 from design.delay.delay_lmi import gain_problem, scaled
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, is_stable, largest_stable_delay_s
 from design.delay.lmi import solve
 from design.delay.speed_loop import Feedback, SpeedModel
 from design.errors import NoSolution
-from design.speed.speed_design import largest_delay, least_gain
+from design.speed.speed_design import GainWalk, SpeedDesign, largest_delay, least_gain
 
 _ROUNDS = 6
 _ENOUGH = 2e-6
@@ -36,28 +36,13 @@ _STEP = 1e-5
 """Relative step of the differences by which the inequalities' derivatives are taken."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CertifiedDesign:
-    """A gain, the delay, and the certificate that the loop keeps ``certified.gain`` at it."""
-
-    K: Array
-    delay_s: float
-    certified: CertifiedGain
-
-    @property
-    def gain(self) -> float:
-        """That is certified, rad/s per N m."""
-        return self.certified.gain
-
-
 def largest_certified_delay(
     model: SpeedModel,
     gamma: float,
     feedback: Feedback = Feedback.FULL,
-    order: int = 0,
     starts: Sequence[Array] = (),
-) -> CertifiedDesign:
-    """The feedback with the largest delay at which the certificate of ``order`` keeps ``gamma``.
+) -> SpeedDesign:
+    """The feedback with the largest delay at which the certificate keeps ``gamma``; its gain is certified.
 
     ``gamma``: rad/s per N m. ``starts``: gains to begin at, if some are known to be near; else the
     exact optima. Raises NoSolution if no start is certified at any delay.
@@ -66,40 +51,38 @@ def largest_certified_delay(
     for start in starts or _starts(model, gamma, feedback):
         # the exact optimum often has its gain at rest on the bound, where nothing is left to certify
         for K in (start, 1.03 * start, 1.2 * start):
-            candidates.append((certified_delay_within(model, K, gamma, order), K))
+            candidates.append((certified_delay_within(model, K, gamma), K))
     candidates = sorted(candidates, key=lambda each: -each[0])[:_CLIMBED]
-    reached = [
-        _climb(model, K, delay_s, gamma, feedback, order) for delay_s, K in candidates if delay_s > 0.0
-    ]
+    reached = [_climb(model, K, delay_s, gamma, feedback) for delay_s, K in candidates if delay_s > 0.0]
     if not reached:
         what = f"certified feedback for {gamma:g} rad/s per N m"
         raise NoSolution(what, "no start is certified at any delay")
     delay_s, K = max(reached, key=lambda each: each[0])
-    return _proved(model, K, delay_s, gamma, order)
+    return _proved(model, K, delay_s, gamma)
 
 
 def least_certified_gain(
-    model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.FULL, order: int = 0
-) -> CertifiedDesign:
-    """The feedback whose certificate of ``order`` at ``delay_s`` is the least.
+    model: SpeedModel, delay_s: float, feedback: Feedback = Feedback.FULL
+) -> SpeedDesign:
+    """The feedback whose certified gain at ``delay_s`` is the least.
 
     Raises NoSolution if none of the starts is certified.
     """
     best: tuple[float, Array] | None = None
     for start in _gain_starts(model, delay_s, feedback):
-        descended = _descend(model, start, delay_s, feedback, order)
+        descended = _descend(model, start, delay_s, feedback)
         if descended is not None and (best is None or descended[0] < best[0]):
             best = descended
     if best is None:
         raise NoSolution(f"certified feedback for a delay of {delay_s * 1e3:g} ms", "no start is certified")
     K = best[1]
-    return CertifiedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), order))
+    return SpeedDesign(K, delay_s, certified_gain(model, model.loop(K, delay_s), 0).gain)
 
 
-def certified_delay_within(model: SpeedModel, K: Array, gamma: float, order: int = 0) -> float:
-    """The largest delay, s, at which the certificate of ``order`` keeps ``gamma``; 0 if there is none.
+def certified_delay_within(model: SpeedModel, K: Array, gamma: float) -> float:
+    """The largest delay, s, at which the certificate keeps ``gamma``; 0 if there is none.
 
-    What order 0 certifies at a delay it certifies at every smaller one: a shorter delay only makes
+    What it certifies at a delay it certifies at every smaller one: a shorter delay only makes
     the term of Jensen's inequality larger.
     """
     stable_s = largest_stable_delay_s(model.loop(K, 0.0))
@@ -107,7 +90,7 @@ def certified_delay_within(model: SpeedModel, K: Array, gamma: float, order: int
         return 0.0
 
     def excess(delay_s: float) -> float:
-        value = _value(model, K, delay_s, gamma, order)
+        value = _value(model, K, delay_s, gamma)
         return 1.0 if value is None else min(0.5 * math.log(value.squared), 1.0)
 
     high = stable_s * (1.0 - 1e-9) if math.isfinite(stable_s) else 10.0
@@ -124,9 +107,9 @@ def certified_delay_within(model: SpeedModel, K: Array, gamma: float, order: int
     return float(brentq(excess, low, high, xtol=1e-10, rtol=1e-9, maxiter=60))
 
 
-def certified_gain_or_inf(model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int = 0) -> float:
-    """The gain that the certificate of ``order`` gives, in the scale of ``gamma``; infinite if none."""
-    value = _value(model, K, delay_s, gamma, order)
+def certified_gain_or_inf(model: SpeedModel, K: Array, delay_s: float, gamma: float) -> float:
+    """The certified gain, in the scale of ``gamma``; infinite if none is."""
+    value = _value(model, K, delay_s, gamma)
     return math.inf if value is None else gamma * math.sqrt(value.squared)
 
 
@@ -139,14 +122,12 @@ class _Value:
     by_log_delay: float
 
 
-def _value(
-    model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int, slopes: bool = False
-) -> _Value | None:
+def _value(model: SpeedModel, K: Array, delay_s: float, gamma: float, slopes: bool = False) -> _Value | None:
     """None where the programme has no optimum: the loop is not certified at all, or not stable."""
     loop = model.loop(K, delay_s)
     if not is_stable(loop):
         return None
-    problem = gain_problem(scaled(loop, model.state_scale, gamma), order)
+    problem = gain_problem(scaled(loop, model.state_scale, gamma), 0)
     try:
         answer = solve(problem)
     except NoSolution:
@@ -157,28 +138,25 @@ def _value(
         return _Value(squared, np.zeros(n), 0.0)
 
     def shifted(loop: DelayLoop) -> float:
-        other = gain_problem(scaled(loop, model.state_scale, gamma), order)
+        other = gain_problem(scaled(loop, model.state_scale, gamma), 0)
         return sum(
             float(np.sum(dual * (there.at(answer.y) - here.at(answer.y))))
             for dual, here, there in zip(answer.duals, problem.inequalities, other.inequalities, strict=True)
         )
 
     steps = _STEP * np.maximum(np.abs(K), 1e-3 * np.abs(K).max())
-    by_gain = np.array([-shifted(loop.with_gain(K + row)) / row.sum() for row in np.diag(steps)])
-    by_log_delay = -shifted(loop.with_delay(delay_s * math.exp(_STEP))) / _STEP
+    by_gain = np.array([-shifted(replace(loop, K=K + row)) / row.sum() for row in np.diag(steps)])
+    by_log_delay = -shifted(replace(loop, delay_s=delay_s * math.exp(_STEP))) / _STEP
     return _Value(squared, by_gain, by_log_delay)
 
 
 def _climb(
-    model: SpeedModel, K: Array, delay_s: float, gamma: float, feedback: Feedback, order: int
+    model: SpeedModel, K: Array, delay_s: float, gamma: float, feedback: Feedback
 ) -> tuple[float, Array]:
     """From (K, delay) to the local optimum of the delay."""
-    free = np.array(model.free_gains(feedback))
     for _ in range(_ROUNDS):
-        walk = _Walk(model, K, free, delay_s, gamma, order)
-        x = walk.run(sign=-1.0)
-        K_new = walk.gain_of(x)
-        reached = certified_delay_within(model, K_new, gamma, order)
+        K_new = _Walk(model, K, feedback, delay_s, gamma, for_delay=True).run()
+        reached = certified_delay_within(model, K_new, gamma)
         if reached <= delay_s * (1.0 + _ENOUGH):
             if reached > delay_s:
                 K, delay_s = K_new, reached
@@ -187,59 +165,36 @@ def _climb(
     return delay_s, K
 
 
-def _descend(
-    model: SpeedModel, K: Array, delay_s: float, feedback: Feedback, order: int
-) -> tuple[float, Array] | None:
+def _descend(model: SpeedModel, K: Array, delay_s: float, feedback: Feedback) -> tuple[float, Array] | None:
     """From K to the local optimum of the certified gain."""
     scale = hinf_norm(model.loop(K, delay_s))
-    value = _value(model, K, delay_s, scale, order)
+    value = _value(model, K, delay_s, scale)
     if value is None:
         return None
     gain = scale * math.sqrt(value.squared)
-    free = np.array(model.free_gains(feedback))
     for _ in range(_ROUNDS):
-        walk = _Walk(model, K, free, delay_s, gain, order, for_delay=False)
-        K_new = walk.gain_of(walk.run(sign=1.0))
-        reached = _value(model, K_new, delay_s, gain, order)
+        K_new = _Walk(model, K, feedback, delay_s, gain, for_delay=False).run()
+        reached = _value(model, K_new, delay_s, gain)
         if reached is None or reached.squared >= 1.0 - _ENOUGH:
             break
         K, gain = K_new, gain * math.sqrt(reached.squared)
     return gain, K
 
 
-class _Walk:
-    """SLSQP over x = [K/scale of the free entries, log of the delay or of the gain relative to the start]."""
+class _Walk(GainWalk):
+    """The certified gain stays within ``gamma``, or is made the least share of it."""
 
     def __init__(
-        self, model: SpeedModel, K: Array, free: Array, delay_s: float, gamma: float, order: int,
-        for_delay: bool = True,
-    ) -> None:  # fmt: skip
-        self._model = model
-        self._K = K
-        self._free = free
-        self._scale = np.where(free == 0, 1.0, np.abs(K[free]))
-        self._delay_s = delay_s
+        self, model: SpeedModel, K: Array, feedback: Feedback, delay_s: float, gamma: float, for_delay: bool
+    ) -> None:
+        super().__init__(model, K, feedback, delay_s, for_delay)
         self._gamma = gamma
-        self._order = order
-        self._for_delay = for_delay
         self._known: tuple[bytes, float, Array] | None = None
 
-    def gain_of(self, x: Array) -> Array:
-        return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
-
-    def run(self, sign: float) -> Array:
-        start = np.append(self._K[self._free] / self._scale, 0.0)
-        gradient = np.append(np.zeros(len(self._free)), sign)
-        answer = minimize(
-            lambda x: sign * float(x[-1]),
-            start,
-            jac=lambda _x: gradient,
-            bounds=[(value - 0.4, value + 0.4) for value in start],
-            constraints=[{"type": "ineq", "fun": self._slack, "jac": self._slope}],
-            method="SLSQP",
-            options={"ftol": 1e-9, "maxiter": 25},
-        )
-        return np.asarray(answer.x)
+    def run(self) -> Array:
+        """K where it ends."""
+        x = self.optimum(self.start, self.start, 0.4, 1e-9, 25, fun=self._slack, jac=self._slope)
+        return self.gain_of(x)
 
     def _slack(self, x: Array) -> float:
         return self._ask(x)[0]
@@ -252,8 +207,7 @@ class _Walk:
         key = x.tobytes()
         if self._known is not None and self._known[0] == key:
             return self._known[1], self._known[2]
-        delay_s = self._delay_s * math.exp(x[-1]) if self._for_delay else self._delay_s
-        value = _value(self._model, self.gain_of(x), delay_s, self._gamma, self._order, slopes=True)
+        value = _value(self._model, self.gain_of(x), self.delay_of(x), self._gamma, slopes=True)
         if value is None:
             # no certificate: as bad as the bounds of the walk let it be, sloping back to the start
             slack, slope = -1.0 - float(np.sum(np.square(x))), -2.0 * x
@@ -296,14 +250,14 @@ def _gain_starts(model: SpeedModel, delay_s: float, feedback: Feedback) -> list[
     return [full, 0.5 * (full + speed), speed, 0.8 * speed]
 
 
-def _proved(model: SpeedModel, K: Array, delay_s: float, gamma: float, order: int) -> CertifiedDesign:
+def _proved(model: SpeedModel, K: Array, delay_s: float, gamma: float) -> SpeedDesign:
     """The certificate at the delay found, or a hair below it where rounding asks for that."""
     for share in (1.0, 1.0 - 1e-7, 1.0 - 1e-6, 1.0 - 1e-5, 1.0 - 1e-4):
         try:
-            proof = certified_gain(model, model.loop(K, delay_s * share), order)
+            proof = certified_gain(model, model.loop(K, delay_s * share), 0)
         except NoSolution:
             continue
         if proof.gain <= gamma * (1.0 + 1e-7):
-            return CertifiedDesign(K, delay_s * share, proof)
+            return SpeedDesign(K, delay_s * share, proof.gain)
     what = f"certificate of the gain {gamma:g} at {delay_s * 1e3:g} ms"
     raise NoSolution(what, "the optimum fails its check")

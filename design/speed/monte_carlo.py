@@ -45,23 +45,6 @@ def _parallel(function: _F) -> _F:
 
 
 @dataclass(frozen=True, slots=True)
-class Uncertainty:
-    """Relative half-widths of the plant's parameters, each drawn evenly: 0.2 means 80 to 120 per cent."""
-
-    resistance: float = 0.0
-    inductance: float = 0.0
-    inertia: float = 0.0
-    friction: float = 0.0
-    torque_constant: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not 0.0 <= value < 1.0:
-                raise ValueError(f"uncertainty of the {name}: {value}; expected a share from 0 to below 1")
-
-
-@dataclass(frozen=True, slots=True)
 class Chance:
     """What the runs draw from, and how long each is."""
 
@@ -70,15 +53,8 @@ class Chance:
     duration_s: float = 1.0
     loss_probability: float = 0.1
     load_nm: float = 1.0
-    uncertainty: Uncertainty = Uncertainty()
-
-    def __post_init__(self) -> None:
-        if self.runs < 1:
-            raise ValueError(f"{self.runs} runs: expected 1 or more")
-        if not 0.0 <= self.loss_probability <= 1.0:
-            raise ValueError(f"loss probability {self.loss_probability}: expected 0 to 1")
-        if not self.duration_s > 0.0:
-            raise ValueError(f"duration {self.duration_s} s: expected more than 0")
+    uncertainty: float = 0.0
+    """Of R, L, J, B and K_t, each drawn evenly: 0.2 means 80 to 120 per cent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,22 +66,9 @@ class Estimate:
     high: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcomes:
-    """Every run: largest |e| in rad/s, and |e| at its end; a run that diverged has inf."""
-
-    peaks_rad_s: Array
-    ends_rad_s: Array
-
-    @property
-    def diverged(self) -> Estimate:
-        """Share of runs that diverged (Clopper and Pearson's interval)."""
-        n = len(self.peaks_rad_s)
-        return share(int(np.count_nonzero(~np.isfinite(self.peaks_rad_s))), n)
-
-    def peak_quantile(self, q: float) -> Estimate:
-        """Quantile of the peaks, with the interval that order statistics give it."""
-        return quantile(self.peaks_rad_s, q)
+def diverged(peaks_rad_s: Array) -> Estimate:
+    """Share of runs that diverged."""
+    return share(int(np.count_nonzero(~np.isfinite(peaks_rad_s))), len(peaks_rad_s))
 
 
 def share(hits: int, n: int) -> Estimate:
@@ -132,8 +95,8 @@ def run_many(
     network: SampledNetwork,
     chance: Chance,
     current_bandwidth_hz: float | None = None,
-) -> Outcomes:
-    """Run them all, on as many threads as numba has.
+) -> Array:
+    """(runs,) largest |e| of each, rad/s, inf where it diverged, on as many threads as numba has.
 
     ``current_bandwidth_hz``: as of :func:`design.delay.speed_loop.speed_model`; the uncertainties of R and L
     make its.
@@ -151,8 +114,6 @@ def run_many(
     offset_s = (
         0.0 if network.strategy is Strategy.ARRIVAL else network.agreed_delay_s - behind * network.period_s
     )
-    u = chance.uncertainty
-    widths = np.array([u.resistance, u.inductance, u.inertia, u.friction, u.torque_constant])
     plant = np.array(
         [
             current_rate_rad_s(motor, current_bandwidth_hz),
@@ -168,12 +129,12 @@ def run_many(
     )
     limit = _DIVERGED * max(abs(chance.load_nm), 1e-12) * chance.duration_s / motor.inertia_kg_m2
     kinds = {Strategy.ARRIVAL: 0, Strategy.STAMP: 1, Strategy.HISTORY: 2}
-    peaks, ends = np.empty(chance.runs), np.empty(chance.runs)
+    peaks = np.empty(chance.runs)
     _run_all(
-        np.uint64(chance.seed), plant, widths, gains, settings, kinds[network.strategy], network.losses_max,
-        behind, steps, limit, peaks, ends,
+        np.uint64(chance.seed), plant, chance.uncertainty, gains, settings, kinds[network.strategy],
+        network.losses_max, behind, steps, limit, peaks,
     )  # fmt: skip
-    return Outcomes(peaks, ends)
+    return peaks
 
 
 @_kernel
@@ -248,15 +209,15 @@ def _summit(
 
 @_kernel
 def _run(
-    state: np.uint64, plant: Array, widths: Array, K: Array, settings: Array, kind: int, losses_max: int,
+    state: np.uint64, plant: Array, width: float, K: Array, settings: Array, kind: int, losses_max: int,
     behind: int, steps: int, limit: float,
-) -> tuple[float, float]:  # fmt: skip
-    """One run: largest |e| and last |e|."""
+) -> float:  # fmt: skip
+    """One run: largest |e|."""
     golden = np.uint64(0x9E3779B97F4A7C15)
     drawn = np.empty(5)
     for k in range(5):
         state += golden
-        drawn[k] = plant[k] * (1.0 + widths[k] * (2.0 * _even(_mixed(state)) - 1.0))
+        drawn[k] = plant[k] * (1.0 + width * (2.0 * _even(_mixed(state)) - 1.0))
     a, b = drawn[0] / drawn[1], drawn[3] / drawn[2]
     c, g = drawn[4] / drawn[2], 1.0 / drawn[2]
     if abs(b - a) < 1e-9 * a:
@@ -296,17 +257,15 @@ def _run(
         else:
             peak = max(peak, _flow(x, a, b, c, g, held, load, h, E_ah, E_bh))
         if not peak < limit:
-            return np.inf, np.inf
-    return peak, abs(x[1])
+            return np.inf
+    return peak
 
 
 @_parallel
 def _run_all(
-    seed: np.uint64, plant: Array, widths: Array, K: Array, settings: Array, kind: int, losses_max: int,
-    behind: int, steps: int, limit: float, peaks: Array, ends: Array,
+    seed: np.uint64, plant: Array, width: float, K: Array, settings: Array, kind: int, losses_max: int,
+    behind: int, steps: int, limit: float, peaks: Array,
 ) -> None:  # fmt: skip
     for number in numba.prange(len(peaks)):
         start = _mixed(_mixed(seed) + np.uint64(number))
-        peaks[number], ends[number] = _run(
-            start, plant, widths, K, settings, kind, losses_max, behind, steps, limit
-        )
+        peaks[number] = _run(start, plant, width, K, settings, kind, losses_max, behind, steps, limit)

@@ -16,7 +16,7 @@ from design.delay.delay_loop import Array
 from design.delay.speed_loop import SpeedModel
 from design.hinf.margins import Margins, margins_of
 from design.sampled.held_loop import Flow, HeldInput, Jump, Operation
-from design.sampled.lifting import discrete_norm, lifted
+from design.sampled.lifting import lifted_gain
 from design.speed.predictor_plant import FILTERED, LOAD, PredictorPlant
 from design.statespace import ComplexArray, StateSpace
 
@@ -59,7 +59,7 @@ class PlantLoop(HeldInput):
     def gain(self, chain: Sequence[Operation]) -> float:
         """L2 gain from load torque to speed, rad/s per N m, of the loop that repeats ``chain``; inf if
         unstable."""
-        return discrete_norm(lifted(self, chain))
+        return lifted_gain(self, chain)
 
     def command_rms_nm(self, chain: Sequence[Operation], added: Array) -> float:
         """Of the loop that repeats ``chain``, whose first jump adds noise of covariance ``added``."""

@@ -9,6 +9,7 @@ from a sample until its set-point acts; it need be no whole number of periods. I
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,15 +65,35 @@ def design_position(period_s: float, delay_s: float, bandwidth_rad_s: float) -> 
         raise ValueError("a period and a bandwidth above 0 and a delay of at least 0 expected")
     loop = _SampledIntegrator(period_s, delay_s, bandwidth_rad_s)
     # An integrator with dead time D is unstable from K = pi / 2 D on.
-    low, high = 0.0, math.pi / 2.0 / (delay_s + period_s / 2.0 + 1.0 / bandwidth_rad_s) * 4.0
+    high = math.pi / 2.0 / (delay_s + period_s / 2.0 + 1.0 / bandwidth_rad_s) * 4.0
+    gain = _largest(
+        lambda gain: loop.radius(gain) < 1.0 and loop.peaks(gain)[0] <= SENSITIVITY_PEAK, 0.0, high
+    )
+
+    def stable(more_s: float) -> bool:
+        return _SampledIntegrator(period_s, delay_s + more_s, bandwidth_rad_s).radius(gain) < 1.0
+
+    return PositionDesign(
+        gain,
+        *loop.peaks(gain),
+        _first_unkept(lambda times: loop.radius(times * gain) < 1.0, 1.0, 2.0),
+        _first_unkept(stable, 0.0, period_s),
+    )
+
+
+def _largest(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Up to which it ``holds``, from ``low``, where it does, to ``high``, where it does not."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if loop.radius(middle) < 1.0 and loop.peaks(middle)[0] <= SENSITIVITY_PEAK:
-            low = middle
-        else:
-            high = middle
-    sensitivity, complementary = loop.peaks(low)
-    return PositionDesign(low, sensitivity, complementary, _gain_margin(loop, low), _delay_margin(loop, low))
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _first_unkept(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """The same where ``high`` has to be looked for, by doubling."""
+    while holds(high):
+        low, high = high, 2.0 * high
+    return _largest(holds, low, high)
 
 
 def closed_loop(gain_per_s: float, period_s: float, delay_s: float, bandwidth_rad_s: float) -> Array:
@@ -123,27 +144,3 @@ def _held(bandwidth_rad_s: float, length_s: float) -> tuple[Array, Array]:
     risen = -math.expm1(-bandwidth_rad_s * length_s)
     travelled_s = risen / bandwidth_rad_s
     return np.array([[1.0 - risen, 0.0], [travelled_s, 1.0]]), np.array([risen, length_s - travelled_s])
-
-
-def _gain_margin(loop: _SampledIntegrator, gain_per_s: float) -> float:
-    low, high = 1.0, 2.0
-    while loop.radius(high * gain_per_s) < 1.0:
-        low, high = high, 2.0 * high
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if loop.radius(middle * gain_per_s) < 1.0 else (low, middle)
-    return low
-
-
-def _delay_margin(loop: _SampledIntegrator, gain_per_s: float) -> float:
-    def stable(more_s: float) -> bool:
-        longer = _SampledIntegrator(loop.period_s, loop.delay_s + more_s, loop.bandwidth_rad_s)
-        return longer.radius(gain_per_s) < 1.0
-
-    low, high = 0.0, loop.period_s
-    while stable(high):
-        low, high = high, 2.0 * high
-    for _ in range(_BISECTIONS // 2):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return low

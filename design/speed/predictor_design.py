@@ -20,7 +20,7 @@ from design.delay.speed_loop import peak_floor_rad_s
 from design.errors import InfeasibleDesign
 from design.motor import PmsmParameters
 from design.sampled.held_loop import Operation
-from design.speed.loop_robustness import LOST, LoopRobustness, stable_bandwidths
+from design.speed.loop_robustness import CHANGES, LoopRobustness, peaks_over_floor, stable_bandwidths
 from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
 from design.speed.predictor_plant import KalmanModel, PredictorPlant, kalman_model, of_state, plant_of
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
@@ -55,19 +55,33 @@ class PredictorRequest:
     """What is known, and what must be kept."""
 
     motor: PmsmParameters
-    current_rate_rad_s: float
+    current_bandwidth_hz: float
+    """Of the drive's current loop."""
     speed_filter_hz: float
+    """Of the filter behind the drive's speed."""
     speed_noise_rad_s: float
     """Rms on each sample."""
     torque_noise_nm: float
     """What the torque of a period differs from its command, rms."""
     period_s: float
-    delay_s: float
-    """From a sample to the voltage of its command."""
+    delay_max_s: float
+    """From a sample to its command's instant."""
     load_nm: float
     """The step of the load."""
     command_noise_nm: float
     """Rms of the command that the samples' noise may make."""
+    dead_time_s: float = 0.0
+    """Of the drive: from a command's instant to its voltage, and from a sample's to that of its count."""
+
+    @property
+    def delay_s(self) -> float:
+        """From a sample to the voltage of its command."""
+        return self.delay_max_s + self.dead_time_s
+
+    @property
+    def current_rate_rad_s(self) -> float:
+        """Of the drive's current loop."""
+        return math.tau * self.current_bandwidth_hz
 
     @property
     def plant(self) -> PredictorPlant:
@@ -124,7 +138,7 @@ class PredictorDesign:
         request = self.request
         return Prediction(request.plant, request.period_s, request.delay_s, self.F)
 
-    def ratio(self, inertia: float = 1.0, phases: tuple[float, ...] = PHASES, lost: int = 0) -> float:
+    def ratio(self, inertia: float, lost: int = 0) -> float:
         """Peak after the step over the floor of that inertia, both without noise."""
         request = self.request
         periods = math.ceil(3.0 * (request.delay_s / request.period_s + 1.0)) + 10 + 2 * lost
@@ -138,7 +152,7 @@ class PredictorDesign:
                 plant=request.plant.changed(inertia),
                 lost=frozenset(range(lost)),
             ).peak_rad_s
-            for phase in phases
+            for phase in PHASES
         ]
         return max(peaks) / request.floor_rad_s(inertia, lost)
 
@@ -219,20 +233,15 @@ def _largest(keeps: Callable[[float], bool], low: float, high: float) -> float |
     return low
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictorRobustness(LoopRobustness):
-    """For constant gains, of the quiet filter; the loop is stable, and has its delay margin, with both."""
-
-    gains_found: tuple[float, ...]
-    """With 1, 2 .. samples lost after each that comes."""
-
-
 _SETTLED = 300
 """Rounds after which the covariance repeats itself."""
 
 
-def predictor_robustness(made: PredictorDesign, losses_max: int) -> PredictorRobustness:
-    """The figures; ``losses_max``: samples lost in a row that are looked at."""
+def predictor_robustness(made: PredictorDesign) -> LoopRobustness:
+    """The figures for constant gains, of the quiet filter.
+
+    The loop is stable, and has its delay margin, with those of both filters.
+    """
     request, prediction = made.request, made.prediction
     kalman = request.kalman
     L = kalman.observer(made.walks.quiet)
@@ -248,20 +257,14 @@ def predictor_robustness(made: PredictorDesign, losses_max: int) -> PredictorRob
         loop = PredictorLoop(prediction, request.plant.changed(current=share))
         return all(map(loop.is_stable, filters))
 
-    return PredictorRobustness(
-        peak_over_floor=made.ratio(),
-        peak_over_floor_inertia_less=made.ratio(0.7),
-        peak_over_floor_inertia_more=made.ratio(1.3),
-        peak_over_floor_lost=made.ratio(lost=LOST),
-        gain=gain(),
-        gain_inertia_less=gain(inertia=0.7),
-        gain_inertia_more=gain(inertia=1.3),
-        gain_current_loop_slower=gain(current=0.5),
-        bandwidths=stable_bandwidths(stable),
-        gains_found=tuple(losses_gain(made, [lost]) for lost in range(1, losses_max + 1)),
-        margins=own.margins(L),
-        delay_margin_s=min(delay_margin_s(prediction, gains) for gains in filters),
-        command_noise_nm=own.torque_noise_nm(L, request.speed_noise_rad_s),
+    return LoopRobustness(
+        peaks_over_floor(made.ratio),
+        gain(),
+        {name: gain(*change) for name, change in CHANGES.items()},
+        stable_bandwidths(stable),
+        own.margins(L),
+        min(delay_margin_s(prediction, gains) for gains in filters),
+        own.torque_noise_nm(L, request.speed_noise_rad_s),
     )
 
 

@@ -8,7 +8,7 @@ there is: in a box for each number of losses before the sample, along the axes i
 """
 
 import itertools
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ _ROOM = 1e-3
 """Of a gain: what the host's filter, in scalars and from six digits, may differ."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Between:
+class _Between(NamedTuple):
     """Covariances (N, 3, 3) between two, each of the filter and of the bold one."""
 
     low: Array
@@ -41,17 +40,12 @@ class _Between:
 
     def put(self, rows: NDArray[np.intp], other: "_Between") -> None:
         """``other`` in place of ``rows``."""
-        for own, new in zip(self.parts, other.parts, strict=True):
+        for own, new in zip(self, other, strict=True):
             own[rows] = new
 
     def part(self, rows: NDArray[np.intp]) -> "_Between":
         """Some of them."""
-        return _Between(*(own[rows] for own in self.parts))
-
-    @property
-    def parts(self) -> tuple[Array, Array, Array, Array]:
-        """All four."""
-        return self.low, self.high, self.bold_low, self.bold_high
+        return _Between(*(own[rows] for own in self))
 
 
 class GainBoxes:
@@ -101,9 +95,7 @@ class GainBoxes:
             if not len(open_):
                 break
         settled.append(self._outcome(open_))
-        return _Between(
-            *(np.concatenate(parts) for parts in zip(*(each.parts for each in settled), strict=True))
-        )
+        return _Between(*map(np.concatenate, zip(*settled, strict=True)))
 
     def _outcome(self, histories: NDArray[np.int_]) -> _Between:
         """(N, samples), the oldest first: twice the losses before a sample, and 1 if a step was seen."""
@@ -130,7 +122,7 @@ class GainBoxes:
     def _prior(self, given: _Between, lost: int) -> _Between:
         """Before the sample that comes after so many losses."""
         quiet, bold, periods = self._walks.quiet, self._walks.bold, lost + 1
-        low, high, bold_low, bold_high = given.parts
+        low, high, bold_low, bold_high = given
         return _Between(
             self._predicted(low, quiet, periods),
             self._predicted(high, quiet, periods),
@@ -146,7 +138,7 @@ class GainBoxes:
 
     def _corrected(self, prior: _Between, taken: bool) -> _Between:
         """``taken``: a step was seen, and the bold covariance with it."""
-        low, high, *bold = map(self._after, prior.parts)
+        low, high, *bold = map(self._after, prior)
         return _Between(*bold, *bold) if taken else _Between(low, high, *bold)
 
     def _after(self, P: Array) -> Array:

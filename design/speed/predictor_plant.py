@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import scipy.linalg
+import scipy  # loads scipy.linalg when it is used first: a third of a second that a run does without
 
 from design.delay.delay_loop import Array
 from design.motor import PmsmParameters

@@ -9,7 +9,6 @@ certified of it is another question.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,7 +19,7 @@ from design.errors import NoSolution
 from design.sampled.analysis import regular_patterns
 from design.sampled.held_loop import HeldLoop, SampledNetwork, Strategy
 from design.sampled.loss_patterns import Pattern, pattern_gains, pattern_of, slowest_pattern, worst_gain
-from design.speed.speed_design import least_gain
+from design.speed.speed_design import SpeedDesign, least_gain
 
 _TOLERANCE = 1e-3
 """Relative, of the gains on the way."""
@@ -41,21 +40,16 @@ _DECAY = 0.2
 """Times the inverse of the longest age: the decay that every pattern must keep."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SampledDesign:
-    """A gain and the largest gain of its loop that was found, rad/s per N m."""
-
-    K: Array
-    gain: float
-
-
 def least_sampled_gain(
     model: SpeedModel,
     network: SampledNetwork,
     feedback: Feedback = Feedback.FULL,
     integral_time_s: float | None = None,
-) -> SampledDesign:
-    """The best that the search finds. Raises NoSolution if no start is stable under every pattern."""
+) -> SpeedDesign:
+    """The best that the search finds, with the largest gain of its loop that was found.
+
+    Raises NoSolution if no start is stable under every pattern.
+    """
     age_s = network.age_max_s
     if network.strategy is Strategy.STAMP:
         # its age with every loss at once is longer than any that matters for long
@@ -65,7 +59,7 @@ def least_sampled_gain(
     first = HeldLoop(model, start, network)
     least_decay = _DECAY / network.age_max_s
     search = _Search(model, network, start, free, _some(regular_patterns(first)), least_decay)
-    best: SampledDesign | None = None
+    best: SpeedDesign | None = None
     x = np.zeros(len(free))
     decay = math.nan
     for _ in range(_EXCHANGES):
@@ -82,7 +76,7 @@ def least_sampled_gain(
             continue
         worst = worst_gain(loop, [*regular_patterns(loop), slowest], _CHANGED_MAX)
         if best is None or worst.gain < best.gain:
-            best = SampledDesign(K, worst.gain)
+            best = SpeedDesign(K, network.constant_delay_s, worst.gain)
         if worst.gain <= search.gain_at(x) * _WORSE:
             break
         search.add(worst.pattern)

@@ -13,8 +13,8 @@ the best of several is returned, and its norm is the proven one of :mod:`design.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -41,7 +41,7 @@ _REFINED = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedDesign:
-    """A gain with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
+    """A feedback with what it reaches: gain of the loop in rad/s per N m, at ``delay_s``."""
 
     K: Array
     delay_s: float
@@ -221,13 +221,11 @@ def _refine_once(
     model: SpeedModel, K: Array, delay_s: float, gamma: float | None, feedback: Feedback
 ) -> SpeedDesign | None:
     """The local optimum next to (K, delay): of the gain, or of the delay within ``gamma``."""
-    free = np.array(model.free_gains(feedback))
-    scale = np.where(free == 0, 1.0, np.abs(K[free]))
     bound = gamma if gamma is not None else hinf_norm(model.loop(K, delay_s))
     if math.isinf(bound):
         return None
-    programme = _Programme(model, K.copy(), free, scale, delay_s, bound, gamma is not None)
-    centre, radius = programme.start(), _RADIUS
+    programme = _Programme(model, K.copy(), feedback, delay_s, bound, gamma is not None)
+    centre, radius = programme.start, _RADIUS
     x = centre
     frequencies = np.array([peak.frequency_rad_s for peak in peaks(programme.loop(x), share=0.3)])
     best: SpeedDesign | None = None
@@ -275,29 +273,57 @@ def _measured(
     return SpeedDesign(K, delay_s, gamma) if delay_s > 0.0 else None
 
 
-class _Programme:
-    """The smooth programme over given frequencies; x = [K/scale, log of delay or gain relative to start]."""
+class GainWalk:
+    """SLSQP over x = [K/scale of the free entries, log of the delay or of the gain relative to the start].
+
+    With ``for_delay`` the delay is made largest, else the gain least.
+    """
 
     def __init__(
-        self, model: SpeedModel, K: Array, free: Array, scale: Array, delay_s: float, bound: float,
-        for_delay: bool,
-    ) -> None:  # fmt: skip
+        self, model: SpeedModel, K: Array, feedback: Feedback, delay_s: float, for_delay: bool
+    ) -> None:
         self._model = model
         self._K = K
-        self._free = free
-        self._scale = scale
+        self._free = np.array(model.free_gains(feedback))
+        self._scale = np.where(self._free == 0, 1.0, np.abs(K[self._free]))
         self.delay_s = delay_s
-        self._bound = bound
         self._for_delay = for_delay
-
-    def start(self) -> Array:
-        return np.append(self._K[self._free] / self._scale, 0.0)
+        self.start = np.append(K[self._free] / self._scale, 0.0)
 
     def gain_of(self, x: Array) -> Array:
+        """K at ``x``."""
         return self._model.with_entries(self._K, self._free, x[:-1] * self._scale)
 
     def delay_of(self, x: Array) -> float:
+        """The delay at ``x``, s."""
         return self.delay_s * math.exp(x[-1]) if self._for_delay else self.delay_s
+
+    def optimum(
+        self, x: Array, centre: Array, radius: float, tolerance: float, steps_max: int, **slack: Any
+    ) -> Array:
+        """From ``x``, within ``radius`` of ``centre``, where the constraint ``slack`` is not below 0."""
+        sign = -1.0 if self._for_delay else 1.0
+        gradient = sign * np.eye(len(x))[-1]
+        answer = minimize(
+            lambda x: sign * float(x[-1]),
+            x,
+            jac=lambda _x: gradient,
+            bounds=[(value - radius, value + radius) for value in centre],
+            constraints=[{"type": "ineq", **slack}],
+            method="SLSQP",
+            options={"ftol": tolerance, "maxiter": steps_max},
+        )
+        return np.asarray(answer.x)
+
+
+class _Programme(GainWalk):
+    """The smooth programme over given frequencies, in which |G| stays within a bound."""
+
+    def __init__(
+        self, model: SpeedModel, K: Array, feedback: Feedback, delay_s: float, bound: float, for_delay: bool
+    ) -> None:
+        super().__init__(model, K, feedback, delay_s, for_delay)
+        self._bound = bound
 
     def allowed(self, x: Array) -> float:
         """The bound on |G|."""
@@ -308,7 +334,6 @@ class _Programme:
 
     def solve(self, x: Array, frequencies: Array, centre: Array, radius: float) -> Array:
         """From ``x``, the optimum within ``radius`` of ``centre`` when only ``frequencies`` count."""
-        sign = -1.0 if self._for_delay else 1.0
 
         def slack(x: Array) -> Array:
             function = loop_function(self.loop(x))
@@ -316,16 +341,4 @@ class _Programme:
             values = np.maximum(function.magnitude(frequencies * function.time_unit_s), _LEAST)
             return np.asarray(math.log(self.allowed(x)) - np.log(values))
 
-        objective: Callable[[Array], float] = lambda x: sign * float(x[-1])  # noqa: E731
-        gradient = np.zeros(len(x))
-        gradient[-1] = sign
-        answer = minimize(
-            objective,
-            x,
-            jac=lambda _x: gradient,
-            bounds=[(value - radius, value + radius) for value in centre],
-            constraints=[{"type": "ineq", "fun": slack}],
-            method="SLSQP",
-            options={"ftol": 1e-12, "maxiter": 60},
-        )
-        return np.asarray(answer.x)
+        return self.optimum(x, centre, radius, 1e-12, 60, fun=slack)

@@ -6,7 +6,7 @@ sampled loop, or with a constant delay of what the speed gain passes on.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from design.motor import PmsmParameters
 from design.sampled.admissible_steps import Delivery
 from design.sampled.held_loop import HeldLoop
 from design.sampled.loss_patterns import Pattern, chain_of, pattern_gains, pattern_of, repeated
+from design.speed.loop_robustness import CHANGES
 from design.statespace import ComplexArray
 
 _DECADES = 1e4
@@ -46,9 +47,8 @@ class SpeedRobustness:
     margins: Margins
     delay_margin_s: float
     """Beyond the design's delay, up to instability."""
-    inertia_less: Changed
-    inertia_more: Changed
-    current_loop_slower: Changed
+    changed: Mapping[str, Changed]
+    """With the plants of :data:`CHANGES`."""
     noise_nm_s_rad: float
     """Torque command, N m rms, that 1 rad/s rms of white noise on each speed sample makes."""
 
@@ -79,9 +79,7 @@ def speed_robustness(
         step_peak(loop) / peak_floor_rad_s(motor, loop.delay_s) if loop.delay_s > 0.0 else math.inf,
         loop_margins(loop),
         max(0.0, largest_stable_delay_s(loop) - loop.delay_s),
-        changed(0.7, 1.0),
-        changed(1.3, 1.0),
-        changed(1.0, 0.5),
+        {name: changed(*change) for name, change in CHANGES.items()},
         noise_gain(motor, loop, held),
     )
 

@@ -9,7 +9,7 @@ from drivers.timebase import NS_PER_US
 from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor, Rows
-from hil.control.hinf import HinfFeedback, HinfSettings
+from hil.control.hinf import HinfFeedback
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
 
@@ -49,14 +49,12 @@ class HinfSection(AxisController):
             expected = f"loop.period_us = {setup.period / NS_PER_US:g}"
             raise BadInput(setup.source, key, self.period_us, expected)
         return HinfFeedback(
-            HinfSettings(
-                self.A,
-                self.B,
-                self.L,
-                self.C,
-                self.D,
-                self.inertia_kg_m2,
-                self.viscous_friction_nm_s,
-                self.answer_us / self.period_us,
-            )
+            self.A,
+            self.B,
+            self.L,
+            self.C,
+            self.D,
+            self.inertia_kg_m2,
+            self.viscous_friction_nm_s,
+            self.answer_us / self.period_us,
         )

@@ -5,12 +5,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from design.speed.predictor_plant import PredictorPlant
 from drivers.timebase import NS_PER_US, Duration
 from hil.configuration.controller_section import AxisController
 from hil.configuration.quantities import Gain, Inertia, ViscousFriction
 from hil.configuration.speed_controller_file import LoopFigures, LossCertificate, MadeFor
 from hil.control.load_filter import FilterNoise
-from hil.control.motion import MotionModel
 from hil.control.predictor import LoadCancelling, PredictorSettings
 from hil.control.setup import Setup
 from hil.loop.axis_roles import Controller
@@ -42,7 +42,7 @@ class PredictorController(AxisController):
 
     def build(self, setup: Setup) -> Controller:
         """The controller of an axis, which brings its predictor."""
-        model = MotionModel(
+        plant = PredictorPlant(
             self.inertia_kg_m2,
             self.viscous_friction_nm_s,
             math.tau * self.current_bandwidth_hz,
@@ -55,5 +55,5 @@ class PredictorController(AxisController):
             self.load_noise_max_nm_sqrt_s,
         )
         dead_time = Duration(round(self.dead_time_us * NS_PER_US))
-        settings = PredictorSettings(model, noise, self.speed_gain_nm_s_rad, self.torque_gain, dead_time)
+        settings = PredictorSettings(plant, noise, self.speed_gain_nm_s_rad, self.torque_gain, dead_time)
         return LoadCancelling(settings, setup.period)

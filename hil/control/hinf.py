@@ -9,59 +9,51 @@ commands were given that a reading tells of, so a ramp makes none.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S
 from hil.loop.axis_roles import Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 
-Rows = tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class HinfSettings:
-    """The matrices, and what the feed-forward goes by."""
-
-    A: Rows
-    """(n, n)."""
-    B: tuple[float, ...]
-    """(n,), of the speed error, rad/s."""
-    L: tuple[float, ...]
-    """(n,), of the command that was sent, N m."""
-    C: tuple[float, ...]
-    """(n,), N m."""
-    D: float
-    """N m per rad/s."""
-    inertia_kg_m2: float
-    viscous_friction_nm_s: float
-    answer_periods: float
-    """From a reading to where the speed of a later one has answered to its command."""
-
 
 class HinfFeedback(Controller):
-    """``settings.A`` may have any entries; those that are 0 cost nothing."""
+    """``states``: A, (n, n), of any entries; those that are 0 cost nothing.
 
-    def __init__(self, settings: HinfSettings) -> None:
-        self._inputs = list(settings.B)
-        self._sent_inputs = list(settings.L)
-        self._outputs = list(settings.C)
-        self._direct = settings.D
-        self._order = len(settings.C)
-        self._diagonal = [row[place] for place, row in enumerate(settings.A)]
+    ``inputs``: B, (n,), of the speed error, rad/s; ``sent_inputs``: L, (n,), of the command that was sent,
+    N m; ``outputs``: C, (n,), N m; ``direct``: D, N m per rad/s. ``answer_periods``: from a reading to where
+    the speed of a later one has answered to its command.
+    """
+
+    def __init__(
+        self,
+        states: Sequence[Sequence[float]],
+        inputs: Sequence[float],
+        sent_inputs: Sequence[float],
+        outputs: Sequence[float],
+        direct: float,
+        inertia_kg_m2: float,
+        viscous_friction_nm_s: float,
+        answer_periods: float,
+    ) -> None:
+        self._inputs = list(inputs)
+        self._sent_inputs = list(sent_inputs)
+        self._outputs = list(outputs)
+        self._direct = direct
+        self._order = len(outputs)
+        self._diagonal = [row[place] for place, row in enumerate(states)]
         self._places: list[int] = []
         self._gains: list[float] = []
         self._ends: list[int] = []
-        for place, row in enumerate(settings.A):
+        for place, row in enumerate(states):
             for other, gain in enumerate(row):
                 if gain != 0.0 and other != place:
                     self._places.append(other)
                     self._gains.append(gain)
             self._ends.append(len(self._places))
-        self._inertia = settings.inertia_kg_m2
-        self._friction = settings.viscous_friction_nm_s
-        self._whole = int(settings.answer_periods)
-        self._part = settings.answer_periods - self._whole
+        self._inertia = inertia_kg_m2
+        self._friction = viscous_friction_nm_s
+        self._whole = int(answer_periods)
+        self._part = answer_periods - self._whole
         self._begin()
 
     def _begin(self) -> None:

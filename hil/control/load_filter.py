@@ -12,7 +12,8 @@ at once, and calms down by itself. So the torque is quiet where nothing happens.
 from dataclasses import dataclass
 from typing import Final
 
-from hil.control.motion import MotionModel, ShaftMotion
+from design.speed.predictor_plant import PredictorPlant
+from hil.control.motion import ShaftMotion
 
 STEP_SIGMAS: Final = 1.5
 """An innovation so many times its standard deviation is taken for a step of the load. By chance one in seven
@@ -64,36 +65,36 @@ class Covariance:
         "ss",
     )
 
-    def __init__(self, model: MotionModel, noise: FilterNoise, walk: float, period_s: float) -> None:
+    def __init__(self, plant: PredictorPlant, noise: FilterNoise, walk: float, period_s: float) -> None:
         """``walk``: of the load, N m per root of s."""
         self.ss = self.sf = self.sl = self.ff = self.fl = self.ll = 0.0
         self.speed_gain = self.filtered_gain = self.load_gain = 0.0
         """rad/s, rad/s and N m per rad/s of innovation."""
         self._noise = noise.speed_rad_s * noise.speed_rad_s
-        self._transition(model, period_s)
-        self._process(model, noise.torque_nm, walk, period_s)
+        self._transition(plant, period_s)
+        self._process(plant, noise.torque_nm, walk, period_s)
         for _ in range(_SETTLING_STEPS):
             self.predict()
             self.correct()
 
-    def _transition(self, model: MotionModel, period_s: float) -> None:
+    def _transition(self, plant: PredictorPlant, period_s: float) -> None:
         """What a unit of each state makes of the others within a period."""
-        speed, filtered = ShaftMotion(model), ShaftMotion(model)
+        speed, filtered = ShaftMotion(plant), ShaftMotion(plant)
         speed.speed_rad_s = 1.0
         filtered.filtered_rad_s = 1.0
         speed.advance(0.0, 0.0, period_s)
         filtered.advance(0.0, 0.0, period_s)
-        load = _loaded(model, period_s)
+        load = _loaded(plant, period_s)
         self._t_ss, self._t_fs = speed.speed_rad_s, speed.filtered_rad_s
         self._t_ff = filtered.filtered_rad_s
         self._t_sl, self._t_fl = load.speed_rad_s, load.filtered_rad_s
 
-    def _process(self, model: MotionModel, torque_nm: float, walk: float, period_s: float) -> None:
+    def _process(self, plant: PredictorPlant, torque_nm: float, walk: float, period_s: float) -> None:
         """What the walk adds within a period, by Simpson's rule, and the torque's noise."""
         ss = sf = sl = ff = fl = ll = 0.0
         for k in range(_PANELS + 1):
             weight = 1.0 if k in (0, _PANELS) else 4.0 if k % 2 else 2.0
-            loaded = _loaded(model, period_s * k / _PANELS)
+            loaded = _loaded(plant, period_s * k / _PANELS)
             speed, filtered = loaded.speed_rad_s, loaded.filtered_rad_s
             ss += weight * speed * speed
             sf += weight * speed * filtered
@@ -102,7 +103,7 @@ class Covariance:
             fl += weight * filtered
             ll += weight
         share = walk * walk * period_s / (3.0 * _PANELS)
-        loaded = _loaded(model, period_s)
+        loaded = _loaded(plant, period_s)
         speed, filtered = torque_nm * loaded.speed_rad_s, torque_nm * loaded.filtered_rad_s
         self._q_ss = share * ss + speed * speed
         self._q_sf = share * sf + speed * filtered
@@ -157,10 +158,10 @@ class LoadFilter:
 
     __slots__ = ("_bold", "_threshold", "quiet")
 
-    def __init__(self, model: MotionModel, noise: FilterNoise, period_s: float) -> None:
-        self.quiet = Covariance(model, noise, noise.load_nm_sqrt_s, period_s)
+    def __init__(self, plant: PredictorPlant, noise: FilterNoise, period_s: float) -> None:
+        self.quiet = Covariance(plant, noise, noise.load_nm_sqrt_s, period_s)
         """Whose gains are used."""
-        self._bold = Covariance(model, noise, noise.load_max_nm_sqrt_s, period_s)
+        self._bold = Covariance(plant, noise, noise.load_max_nm_sqrt_s, period_s)
         self._threshold = STEP_SIGMAS * STEP_SIGMAS
 
     def predict(self, periods: int) -> None:
@@ -178,8 +179,8 @@ class LoadFilter:
         bold.correct()
 
 
-def _loaded(model: MotionModel, length_s: float) -> ShaftMotion:
+def _loaded(plant: PredictorPlant, length_s: float) -> ShaftMotion:
     """What 1 N m of load makes of a shaft at rest within ``length_s``, with no torque against it."""
-    motion = ShaftMotion(model)
+    motion = ShaftMotion(plant)
     motion.advance(0.0, 1.0, length_s)
     return motion

@@ -6,26 +6,15 @@ u: the command in force; T_L: the load torque, both constant over a piece; w: wh
 """
 
 import math
-from dataclasses import dataclass
 from typing import Final
+
+from design.speed.predictor_plant import PredictorPlant
 
 _APART: Final = 1e-3
 """Part of its rate by which the speed's filter is moved away from the current loop's, where they are equal:
 the closed form divides by their difference."""
 _COASTS: Final = 1e-6
 """1/s. A shaft that coasts longer has no friction that could be told from none."""
-
-
-@dataclass(frozen=True, slots=True)
-class MotionModel:
-    """What turns, and what drives and watches it."""
-
-    inertia_kg_m2: float
-    viscous_friction_nm_s: float
-    current_rate_rad_s: float
-    """a: of the drive's current loop, of first order."""
-    filter_rate_rad_s: float
-    """f: of the first-order filter behind the drive's speed."""
 
 
 class ShaftMotion:
@@ -48,14 +37,14 @@ class ShaftMotion:
         "torque_nm",
     )
 
-    def __init__(self, model: MotionModel) -> None:
+    def __init__(self, plant: PredictorPlant) -> None:
         self.torque_nm = 0.0
         self.speed_rad_s = 0.0
         self.filtered_rad_s = 0.0
-        self._per_inertia = 1.0 / model.inertia_kg_m2
-        self._coasting_rate = model.viscous_friction_nm_s * self._per_inertia
-        self._current_rate = model.current_rate_rad_s
-        rate = model.filter_rate_rad_s
+        self._per_inertia = 1.0 / plant.inertia_kg_m2
+        self._coasting_rate = plant.viscous_friction_nm_s * self._per_inertia
+        self._current_rate = plant.current_rate_rad_s
+        rate = plant.filter_rate_rad_s
         if abs(rate - self._current_rate) < _APART * self._current_rate:
             rate = (1.0 + _APART) * self._current_rate
         self._filter_rate = rate

@@ -12,6 +12,7 @@ import re
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import blake2b
@@ -204,12 +205,9 @@ class _Guard:
 
 
 def _frames(error: BaseException) -> Iterator[tuple[str, int, str]]:
-    trace = error.__traceback__
-    while trace is not None:
-        code = trace.tb_frame.f_code
-        if code.co_filename != __file__:
-            yield code.co_filename, trace.tb_lineno, code.co_name
-        trace = trace.tb_next
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        if frame.f_code.co_filename != __file__:
+            yield frame.f_code.co_filename, line, frame.f_code.co_name
 
 
 def _told(error: Exception) -> str:

@@ -13,10 +13,11 @@ too. The feedback sees a plant without delay, and the load it knows is cancelled
 from dataclasses import dataclass
 from typing import Final
 
+from design.speed.predictor_plant import PredictorPlant
 from drivers.exchange import Command
 from drivers.timebase import NS_PER_S, Duration, Instant
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import MotionModel, ShaftMotion
+from hil.control.motion import ShaftMotion
 from hil.loop.axis_roles import Compensator, Controller
 from hil.loop.context import Context, SetPoint, TorqueSetPoint
 from hil.loop.samples import AT_REST, Sample, StateEstimate
@@ -30,7 +31,7 @@ EARLY: Final = 4
 class PredictorSettings:
     """What a predictor is made for."""
 
-    model: MotionModel
+    plant: PredictorPlant
     noise: FilterNoise
     speed_gain_nm_s_rad: float
     """k_omega."""
@@ -55,9 +56,9 @@ class Predictor(Compensator):
         """The load torque, as far as the readings tell."""
         self.innovation_rad_s = 0.0
         """The last reading's speed beside the one that was expected."""
-        self._filter = LoadFilter(settings.model, settings.noise, self._period * PER_NS)
-        self._motion = ShaftMotion(settings.model)
-        self._ahead = ShaftMotion(settings.model)
+        self._filter = LoadFilter(settings.plant, settings.noise, self._period * PER_NS)
+        self._motion = ShaftMotion(settings.plant)
+        self._ahead = ShaftMotion(settings.plant)
         self._last: Sample | None = None
         self._at = 0
         """For when the filter's state holds, ns."""
@@ -139,8 +140,8 @@ class LoadCancelling(Controller):
         self._predictor = Predictor(settings, period)
         self._speed_gain = settings.speed_gain_nm_s_rad
         self._torque_gain = settings.torque_gain
-        self._friction = settings.model.viscous_friction_nm_s
-        self._inertia = settings.model.inertia_kg_m2
+        self._friction = settings.plant.viscous_friction_nm_s
+        self._inertia = settings.plant.inertia_kg_m2
 
     def channels(self) -> tuple[str, ...]:
         return ("load_estimate_nm", "innovation_rad_s")

@@ -1,15 +1,27 @@
 """Numbers for JSON and for files."""
 
 import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from design.hinf.margins import Margins
 
 _DIGITS = 6
 
 
-def finite(value: float) -> float | None:
+def finite(value: float | None) -> float | None:
     """``value``; None if it is not finite, which JSON has no word for."""
-    return value if math.isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 def short(value: float) -> float:
     """With six digits, for a file."""
     return float(f"{value:.{_DIGITS}g}")
+
+
+def margin_figures(margins: "Margins") -> dict[str, float | None]:
+    """Those that are told of every loop."""
+    return {
+        name: finite(getattr(margins, name))
+        for name in ("gain_margin_db", "phase_margin_deg", "modulus_margin")
+    }

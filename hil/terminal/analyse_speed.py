@@ -1,5 +1,6 @@
 """``hil analyse speed``: what delay, sampling and loss do to a speed loop."""
 
+import math
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,13 +17,11 @@ from hil.terminal.current_loop_options import (
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, flag, motor_file, seed_option, valued
 from hil.terminal.output import print_figures, put
-from hil.terminal.speed_options import (
-    LoadOption,
-    SpeedOption,
-    gain_of,
-)
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from design.sampled.held_loop import SampledNetwork
     from design.speed.monte_carlo import Chance
 
@@ -35,6 +34,18 @@ class StrategyName(StrEnum):
     HISTORY = "history"
 
 
+SpeedOption = Annotated[
+    float | None,
+    typer.Option(
+        "--speed-rpm", metavar="S", min=1e-6, help="Speed that percents are of; the rated if absent."
+    ),
+]
+LoadOption = Annotated[
+    float | None,
+    typer.Option(
+        "--load-nm", metavar="T", min=1e-9, help="Load step for percents; the rated torque if absent."
+    ),
+]
 GainOption = Annotated[
     str, valued("--gain", "K1,K2", r"Gain on \[i_q error, speed error]; K3: its integral.")
 ]
@@ -108,7 +119,7 @@ def speed(
     Gains are from load torque to speed error, rad/s per N m; the load step is one of 1 N m.
     """
     with reported_errors():
-        gains, parameters = gain_of(gain), motor_file(motor).parameters
+        gains, parameters = _gain_of(gain), motor_file(motor).parameters
         network = _network(period_ms, strategy, loss_max, tau_max_ms, delay_ms)
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
         delay_s = _delay_s(delay_ms, network)
@@ -190,7 +201,7 @@ def _delay_s(delay_ms: float | None, network: "SampledNetwork | None") -> float:
         raise BadInput(
             "--delay-ms", "", None, "the constant delay, ms", "or give --period-ms and the network"
         )
-    return (network.losses_max + 1) * network.period_s + network.delay_max_s
+    return network.constant_delay_s
 
 
 def _chance(
@@ -198,14 +209,27 @@ def _chance(
 ) -> "Chance | None":
     if runs is None:
         return None
-    from design.speed.monte_carlo import Chance, Uncertainty
+    from design.speed.monte_carlo import Chance
 
-    width = 0.01 * uncertainty_percent
     return Chance(
         runs=runs,
         seed=seed,
         duration_s=duration_s,
         loss_probability=loss,
         load_nm=load_nm,
-        uncertainty=Uncertainty(width, width, width, width, width),
+        uncertainty=0.01 * uncertainty_percent,
     )
+
+
+def _gain_of(text: str) -> "NDArray[np.float64]":
+    """``K1,K2`` or ``K1,K2,K3``. Raises BadInput."""
+    import numpy as np
+
+    expected = "K1,K2 in A/A and A s/rad, or K1,K2,K3 with the integral gain in A/rad, all finite"
+    try:
+        gains = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise BadInput("--gain", "", text, expected) from None
+    if len(gains) not in (2, 3) or not all(map(math.isfinite, gains)):
+        raise BadInput("--gain", "", text, expected)
+    return np.array(gains)

@@ -30,9 +30,14 @@ def print_current(figures: dict[str, Any]) -> None:
     print_figures(figures, text=_text, width=28, gap="  ")
 
 
+def root_text(value: list[float]) -> str:
+    """[real, imaginary] of a zero or pole."""
+    return f"{value[0]:.6g}" if value[1] == 0.0 else f"{value[0]:.6g}{value[1]:+.6g}j"
+
+
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return f"{value[0]:.6g}" if value[1] == 0.0 else f"{value[0]:.6g}{value[1]:+.6g}j"
+        return root_text(value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -41,11 +46,7 @@ def bounds_picture(design: "AxisDesign") -> str:
     crossover = design.margins.phase_margin_rad_s
     omega = crossover * np.logspace(-4.0, 3.5, _POINTS)
     gains = loop_functions(design.plant, design.controller, omega)
-    weights = {
-        "S": design.weights.error,
-        "KS": design.weights.control,
-        "T": design.weights.output,
-    }
+    weights = design.weights.by_function
     parts = []
     for name, gain in gains.items():
         bound = -20.0 * np.log10([weights[name].gain(float(w)) for w in omega])

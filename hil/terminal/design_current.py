@@ -19,7 +19,7 @@ from hil.terminal.output import put, say_written
 
 if TYPE_CHECKING:
     from hil.studies.current.design import CurrentResult
-    from hil.studies.current.request import OtherAxis
+    from hil.studies.current.figures import OtherAxis
 
 
 class CurrentAxis(StrEnum):
@@ -116,7 +116,7 @@ def current(
         from drivers.rotation import RAD_S_PER_RPM
         from hil.configuration.weights_file import load_weights
         from hil.studies.current.design import design_current
-        from hil.studies.current.request import CurrentRequest
+        from hil.studies.current.figures import CurrentRequest
         from hil.terminal.design_errors import refused
 
         if gamma is not None and gamma_factor is not None:
@@ -150,7 +150,7 @@ def _other_axis(path: Path | None, axis: str) -> "OtherAxis | None":
     """The continuous controller in ``path``, made for the axis that is not designed."""
     from drivers.bounded_file import NamedBy
     from hil.configuration.current_controller_file import load_current_controller
-    from hil.studies.current.request import OtherAxis
+    from hil.studies.current.figures import OtherAxis
 
     if path is None:
         return None

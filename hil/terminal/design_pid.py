@@ -52,26 +52,24 @@ def pid(
 ) -> None:
     """Tune a PID speed loop: Td from the current loop, the crossover from the phase margin and the delay."""
     with reported_errors():
+        from design.speed.speed_pid import pid_by_rule
         from hil.studies.current.design import write_text
-        from hil.studies.speed.pid import PidRequest, controller_text, design_pid, pid_figures
+        from hil.studies.speed.controller_text import controller_text
+        from hil.studies.speed.pid import controller_of, current_loop_of, pid_figures
         from hil.terminal.current_report import print_current
         from hil.terminal.design_errors import refused
 
         controller, loop_hz = _current_loop(current_control, bench, axis, commissioned, current_bandwidth_hz)
-        request = PidRequest(
-            motor=motor_file(motor).parameters,
-            current_control=controller,
-            current_bandwidth_hz=loop_hz,
-            period_s=1e-3 * period_ms,
-            latency_s=1e-3 * latency_ms,
-            phase_margin_deg=phase_margin_deg,
-            ratio=integral_ratio,
-        )
+        parameters = motor_file(motor).parameters
+        closed, crossover = current_loop_of(parameters, controller, loop_hz)
+        period_s, latency_s = 1e-3 * period_ms, 1e-3 * latency_ms
         with refused(str(motor)):
-            gains = design_pid(request)
+            gains = pid_by_rule(
+                parameters, closed, crossover, period_s, latency_s, phase_margin_deg, integral_ratio
+            )
         put(pid_figures(gains), as_json, print_current)
         if out is not None:
-            write_text(out, controller_text(request, gains))
+            write_text(out, controller_text(controller_of(parameters, closed.order, crossover, gains)))
             say_written(out)
 
 

@@ -1,9 +1,8 @@
 """``hil design speed --structure predictor`` and ``hinf``: their options, and what they print and write."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -14,14 +13,8 @@ if TYPE_CHECKING:
     from design.motor import PmsmParameters
     from design.sampled.held_loop import SampledNetwork
     from hil.configuration.drive_current_loop import KnownLoop
-    from hil.studies.speed.dynamic import PredictorNetwork
 
 _PERIOD_MS = 1.0
-_ENCODER_COUNTS = 65_536
-_SPEED_FILTER_HZ = 500.0
-_DEAD_TIME_US = 100.0
-"""Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
-_INNER_RATE_HZ = 16_000.0
 _NOISE_SHARE = 0.05
 """Of the rated torque."""
 _LOSSES, _LOSSES_MAX = 1, 5
@@ -86,28 +79,20 @@ LossesMaxOption = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class PredictorOptions:
+class PredictorOptions(NamedTuple):
     """As given; None: not."""
 
     period_ms: float | None
     encoder_counts: int | None
     speed_filter_hz: float | None
-    dead_time_us: float | None
+    drive_dead_time_us: float | None
     torque_noise_nm: float | None
     losses_max: int | None
 
     @property
     def given(self) -> dict[str, object]:
         """By option."""
-        return {
-            "--period-ms": self.period_ms,
-            "--encoder-counts": self.encoder_counts,
-            "--speed-filter-hz": self.speed_filter_hz,
-            "--drive-dead-time-us": self.dead_time_us,
-            "--torque-noise-nm": self.torque_noise_nm,
-            "--losses-max": self.losses_max,
-        }
+        return {f"--{name.replace('_', '-')}": value for name, value in self._asdict().items()}
 
 
 def refuse_given(options: Mapping[str, object], expected: str) -> None:
@@ -131,28 +116,30 @@ def finish_predictor(
     """Design it, a ``predictor`` or ``hinf``, print the figures and write the file. Raises BadInput."""
     from design.errors import DesignError
     from hil.studies.speed.controller_text import write_controller
-    from hil.studies.speed.dynamic import PredictorDrive
+    from hil.studies.speed.dynamic import DEAD_TIME_US, ENCODER_COUNTS, SPEED_FILTER_HZ, request_of
     from hil.studies.speed.hinf import design_speed_hinf
     from hil.studies.speed.predictor import design_speed_predictor
 
-    drive = PredictorDrive(
+    dead_time_us = options.drive_dead_time_us
+    period_s, delay_max_s, losses_max = _network(options, delay_s, network)
+    request = request_of(
+        motor,
         inner.bandwidth_hz,
-        options.encoder_counts or _ENCODER_COUNTS,
-        options.speed_filter_hz or _SPEED_FILTER_HZ,
-        _INNER_RATE_HZ,
-        1e-6 * (_DEAD_TIME_US if options.dead_time_us is None else options.dead_time_us),
+        period_s,
+        delay_max_s,
+        load_nm or motor.rated_torque_nm,
+        options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm,
+        encoder_counts=options.encoder_counts or ENCODER_COUNTS,
+        speed_filter_hz=options.speed_filter_hz or SPEED_FILTER_HZ,
+        dead_time_us=DEAD_TIME_US if dead_time_us is None else dead_time_us,
     )
-    noise_nm = options.torque_noise_nm or _NOISE_SHARE * motor.rated_torque_nm
-    over = _network(options, delay_s, network)
-    load = load_nm or motor.rated_torque_nm
     design = design_speed_hinf if structure == "hinf" else design_speed_predictor
     on_terminal("gain and decay over every sequence of lost samples: some s, at long delays minutes")
     try:
-        made = design(motor, drive, over, load, noise_nm).certified()
+        made = design(request, losses_max, network is not None).certified()
     except DesignError as error:
         raise BadInput("hil design speed", "", str(error), "a design that exists") from error
-    figures = {"current_bandwidth_from": inner.key, **made.figures}
-    put(figures, as_json, print_figures)
+    put({"current_bandwidth_from": inner.key, **made.figures}, as_json, print_figures)
     if out is not None:
         write_controller(out, made.controller())
         say_written(out)
@@ -160,10 +147,11 @@ def finish_predictor(
 
 def _network(
     options: PredictorOptions, delay_s: float | None, network: "SampledNetwork | None"
-) -> "PredictorNetwork":
-    """``delay_s``: the age that a sample reaches, period included, as elsewhere in this command."""
-    from hil.studies.speed.dynamic import PredictorNetwork
+) -> tuple[float, float, int]:
+    """The period, s, the delay from a sample to its command's instant, s, and the losses in a row.
 
+    ``delay_s``: the age that a sample reaches, period included, as elsewhere in this command.
+    """
     if network is not None:
         own = {"--period-ms": options.period_ms, "--losses-max": options.losses_max}
         for option, value in {"--delay-ms": delay_s, **own}.items():
@@ -173,10 +161,9 @@ def _network(
             remedy = "give --delay-ms, --period-ms and --losses-max: a run in which more are lost tells so"
             expected = f"at most {_LOSSES_MAX} in all"
             raise BadInput("--network", "network.losses_in_a_row_max", network.losses_max, expected, remedy)
-        return PredictorNetwork(network.period_s, network.delay_max_s, network.losses_max, measured=True)
+        return network.period_s, network.delay_max_s, network.losses_max
     period_s = 1e-3 * (options.period_ms or _PERIOD_MS)
-    losses = _LOSSES if options.losses_max is None else options.losses_max
     if delay_s is None or delay_s < period_s:
         least = f"at least a period of {1e3 * period_s:g} ms, or --network"
         raise BadInput("--delay-ms", "", MISSING if delay_s is None else 1e3 * delay_s, least)
-    return PredictorNetwork(period_s, delay_s - period_s, losses, measured=False)
+    return period_s, delay_s - period_s, _LOSSES if options.losses_max is None else options.losses_max

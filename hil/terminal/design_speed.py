@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.errors import BadInput
-from hil.terminal.analyse_speed import StrategyName
+from hil.terminal.analyse_speed import LoadOption, SpeedOption, StrategyName
 from hil.terminal.current_loop_options import (
     AxisOption,
     BenchOption,
@@ -32,16 +31,10 @@ from hil.terminal.design_predictor import (
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import JsonOption, MotorArgument, controller_out_option, flag, motor_file
 from hil.terminal.output import on_terminal, print_figures, put, say_written
-from hil.terminal.speed_options import (
-    LoadOption,
-    SpeedOption,
-)
 from hil.verdict.verdict import ExitStatus
 
 if TYPE_CHECKING:
-    from design.motor import PmsmParameters
     from design.sampled.held_loop import SampledNetwork
-    from hil.configuration.drive_current_loop import KnownLoop
     from hil.studies.speed.synthesis import DesignRequest
 
 
@@ -178,8 +171,7 @@ def speed(
         asked = PredictorOptions(
             period_ms, encoder_counts, speed_filter_hz, drive_dead_time_us, torque_noise_nm, losses_max
         )
-        predicts = structure is not SpeedStructure.STATIC
-        if predicts:
+        if structure is not SpeedStructure.STATIC:
             _refuse_static(gamma, error_percent, integral_time_ms, integral)
         else:
             refuse_given(asked.given, "--structure predictor or hinf with it")
@@ -188,67 +180,25 @@ def speed(
         parameters = motor_file(motor).parameters
         inner = current_loop(bench, axis, commissioned, current_bandwidth_hz)
         over = _network(network, strategy, delay_margin_percent, extra_losses) if network else None
-        if predicts:
-            wanted_s = _seconds(delay_ms)
-            finish_predictor(structure.value, parameters, inner, asked, wanted_s, over, load_nm, out, as_json)
+        if structure is not SpeedStructure.STATIC:
+            finish_predictor(
+                structure.value, parameters, inner, asked, _seconds(delay_ms), over, load_nm, out, as_json
+            )
             return
 
-        wanted = _Wanted(gamma, error_percent, load_nm, speed_rpm)
-        way = _Way(method, feedback, integral, integral_time_ms, target)
-        request = _request(parameters, inner, over, _seconds(delay_ms), wanted, way)
+        from design.delay.speed_loop import Feedback, gain_for_error
+        from drivers.rotation import RAD_S_PER_RPM
+        from hil.studies.speed.synthesis import DesignRequest, Way
+
+        sampled, integral_s = target is TargetName.SAMPLED, _seconds(integral_time_ms)
+        way = Way(method.value, Feedback(feedback.value), integral, integral_s, sampled)
+        load = load_nm or parameters.rated_torque_nm
+        at_rad_s = speed_rpm * RAD_S_PER_RPM if speed_rpm else parameters.rated_speed_rad_s
+        if error_percent:
+            gamma = gain_for_error(error_percent, load, at_rad_s)
+        delay_s = over.constant_delay_s if over else _seconds(delay_ms)
+        request = DesignRequest(parameters, gamma, delay_s, over, way, load, at_rad_s, inner.bandwidth_hz)
         _finish(request, inner.key, out, as_json)
-
-
-@dataclass(frozen=True, slots=True)
-class _Wanted:
-    """How good it is to be, and under which load."""
-
-    gamma: float | None
-    error_percent: float | None
-    load_nm: float | None
-    speed_rpm: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Way:
-    """How a static feedback is found."""
-
-    method: MethodName
-    feedback: FeedbackName
-    integral: bool
-    integral_time_ms: float | None
-    target: TargetName
-
-
-def _request(
-    motor: "PmsmParameters",
-    inner: "KnownLoop",
-    network: "SampledNetwork | None",
-    delay_s: float | None,
-    wanted: _Wanted,
-    way: _Way,
-) -> "DesignRequest":
-    from design.delay.speed_loop import Feedback, gain_for_error
-    from drivers.rotation import RAD_S_PER_RPM
-    from hil.studies.speed.synthesis import DesignRequest
-
-    load = wanted.load_nm or motor.rated_torque_nm
-    at_rad_s = wanted.speed_rpm * RAD_S_PER_RPM if wanted.speed_rpm else motor.rated_speed_rad_s
-    percent = wanted.error_percent
-    return DesignRequest(
-        motor=motor,
-        gamma=gain_for_error(percent, load, at_rad_s) if percent else wanted.gamma,
-        delay_s=_delay_s(delay_s, network),
-        network=network,
-        method=way.method.value,
-        feedback=Feedback(way.feedback.value),
-        integral=way.integral,
-        load_nm=load,
-        speed_rad_s=at_rad_s,
-        integral_time_s=_seconds(way.integral_time_ms),
-        current_bandwidth_hz=inner.bandwidth_hz,
-        for_sampled=way.target is TargetName.SAMPLED,
-    )
 
 
 def _seconds(time_ms: float | None) -> float | None:
@@ -324,13 +274,6 @@ def _network(path: Path, strategy: StrategyName, margin_percent: float, extra: i
         return SampledNetwork(wanted, measured.period_s, most, tau_s, agreed_s)
     except UnsuitableNetwork as error:
         raise BadInput("--strategy", "", error.found, error.expected, _ARRIVE_EARLIER) from None
-
-
-def _delay_s(delay_s: float | None, network: "SampledNetwork | None") -> float | None:
-    """[Ling2012] (2.13) for a network."""
-    if network is not None:
-        return (network.losses_max + 1) * network.period_s + network.delay_max_s
-    return delay_s
 
 
 def _finish(request: "DesignRequest", bandwidth_from: str, out: Path | None, as_json: bool) -> None:

@@ -6,20 +6,14 @@ from typing import Annotated
 
 import typer
 
-from drivers.compiled import ROOT
 from drivers.errors import BadInput
+from hil.machine.examples import examples_folder
 from hil.terminal.exit_status import reported_errors
 from hil.terminal.options import flag
 from hil.terminal.output import say_written
 
 FIRST = "first"
 """The example that is written."""
-
-
-def examples_folder() -> Path:
-    """The examples: within an installed package, or at the top of a checkout."""
-    installed = ROOT / "hil" / "examples"
-    return installed if installed.is_dir() else ROOT / "examples"
 
 
 def init(

@@ -79,15 +79,9 @@ def _controller_table(axis: str, figures: dict[str, Any]) -> "Table":
 
 
 def _listed(values: list[Any]) -> str:
-    texts = []
-    for value in values:
-        if not isinstance(value, list):
-            texts.append(f"{value:.5g}")
-        elif value[1] == 0.0:
-            texts.append(f"{value[0]:.6g}")
-        else:
-            texts.append(f"{value[0]:.6g}{value[1]:+.6g}j")
-    return "\n".join(texts)
+    from hil.terminal.current_report import root_text
+
+    return "\n".join(root_text(value) if isinstance(value, list) else f"{value:.5g}" for value in values)
 
 
 def ling2012(

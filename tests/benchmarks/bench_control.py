@@ -57,7 +57,8 @@ def main() -> None:
         if not case.name.startswith(chosen.only):
             continue
         found = predictor(case)
-        told = found.robustness
+        told = found.loop
+        own, less, more, _lost = told.peaks_over_floor.values()
         ways: dict[str, Callable[[], dict[str, Any]]] = {"predictor": partial(table_of, found)}
         if not chosen.predictor_only:
             ways |= {name: partial(way, case) for name, way in _OTHERS.items()}
@@ -75,8 +76,8 @@ def main() -> None:
                 flush=True,
             )
         print(
-            f"{'':30}by design: peak {told.peak_over_floor:.3f}, J {told.peak_over_floor_inertia_less:.3f} "
-            f"{told.peak_over_floor_inertia_more:.3f}, delay margin {1e3 * told.delay_margin_s:.2f} ms, "
+            f"{'':30}by design: peak {own:.3f}, J {less:.3f} {more:.3f}, "
+            f"delay margin {1e3 * told.delay_margin_s:.2f} ms, "
             f"noise {told.command_noise_nm:.4f} N m, gain {told.gain:.4g} rad/s per N m",
             flush=True,
         )

@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli import app
-from hil.terminal.init import FIRST, examples_folder
+from hil.machine.examples import examples_folder
+from hil.terminal.init import FIRST
 from tests.scenario.processes import quiet_environment
 
 
@@ -58,7 +59,7 @@ def test_every_example_is_written(tmp_path: Path) -> None:
 def test_a_wheel_has_the_examples_within(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = tmp_path / "site"
     shutil.copytree(examples_folder() / FIRST, installed / "hil" / "examples" / FIRST)
-    monkeypatch.setattr("hil.terminal.init.ROOT", installed)
+    monkeypatch.setattr("hil.machine.examples.ROOT", installed)
     assert examples_folder() == installed / "hil" / "examples"
     monkeypatch.chdir(tmp_path)
     assert _init("here")[0] == 0

@@ -12,7 +12,7 @@ from hil.cli import app
 from hil.configuration.motor_file import LING2012
 from hil.configuration.toml_text import toml_text
 from hil.execution.network_guard import certified_plans
-from hil.studies.speed.dynamic import PredictorDrive, PredictorNetwork
+from hil.studies.speed.dynamic import request_of
 from hil.studies.speed.predictor import design_speed_predictor
 from tests.floor_runs import Case
 
@@ -89,9 +89,7 @@ def test_the_gain_is_for_the_current_loop_of_the_design_alone() -> None:
 
 def test_the_predictor_of_a_file_is_the_one_that_is_certified() -> None:
     """To the last digit."""
-    drive = PredictorDrive(800.0, 65_536, 500.0, 20e3, 1e-4)
-    network = PredictorNetwork(1e-3, 1e-3, 1, measured=False)
-    result = design_speed_predictor(LING2012.parameters, drive, network, 0.6, 0.1)
+    result = design_speed_predictor(request_of(LING2012.parameters, 800.0, 1e-3, 1e-3, 0.6, 0.1), 1)
     design, written = result.design, result.controller()
     assert (written.torque_gain, written.speed_gain_nm_s_rad) == tuple(design.F[:2])
     assert (written.load_noise_nm_sqrt_s, written.load_noise_max_nm_sqrt_s) == (

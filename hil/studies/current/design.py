@@ -22,8 +22,7 @@ from design.motor import PmsmParameters
 from design.statespace import StateSpace, zpk
 from drivers.errors import BadInput
 from hil.configuration.toml_text import toml_text
-from hil.studies.current.figures import robust_figures, sampled_design
-from hil.studies.current.request import CurrentRequest, OtherAxis
+from hil.studies.current.figures import CurrentRequest, OtherAxis, robust_figures, sampled_design
 
 GAMMA = 1.0
 """The demand (40), if nothing else is asked for."""
@@ -51,8 +50,8 @@ def design_current(request: CurrentRequest) -> CurrentResult:
     full = design_axis(motor, axis, weights, gamma)
     chosen = full
     if request.structure != "full":
-        tuned = tune(plant, weights, Structure(request.structure), full.margins.phase_margin_rad_s)
-        chosen = describe(plant, weights, tuned.controller, least)
+        tuned, _ = tune(plant, weights, Structure(request.structure), full.margins.phase_margin_rad_s)
+        chosen = describe(plant, weights, tuned, least)
     reduced = _reduced(chosen, request)
     figures = design_figures(chosen, reduced)
     figures["axis"], figures["structure"], figures["gamma"] = axis, request.structure, gamma

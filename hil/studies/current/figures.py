@@ -1,5 +1,6 @@
 """What ``hil design current`` says about a controller beyond its own axis: sampled, coupled, over a box."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,13 @@ from design.current.current_loop import (
 )
 from design.current.dq_loop import Decoupling, lowest_coupled_rate_hz, nominal_decoupling, spectral_radius
 from design.hinf.bilinear import to_bilinear, tustin
+from design.hinf.reduction import Method
 from design.hinf.robustness import axis_robustness
 from design.hinf.synthesis import verified_norm
+from design.hinf.weights import Weights
 from design.motor import PmsmParameters
 from design.statespace import StateSpace
 from drivers.errors import BadInput
-from hil.studies.current.request import CurrentRequest, OtherAxis
 from hil.studies.numbers import finite
 
 FACTOR = 1.05
@@ -31,6 +33,45 @@ RATE_FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25)
 SPEEDS = 11
 MARGIN_KEPT = 0.9
 """Of the continuous modulus margin: what the lowest rate is to hold, if nothing else is asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherAxis:
+    """The continuous controller of the axis that is not designed, and its crossover."""
+
+    controller: StateSpace
+    crossover_rad_s: float
+
+    def pair(self, axis: str, own: StateSpace) -> tuple[StateSpace, StateSpace]:
+        """(K_d, K_q), ``own`` being that of ``axis``."""
+        return (own, self.controller) if axis == "d" else (self.controller, own)
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentRequest:
+    """What was asked for."""
+
+    motor: PmsmParameters
+    axis: str
+    weights: Weights | None
+    gamma: float | None
+    gamma_factor: float | None
+    structure: str
+    order: int | None
+    method: Method
+    rate_hz: float | None
+    delay_samples: int
+    discrete: bool
+    """Whether the controller is made for the sampled plant itself."""
+    modulus_margin: float | None
+    other: OtherAxis | None
+    """The other axis' continuous controller; by the rules if absent."""
+    speed_max_rad_s: float | None
+    """Up to which the coupled axes are looked at; the rated speed if absent."""
+    decoupling_factor: float
+    """The inductances that the drive decouples with, beside the motor's."""
+    advance_periods: float | None
+    """Angle advance of the drive; the right one if absent."""
 
 
 def robust_figures(

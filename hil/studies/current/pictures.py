@@ -13,13 +13,11 @@ from design.papers.azaiz2007 import DriveRun
 from design.statespace import series
 from hil.studies.drawing import draw_all, picture
 
-_BOUNDED = ("S", "KS", "T")
-
 
 def draw_bounds(design: AxisDesign, path: Path) -> None:
     """|S|, |KS| and |T| beside their bounds 1/|w|, in one picture."""
     with picture(path, 1, 3, size=(12.0, 4.0), sharex=True) as axes:
-        for axis, name in zip(axes, _BOUNDED, strict=True):
+        for axis, name in zip(axes, design.weights.by_function, strict=True):
             _bound_on(axis, design, name)
 
 
@@ -32,12 +30,7 @@ def draw_bound(design: AxisDesign, name: str, path: Path) -> None:
 def _bound_on(axis: Any, design: AxisDesign, name: str) -> None:
     omega = np.logspace(-3, 7, 1500)
     gain = loop_functions(design.plant, design.controller, omega)[name]
-    weight = {
-        "S": design.weights.error,
-        "KS": design.weights.control,
-        "T": design.weights.output,
-    }[name]
-    bound = 1.0 / np.abs(weight.system.response(omega)[:, 0, 0])
+    bound = 1.0 / np.abs(design.weights.by_function[name].system.response(omega)[:, 0, 0])
     axis.semilogx(omega, _db(bound), "--", label="bound 1/|w|")
     axis.semilogx(omega, _db(gain), label=f"|{name}|")
     axis.set(title=f"|{name}|", xlabel="rad/s", ylabel="dB")

@@ -18,7 +18,7 @@ from design.delay.certificate import (
 from design.delay.delay_loop import Array, DelayLoop
 from design.delay.delay_norm import hinf_norm, hinf_peak, largest_stable_delay_s
 from design.delay.delay_response import step_peak
-from design.delay.lmi import SOLVER
+from design.delay.lmi import SOLVED, SOLVER
 from design.delay.speed_loop import SpeedModel, peak_floor_rad_s, speed_model
 from design.errors import NoSolution
 from design.motor import PmsmParameters
@@ -27,7 +27,7 @@ from design.sampled.admissible_steps import deliveries_of
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.held_loop import SampledNetwork, Strategy
 from design.sampled.loss_patterns import Pattern
-from design.speed.monte_carlo import Chance, Estimate, run_many
+from design.speed.monte_carlo import Chance, Estimate, diverged, quantile, run_many
 from hil.studies.numbers import finite
 
 
@@ -119,9 +119,8 @@ def _certified(
         except NoSolution as error:
             failures.append(str(error))
             continue
-        proof = certified.proof
-        status = "; ".join([*failures, f"{proof.status} at order {certified.order}"])
-        return certified, {"solver": proof.solver, "status": status, "min_margin": proof.min_margin}
+        status = "; ".join([*failures, f"{SOLVED} at order {certified.order}"])
+        return certified, {"solver": SOLVER, "status": status, "min_margin": certified.min_margin}
     return None, {"solver": SOLVER, "status": "; ".join(failures), "min_margin": None}
 
 
@@ -203,7 +202,7 @@ def sequence_figures(analysis: SampledAnalysis, percent: float) -> dict[str, Any
         },
         "sequence_certificate": {
             "solver": SOLVER,
-            "status": analysis.without_certificate or "Solved",
+            "status": analysis.without_certificate or SOLVED,
             "min_margin": min(margins) if analysis.certified else None,
         },
     }
@@ -226,19 +225,19 @@ def _pattern(network: SampledNetwork, pattern: Pattern) -> list[dict[str, Any]]:
 
 def chance_figures(request: LoopRequest, network: SampledNetwork, chance: Chance) -> dict[str, Any]:
     """Many random runs of the sampled loop under a step of the load; limits are those of 95 % confidence."""
-    trials = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
+    peaks_rad_s = run_many(request.motor, request.K, network, chance, request.current_bandwidth_hz)
     share = 100.0 / request.speed_rad_s
-    quantiles = {f"p{100 * q:g}": trials.peak_quantile(q) for q in (0.5, 0.9, 0.99)}
+    quantiles = {f"p{100 * q:g}": quantile(peaks_rad_s, q) for q in (0.5, 0.9, 0.99)}
     return {
         "runs": chance.runs,
         "seed": chance.seed,
         "duration_s": chance.duration_s,
         "loss_probability": chance.loss_probability,
         "load_nm": chance.load_nm,
-        "diverged": _estimate(trials.diverged),
+        "diverged": _estimate(diverged(peaks_rad_s)),
         "peak_rad_s": {name: _estimate(value) for name, value in quantiles.items()},
         "peak_percent": {name: _estimate(value, share) for name, value in quantiles.items()},
-        "largest_peak_rad_s": finite(float(np.max(trials.peaks_rad_s))),
+        "largest_peak_rad_s": finite(float(np.max(peaks_rad_s))),
     }
 
 

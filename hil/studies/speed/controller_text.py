@@ -2,10 +2,11 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from design.delay.lmi import SOLVER
+from design.delay.lmi import SOLVED, SOLVER
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.bandwidth_range import BandwidthRange
@@ -24,35 +25,34 @@ from hil.configuration.toml_text import toml_text
 from hil.studies.numbers import finite
 from hil.studies.speed.synthesis import DesignResult
 
-_US_PER_S = 1e6
+US_PER_S = 1e6
 
 
 def whole_us(time_s: float) -> int:
     """Up to the next whole microsecond; what is one up to rounding stays."""
-    return math.ceil(time_s * _US_PER_S - 1e-6)
+    return math.ceil(time_s * US_PER_S - 1e-6)
+
+
+def begun_us(time_s: float) -> int:
+    """Down to a whole microsecond; what is one up to rounding stays."""
+    return math.floor(time_s * US_PER_S + 1e-6)
 
 
 def plant_of(motor: PmsmParameters) -> DesignPlant:
     """What a design depends on."""
-    return DesignPlant(
-        resistance_ohm=motor.resistance_ohm,
-        inductance_q_h=motor.inductance_q_h,
-        inertia_kg_m2=motor.inertia_kg_m2,
-        viscous_friction_nm_s=motor.viscous_friction_nm_s,
-        torque_constant_nm_a=motor.torque_constant_nm_a,
-    )
+    return DesignPlant.model_validate(motor, from_attributes=True)
 
 
 def controller_of(result: DesignResult) -> StateFeedbackController:
     """The table [controller] of a design."""
     return StateFeedbackController(
         kind="state_feedback",
-        gain=tuple(result.K.tolist()),
+        gain=tuple(result.design.K.tolist()),
         made_for=_made_for(result),
         certificate=Certificate.model_validate(
             {
-                "method": result.request.method,
-                "target": "sampled" if result.request.for_sampled else "constant",
+                "method": result.request.way.method,
+                "target": "sampled" if result.request.way.for_sampled else "constant",
                 "gamma_exact": finite(result.gamma_exact),
                 "sequences": sequence_proof(result.sampled, result.bandwidths),
                 **_constant(result),
@@ -66,44 +66,47 @@ def _constant(result: DesignResult) -> dict[str, object]:
     certified = result.certified
     if certified is None:
         return {"solver": SOLVER, "status": "see sequences"}
-    proof = certified.proof
     covered = result.bandwidths if result.sampled is None else None
     return {
         "gamma": certified.gain,
         "gamma_all_bandwidths": None if covered is None else covered.gain,
         "order": certified.order,
-        "solver": proof.solver,
-        "status": proof.status,
-        "min_margin": proof.min_margin,
+        "solver": SOLVER,
+        "status": SOLVED,
+        "min_margin": certified.min_margin,
     }
+
+
+def controller_text(controller: Section) -> str:
+    """The file that a bench names as ``controller``."""
+    return toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
 
 
 def write_controller(path: Path, controller: Section) -> None:
     """Write the file that a bench names as ``controller``. Raises BadInput if it cannot be written."""
-    text = toml_text({"controller": controller.model_dump(mode="json", exclude_none=True)})
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(controller_text(controller), encoding="utf-8")
     except OSError as error:
         raise BadInput("--out", "", str(path), "a file that can be written", str(error)) from None
 
 
 def _made_for(result: DesignResult) -> MadeFor:
     network = result.request.network
-    made_for = MadeFor(
-        delay_us=math.floor(result.delay_s * _US_PER_S + 1e-6),
+    return MadeFor(
+        delay_us=begun_us(result.design.delay_s),
         plant=plant_of(result.request.motor),
         current_loop=_current_loop(result),
+        **({} if network is None else _network(network)),
     )
-    return made_for if network is None else made_for.model_copy(update=_network(network))
 
 
-def _network(network: SampledNetwork) -> dict[str, object]:
+def _network(network: SampledNetwork) -> dict[str, Any]:
     waits = network.strategy is not Strategy.ARRIVAL
     return {
         "strategy": network.strategy.value,
         "period_us": whole_us(network.period_s),
         "losses_in_a_row_max": network.losses_max,
-        "delay_max_us": math.floor(network.delay_max_s * _US_PER_S + 1e-6),
+        "delay_max_us": begun_us(network.delay_max_s),
         "agreed_delay_us": whole_us(network.agreed_delay_s) if waits else None,
     }
 
@@ -115,15 +118,13 @@ def sequence_proof(
     if sampled is None or sampled.gain_proof is None or sampled.decay_proof is None:
         return None
     gain, decay = sampled.gain_proof, sampled.decay_proof
-    assert gain.gain is not None
-    assert decay.decay_per_s is not None
     return SequenceProof(
-        gain_certified=gain.gain,
+        gain_certified=gain.figure,
         gain_certified_all_bandwidths=bandwidths.gain if bandwidths else None,
         gain_found=sampled.gain_found,
         step_peak_certified_rad_s=sampled.peak_certified,
         step_peak_found_rad_s=finite(sampled.peak_found),
-        decay_certified_per_s=decay.decay_per_s,
+        decay_certified_per_s=decay.figure,
         decay_certified_all_bandwidths_per_s=bandwidths.decay_per_s if bandwidths else None,
         decay_found_per_s=sampled.decay_found_per_s,
         min_margin=min(gain.min_margin, decay.min_margin),

@@ -1,73 +1,95 @@
 """``hil design speed --structure``: what all controllers with states of their own have in common."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
+from design.delay.lmi import SOLVER
 from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
-from design.speed.loop_robustness import LOST, LoopRobustness
+from design.speed.hinf_design import HinfDesign
+from design.speed.loop_robustness import LoopRobustness
 from design.speed.loss_certificate import with_losses
-from design.speed.predictor_design import PredictorRequest
+from design.speed.predictor_design import PredictorDesign, PredictorRequest
 from design.speed.predictor_plant import encoder_noise_rad_s
 from hil.configuration.config_files import Section
-from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, MadeFor
-from hil.studies.numbers import finite, short
-from hil.studies.speed.controller_text import plant_of, whole_us
-from hil.studies.speed.losses import certified_of, loss_certificate, loss_figures
+from hil.configuration.speed_controller_file import CurrentLoop, LoopFigures, LossCertificate, MadeFor
+from hil.studies.numbers import finite, margin_figures, short
+from hil.studies.speed.controller_text import US_PER_S, begun_us, plant_of, sequence_proof, whole_us
 
-US_PER_S = 1e6
+ENCODER_COUNTS = 65_536
+SPEED_FILTER_HZ = 500.0
+DEAD_TIME_US = 100.0
+"""Of the simulated drive: one and a half ticks of 62.5 us from a command to its voltage."""
+_INNER_RATE_HZ = 16_000.0
+"""At which a drive takes the difference of its encoder's counts."""
 _TORQUE_NOISE = 0.005
 """Of the rated torque: what a drive's torque differs from its demand within a period, ripple and offsets."""
-
-
-@dataclass(frozen=True, slots=True)
-class PredictorDrive:
-    """What the design knows of the drive beside its motor."""
-
-    current_bandwidth_hz: float
-    encoder_counts: int
-    speed_filter_hz: float
-    inner_rate_hz: float
-    """At which it takes the difference of its encoder's counts."""
-    dead_time_s: float
-    """From a command's instant to its voltage, and from a sample's to that of its count."""
-
-
-@dataclass(frozen=True, slots=True)
-class PredictorNetwork:
-    """What the network does."""
-
-    period_s: float
-    delay_max_s: float
-    """From a sample to its command's instant."""
-    losses_max: int
-    measured: bool
-    """Whether somebody measured it: then a run is held against it."""
+_COVERS = "samples lost, at the delay and with the plant of the design, every command arriving"
 
 
 def request_of(
     motor: PmsmParameters,
-    drive: PredictorDrive,
-    network: PredictorNetwork,
+    current_bandwidth_hz: float,
+    period_s: float,
+    delay_max_s: float,
     load_nm: float,
     command_noise_nm: float,
+    *,
+    encoder_counts: int = ENCODER_COUNTS,
+    speed_filter_hz: float = SPEED_FILTER_HZ,
+    dead_time_us: float = DEAD_TIME_US,
 ) -> PredictorRequest:
-    """What a design goes by."""
+    """What a design goes by, the noise of the encoder and of the torque worked out."""
+    noise_rad_s = encoder_noise_rad_s(encoder_counts, speed_filter_hz, _INNER_RATE_HZ)
     return PredictorRequest(
-        motor=motor,
-        current_rate_rad_s=math.tau * drive.current_bandwidth_hz,
-        speed_filter_hz=drive.speed_filter_hz,
-        speed_noise_rad_s=short(
-            encoder_noise_rad_s(drive.encoder_counts, drive.speed_filter_hz, drive.inner_rate_hz)
-        ),
-        torque_noise_nm=short(_TORQUE_NOISE * motor.rated_torque_nm),
-        period_s=network.period_s,
-        delay_s=network.delay_max_s + drive.dead_time_s,
-        load_nm=load_nm,
-        command_noise_nm=command_noise_nm,
+        motor,
+        current_bandwidth_hz,
+        speed_filter_hz,
+        short(noise_rad_s),
+        short(_TORQUE_NOISE * motor.rated_torque_nm),
+        period_s,
+        delay_max_s,
+        load_nm,
+        command_noise_nm,
+        1e-6 * dead_time_us,
+    )
+
+
+def certified_of(attempts: Sequence[SampledAnalysis]) -> SampledAnalysis | None:
+    """That of most losses in a row; ``attempts``: of ever fewer, up to the first that is certified."""
+    return attempts[-1] if attempts and attempts[-1].certified else None
+
+
+def loss_figures(attempts: Sequence[SampledAnalysis]) -> dict[str, Any]:
+    """For JSON."""
+    certified = certified_of(attempts)
+    missed = {
+        f"{each.network.losses_max}_in_a_row": each.without_certificate
+        for each in attempts
+        if not each.certified
+    }
+    figures: dict[str, Any] = {"covers": _COVERS} | ({"not_certified": missed} if missed else {})
+    if certified is None:
+        return figures | {"losses_in_a_row": None}
+    return figures | {
+        "losses_in_a_row": certified.network.losses_max,
+        "gain_certified": certified.gain_certified,
+        "gain_found": certified.gain_found,
+        "decay_certified_per_s": certified.decay_certified_per_s,
+        "decay_found_per_s": certified.decay_found_per_s,
+    }
+
+
+def loss_certificate(attempts: Sequence[SampledAnalysis]) -> LossCertificate | None:
+    """The table of a controller file."""
+    certified = certified_of(attempts)
+    sequences = None if certified is None else sequence_proof(certified)
+    if certified is None or sequences is None:
+        return None
+    return LossCertificate(
+        losses_in_a_row_max=certified.network.losses_max, solver=SOLVER, sequences=sequences
     )
 
 
@@ -79,20 +101,14 @@ class DynamicResult(ABC):
     proved: ClassVar[dict[str, str]]
     """In words: what ``gamma`` and other figures of its own are worth."""
 
-    drive: PredictorDrive
-    network: PredictorNetwork
+    design: PredictorDesign | HinfDesign
+    loop: LoopRobustness
+    losses_max: int
+    """Samples lost in a row."""
+    measured: bool = False
+    """Whether somebody measured the network: then a run is held against it."""
     losses: Sequence[SampledAnalysis] = field(default=(), kw_only=True)
     """With ever fewer in a row, up to the most that are certified; empty: not looked at."""
-
-    @property
-    @abstractmethod
-    def request(self) -> PredictorRequest:
-        """What the design went by."""
-
-    @property
-    @abstractmethod
-    def loop(self) -> LoopRobustness:
-        """Figures of its loop."""
 
     @abstractmethod
     def own_figures(self) -> dict[str, Any]:
@@ -112,83 +128,75 @@ class DynamicResult(ABC):
 
     def certified(self) -> Self:
         """The same with what is certified over lost samples. Raises NoSolution."""
-        return replace(self, losses=with_losses(self.analysed, self.network.losses_max))
+        return replace(self, losses=with_losses(self.analysed, self.losses_max))
 
     @property
     def figures(self) -> dict[str, Any]:
         """For JSON."""
-        request = self.request
+        request = self.design.request
         return {
             "feasible": True,
             "structure": self.structure,
-            "current_bandwidth_hz": self.drive.current_bandwidth_hz,
-            "period_s": self.network.period_s,
-            "delay_s": self.network.period_s + self.network.delay_max_s,
-            "dead_time_s": self.drive.dead_time_s,
+            "current_bandwidth_hz": request.current_bandwidth_hz,
+            "period_s": request.period_s,
+            "delay_s": request.period_s + request.delay_max_s,
+            "dead_time_s": request.dead_time_s,
             "speed_noise_rad_s": request.speed_noise_rad_s,
             **self.own_figures(),
             "load_nm": request.load_nm,
             "peak_floor_rad_s": request.floor_rad_s(),
             "gamma": finite(self.loop.gain),
             "certificate": {**self.proved, "losses": loss_figures(self.losses), "peaks": "none: by trial"},
-            "robustness": self._robustness(),
-        }
-
-    def _robustness(self) -> dict[str, Any]:
-        loop = self.loop
-        return {
-            "peak_over_floor": loop.peak_over_floor,
-            "peak_over_floor_inertia_70_percent": loop.peak_over_floor_inertia_less,
-            "peak_over_floor_inertia_130_percent": loop.peak_over_floor_inertia_more,
-            f"peak_over_floor_{LOST}_lost": loop.peak_over_floor_lost,
-            "gain_margin_db": finite(loop.margins.gain_margin_db),
-            "phase_margin_deg": finite(loop.margins.phase_margin_deg),
-            "modulus_margin": finite(loop.margins.modulus_margin),
-            "delay_margin_s": loop.delay_margin_s,
-            "inertia_70_percent": {"gamma_exact": finite(loop.gain_inertia_less)},
-            "inertia_130_percent": {"gamma_exact": finite(loop.gain_inertia_more)},
-            "current_bandwidth_50_percent": {"gamma_exact": finite(loop.gain_current_loop_slower)},
-            **self.own_robustness(),
-            "torque_noise_nm": finite(loop.command_noise_nm),
+            "robustness": {
+                **self.loop.peaks_over_floor,
+                **margin_figures(self.loop.margins),
+                "delay_margin_s": self.loop.delay_margin_s,
+                **{name: {"gamma_exact": finite(gain)} for name, gain in self.loop.gains.items()},
+                **self.own_robustness(),
+                "torque_noise_nm": finite(self.loop.command_noise_nm),
+            },
         }
 
     def told(self, norm: float | None = None) -> dict[str, Any]:
         """What the table [controller] of every structure says of how it was made and what it is worth."""
-        motor, loop = self.request.motor, self.loop
+        request, loop = self.design.request, self.loop
+        peaks = {
+            name: short(peak)
+            for name, peak in loop.peaks_over_floor.items()
+            if name in LoopFigures.model_fields
+        }
         return {
-            "inertia_kg_m2": motor.inertia_kg_m2,
-            "viscous_friction_nm_s": motor.viscous_friction_nm_s,
+            "inertia_kg_m2": request.motor.inertia_kg_m2,
+            "viscous_friction_nm_s": request.motor.viscous_friction_nm_s,
             "made_for": self._made_for(),
             "certificate": loss_certificate(self.losses),
             "figures": LoopFigures(
-                load_nm=self.request.load_nm,
-                peak_over_floor=short(loop.peak_over_floor),
-                peak_over_floor_inertia_70_percent=short(loop.peak_over_floor_inertia_less),
-                peak_over_floor_inertia_130_percent=short(loop.peak_over_floor_inertia_more),
+                load_nm=request.load_nm,
                 norm=norm,
                 gamma=short(loop.gain),
                 delay_margin_us=short(loop.delay_margin_s * US_PER_S),
                 torque_noise_nm=short(loop.command_noise_nm),
+                **peaks,
             ),
         }
 
     def _made_for(self) -> MadeFor:
         """With a certificate, for as many losses in a row as that covers."""
-        network, (least, most) = self.network, self.loop.bandwidths
-        hz = self.drive.current_bandwidth_hz
-        made = MadeFor(
-            delay_us=whole_us(network.period_s + network.delay_max_s),
-            period_us=whole_us(network.period_s),
-            plant=plant_of(self.request.motor),
+        request, (least, most) = self.design.request, self.loop.bandwidths
+        hz = request.current_bandwidth_hz
+        certified = certified_of(self.losses)
+        held: dict[str, Any] = {}
+        if certified is not None or self.measured:
+            held = {
+                "losses_in_a_row_max": self.losses_max if certified is None else certified.network.losses_max,
+                "delay_max_us": begun_us(request.delay_max_s),
+            }
+        return MadeFor(
+            delay_us=whole_us(request.period_s + request.delay_max_s),
+            period_us=whole_us(request.period_s),
+            plant=plant_of(request.motor),
             current_loop=CurrentLoop(
                 bandwidth_hz=hz, bandwidth_min_hz=short(hz * least), bandwidth_max_hz=short(hz * most)
             ),
+            **held,
         )
-        certified = certified_of(self.losses)
-        if certified is None and not network.measured:
-            return made
-        held = {
-            "losses_in_a_row_max": network.losses_max if certified is None else certified.network.losses_max,
-            "delay_max_us": math.floor(network.delay_max_s * US_PER_S + 1e-6),
-        }
-        return made.model_copy(update=held)

@@ -3,20 +3,14 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from design.motor import PmsmParameters
 from design.sampled.analysis import SampledAnalysis
-from design.speed.hinf_design import HinfDesign, HinfRobustness, design_hinf, hinf_robustness
+from design.speed.hinf_design import HinfDesign, design_hinf, hinf_robustness, uncertainty_norm
 from design.speed.loss_certificate import hinf_losses
 from design.speed.predictor_design import PredictorRequest
 from hil.configuration.hinf_section import HinfSection
 from hil.studies.numbers import short
-from hil.studies.speed.dynamic import (
-    US_PER_S,
-    DynamicResult,
-    PredictorDrive,
-    PredictorNetwork,
-    request_of,
-)
+from hil.studies.speed.controller_text import US_PER_S
+from hil.studies.speed.dynamic import DynamicResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,15 +24,6 @@ class HinfResult(DynamicResult):
     }
 
     design: HinfDesign
-    robustness: HinfRobustness
-
-    @property
-    def request(self) -> PredictorRequest:
-        return self.design.request
-
-    @property
-    def loop(self) -> HinfRobustness:
-        return self.robustness
 
     def own_figures(self) -> dict[str, Any]:
         design = self.design
@@ -55,35 +40,29 @@ class HinfResult(DynamicResult):
         }
 
     def own_robustness(self) -> dict[str, Any]:
-        return {"uncertainty_norm": self.robustness.uncertainty_norm}
+        return {"uncertainty_norm": uncertainty_norm(self.design)}
 
     def analysed(self, losses_max: int) -> SampledAnalysis:
         return hinf_losses(self.design, losses_max)
 
     def controller(self) -> HinfSection:
         """The matrices keep all their digits: they integrate exactly."""
-        request, c = self.request, self.design.controller
+        request, c = self.design.request, self.design.controller
         lags_s = 1.0 / request.current_rate_rad_s + 1.0 / request.plant.filter_rate_rad_s
         return HinfSection(
             kind="hinf",
             period_us=round(request.period_s * US_PER_S),
-            A=tuple(tuple(map(float, row)) for row in c.A),
-            B=tuple(map(float, c.B)),
-            L=tuple(map(float, c.L)),
-            C=tuple(map(float, c.C)),
+            A=c.A.tolist(),
+            B=c.B.tolist(),
+            L=c.L.tolist(),
+            C=c.C.tolist(),
             D=c.D,
             answer_us=short((request.delay_s + lags_s) * US_PER_S),
             **self.told(norm=short(self.design.found.gamma)),
         )
 
 
-def design_speed_hinf(
-    motor: PmsmParameters,
-    drive: PredictorDrive,
-    network: PredictorNetwork,
-    load_nm: float,
-    command_noise_nm: float,
-) -> HinfResult:
+def design_speed_hinf(request: PredictorRequest, losses_max: int, measured: bool = False) -> HinfResult:
     """The design. Raises InfeasibleDesign."""
-    design = design_hinf(request_of(motor, drive, network, load_nm, command_noise_nm))
-    return HinfResult(drive, network, design, hinf_robustness(design))
+    design = design_hinf(request)
+    return HinfResult(design, hinf_robustness(design), losses_max, measured)

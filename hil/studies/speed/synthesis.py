@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from design.delay.certificate import CertifiedGain, certified_gain, certified_gain_auto
-from design.delay.delay_loop import Array
 from design.delay.delay_norm import hinf_norm
-from design.delay.lmi import SOLVER
+from design.delay.lmi import SOLVED, SOLVER
 from design.delay.speed_loop import (
     Feedback,
     SpeedModel,
@@ -23,11 +22,11 @@ from design.sampled.analysis import SampledAnalysis, analyse_sampled, with_peak
 from design.sampled.bandwidth_range import BandwidthRange, bandwidth_range, constant_bandwidth_range
 from design.sampled.held_loop import HeldLoop, SampledNetwork
 from design.speed.cone_complementarity import largest_ccl_delay
-from design.speed.lmi_design import CertifiedDesign, largest_certified_delay, least_certified_gain
+from design.speed.lmi_design import largest_certified_delay, least_certified_gain
 from design.speed.sampled_design import least_sampled_gain
 from design.speed.speed_design import SpeedDesign, largest_delay, least_gain
-from design.speed.speed_robustness import Changed, speed_robustness
-from hil.studies.numbers import finite
+from design.speed.speed_robustness import speed_robustness
+from hil.studies.numbers import finite, margin_figures
 from hil.studies.speed.analysis import network_figures, sequence_figures
 
 _CCL_BISECTIONS = 12
@@ -38,8 +37,19 @@ _NO_DELAY_S = 1e-6
 _KEPT = 1.0 + 1e-6
 """Share of the wanted gain that still counts as keeping it."""
 
-Synthesis = SpeedDesign | CertifiedDesign
-"""What a method ends with: K, delay_s and gain."""
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How a feedback is found."""
+
+    method: str
+    """exact, lmi or ccl."""
+    feedback: Feedback
+    integral: bool
+    integral_time_s: float | None
+    """K2/K3; None: in proportion to the delay."""
+    for_sampled: bool
+    """Whether the loop over the network itself is made best, and not the one with the constant delay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +63,16 @@ class DesignRequest:
     """The constant delay; None: the largest."""
     network: SampledNetwork | None
     """The network behind the delay, for the figures of the sampled loop."""
-    method: str
-    """exact, lmi or ccl."""
-    feedback: Feedback
-    integral: bool
+    way: Way
     load_nm: float
     speed_rad_s: float
     """For figures in percent."""
-    integral_time_s: float | None = None
-    current_bandwidth_hz: float | None = None
+    current_bandwidth_hz: float | None
     """Of the drive's current loop; None: the winding's own, R/L, as in [Ling2012]."""
-    for_sampled: bool = False
-    """Whether the loop over ``network`` itself is made best, and not the one with the constant delay."""
+
+    def percent(self, gain: float) -> float:
+        """Of the speed, that a gain in rad/s per N m makes of the load."""
+        return percent_of_speed(gain, self.load_nm, self.speed_rad_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,10 +80,8 @@ class DesignResult:
     """A feedback and what is proved of it."""
 
     request: DesignRequest
-    K: Array
-    delay_s: float
-    gamma: float
-    """That the method vouches for at the delay; of the sampled loop, if that was made best."""
+    design: SpeedDesign
+    """With the gain that the method vouches for at the delay; of the sampled loop, if that was made best."""
     gamma_exact: float
     """Of the loop with the constant delay; inf: unstable, though the sampled loop may not be."""
     certified: CertifiedGain | None
@@ -88,25 +94,24 @@ class DesignResult:
     @property
     def figures(self) -> dict[str, Any]:
         """For JSON."""
-        request = self.request
-        percent = percent_of_speed(self.gamma, request.load_nm, request.speed_rad_s)
-        floor = peak_floor_rad_s(request.motor, self.delay_s)
+        request, design = self.request, self.design
+        floor = peak_floor_rad_s(request.motor, design.delay_s)
         told: dict[str, Any] = {
             "feasible": True,
-            "gain": self.K.tolist(),
+            "gain": design.K.tolist(),
             "current_bandwidth_hz": request.current_bandwidth_hz,
-            "gamma": self.gamma,
-            "delay_s": self.delay_s,
-            "method": request.method,
-            "feedback": request.feedback.value,
-            "integral": request.integral,
-            "target": "sampled" if request.for_sampled else "constant",
+            "gamma": design.gain,
+            "delay_s": design.delay_s,
+            "method": request.way.method,
+            "feedback": request.way.feedback.value,
+            "integral": request.way.integral,
+            "target": "sampled" if request.way.for_sampled else "constant",
             "certificate": self._certificate(),
             "gamma_exact": finite(self.gamma_exact),
-            "error_percent": percent,
+            "error_percent": request.percent(design.gain),
             "load_nm": request.load_nm,
             "speed_rad_s": request.speed_rad_s,
-            "peak_floor_percent": percent_of_speed(floor, request.load_nm, request.speed_rad_s),
+            "peak_floor_percent": request.percent(floor),
         }
         if self.sampled is not None and request.network is not None:
             share = 100.0 * request.load_nm / request.speed_rad_s
@@ -123,99 +128,91 @@ class DesignResult:
         return {
             "gamma": self.certified.gain,
             "order": self.certified.order,
-            "solver": self.certified.proof.solver,
-            "status": self.certified.proof.status,
-            "min_margin": self.certified.proof.min_margin,
+            "solver": SOLVER,
+            "status": SOLVED,
+            "min_margin": self.certified.min_margin,
         }
 
 
 def _robustness(result: DesignResult) -> dict[str, Any]:
     """For JSON."""
-    request, sampled = result.request, result.sampled
+    request, design, sampled = result.request, result.design, result.sampled
 
     def plant(motor: PmsmParameters, share: float) -> SpeedModel:
         rate = current_rate_rad_s(request.motor, request.current_bandwidth_hz) * share
-        return speed_model(motor, request.integral, rate / math.tau)
+        return speed_model(motor, request.way.integral, rate / math.tau)
 
     model = plant(request.motor, 1.0)
-    held = None if request.network is None else HeldLoop(model, result.K, request.network)
-    patterns = [] if sampled is None else [sampled.worst.pattern, sampled.slowest, *sampled.regular]
-    loop = model.loop(result.K, result.delay_s)
-    robustness = speed_robustness(plant, request.motor, loop, held, patterns)
-
-    def changed(other: Changed) -> dict[str, float | None]:
-        found_gain = None if other.gain_found is None else finite(other.gain_found)
-        return {"gamma_exact": finite(other.gain), "gain_found": found_gain}
+    held = None if request.network is None else HeldLoop(model, design.K, request.network)
+    loop = model.loop(design.K, design.delay_s)
+    robustness = speed_robustness(plant, request.motor, loop, held, sampled.patterns if sampled else [])
 
     return {
         "peak_over_floor": finite(robustness.peak_over_floor),
-        "gain_margin_db": finite(robustness.margins.gain_margin_db),
-        "phase_margin_deg": finite(robustness.margins.phase_margin_deg),
-        "modulus_margin": finite(robustness.margins.modulus_margin),
+        **margin_figures(robustness.margins),
         "delay_margin_s": finite(robustness.delay_margin_s),
-        "inertia_70_percent": changed(robustness.inertia_less),
-        "inertia_130_percent": changed(robustness.inertia_more),
-        "current_bandwidth_50_percent": changed(robustness.current_loop_slower),
+        **{
+            name: {"gamma_exact": finite(plant.gain), "gain_found": finite(plant.gain_found)}
+            for name, plant in robustness.changed.items()
+        },
         "noise_to_torque_nm_s_rad": finite(robustness.noise_nm_s_rad),
     }
 
 
 def with_bandwidths(result: DesignResult) -> DesignResult:
     """The same with the range of current bandwidths that its certificates cover."""
-    request, sampled = result.request, result.sampled
+    request, design, sampled = result.request, result.design, result.sampled
     bandwidth_hz = request.current_bandwidth_hz
     if bandwidth_hz is None:
         return result
 
     def model_at(hz: float) -> SpeedModel:
-        return speed_model(request.motor, request.integral, hz)
+        return speed_model(request.motor, request.way.integral, hz)
 
     if sampled is None:
         assert result.certified is not None
         nominal = BandwidthRange(bandwidth_hz, bandwidth_hz, result.certified.gain)
-        bandwidths = constant_bandwidth_range(model_at, result.K, result.delay_s, nominal)
+        bandwidths = constant_bandwidth_range(model_at, design.K, design.delay_s, nominal)
     elif sampled.gain_certified is None or sampled.decay_certified_per_s is None:
         return result
     else:
         nominal = BandwidthRange(
             bandwidth_hz, bandwidth_hz, sampled.gain_certified, sampled.decay_certified_per_s
         )
-        patterns = [sampled.worst.pattern, sampled.slowest, *sampled.regular]
-        bandwidths = bandwidth_range(model_at, result.K, sampled.network, patterns, nominal)
+        bandwidths = bandwidth_range(model_at, design.K, sampled.network, sampled.patterns, nominal)
     return replace(result, bandwidths=bandwidths)
 
 
 @dataclass(eq=False)
 class Unreachable(DesignError):
-    """The wanted gain is beyond reach at the delay; what is not, and what would bring it within reach."""
+    """The wanted gain is beyond reach at the delay of the best; what would bring it within reach."""
 
     request: DesignRequest
-    delay_s: float
-    best: Synthesis
+    best: SpeedDesign
     delay_needed_s: float | None
     """At which the wanted gain could just be kept; None if at none that was found."""
 
     @property
     def figures(self) -> dict[str, Any]:
         """For JSON: what was asked, the best there is, and each single change that would do."""
-        request = self.request
+        request, best = self.request, self.best
         gamma = request.gamma or math.nan
         return {
             "feasible": False,
-            "method": request.method,
+            "method": request.way.method,
             "demand": {
                 "gamma": gamma,
-                "delay_s": self.delay_s,
-                "error_percent": percent_of_speed(gamma, request.load_nm, request.speed_rad_s),
+                "delay_s": best.delay_s,
+                "error_percent": request.percent(gamma),
             },
             "best": {
-                "gain": self.best.K.tolist(),
-                "gamma": self.best.gain,
-                "delay_s": self.delay_s,
-                "error_percent": percent_of_speed(self.best.gain, request.load_nm, request.speed_rad_s),
+                "gain": best.K.tolist(),
+                "gamma": best.gain,
+                "delay_s": best.delay_s,
+                "error_percent": request.percent(best.gain),
             },
             "would_do": {
-                "load_nm": request.load_nm * gamma / self.best.gain,
+                "load_nm": request.load_nm * gamma / best.gain,
                 "delay_s": self.delay_needed_s,
                 **self._network_changes(),
             },
@@ -243,11 +240,11 @@ class Unreachable(DesignError):
             ways.append(f"a period of at most {1e3 * do['period_s']:.4g} ms with the same losses")
         if do.get("loss_max") is not None:
             ways.append(f"at most {do['loss_max']} losses in a row at the same period")
-        if request.network is not None and not request.for_sampled:
+        if request.network is not None and not request.way.for_sampled:
             ways.append("perhaps --target sampled, which makes the loop best that really runs")
         return (
-            f"{_amount(demand)} is out of reach at a delay of {1e3 * self.delay_s:.4g} ms by the method "
-            f"{request.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
+            f"{_amount(demand)} is out of reach at a delay of {1e3 * self.best.delay_s:.4g} ms by the method "
+            f"{request.way.method}; the best is {_amount(best)}; what would do: {', or '.join(ways)}"
         )
 
 
@@ -260,10 +257,10 @@ def design_speed(request: DesignRequest, tell: Callable[[str], None] = lambda _:
 
     Raises Unreachable, or NoSolution if the method ends without an answer.
     """
-    model = speed_model(request.motor, request.integral, request.current_bandwidth_hz)
+    model = speed_model(request.motor, request.way.integral, request.current_bandwidth_hz)
     if request.network is not None:
         tell("gain and decay over every sequence of losses and delays: some 10 s")
-    result = _for_sampled(model, request) if request.for_sampled else _for_constant(model, request)
+    result = _for_sampled(model, request) if request.way.for_sampled else _for_constant(model, request)
     if result.sampled is None:
         return result
     tell("largest error after a load step over every sequence: up to two minutes")
@@ -274,60 +271,58 @@ def _for_constant(model: SpeedModel, request: DesignRequest) -> DesignResult:
     if request.delay_s is None:
         assert request.gamma is not None
         try:
-            gain = _largest(model, request, request.gamma)
+            design = _largest(model, request, request.gamma)
         except NoSolution:
             # not even without delay: what can be had there is the answer
-            raise Unreachable(request, _NO_DELAY_S, _least(model, request, _NO_DELAY_S), None) from None
+            raise Unreachable(request, _least(model, request, _NO_DELAY_S), None) from None
     else:
-        gain = _least(model, request, request.delay_s)
-        if request.gamma is not None and gain.gain > request.gamma * _KEPT:
-            raise Unreachable(request, request.delay_s, gain, _needed(model, request))
-    loop = model.loop(gain.K, gain.delay_s)
-    exact = request.method == "exact"
+        design = _least(model, request, request.delay_s)
+        if request.gamma is not None and design.gain > request.gamma * _KEPT:
+            raise Unreachable(request, design, _needed(model, request))
+    loop = model.loop(design.K, design.delay_s)
+    exact = request.way.method == "exact"
     certified = certified_gain_auto(model, loop) if exact else certified_gain(model, loop, 0)
-    sampled = analyse_sampled(model, gain.K, request.network) if request.network else None
+    sampled = analyse_sampled(model, design.K, request.network) if request.network else None
     if request.gamma is not None and sampled is not None:
-        _demand_sampled(request, gain, sampled, request.gamma)
-    return DesignResult(request, gain.K, gain.delay_s, gain.gain, hinf_norm(loop), certified, sampled)
+        _demand_sampled(request, replace(design, gain=_certified(sampled)))
+    return DesignResult(request, design, hinf_norm(loop), certified, sampled)
 
 
 def _for_sampled(model: SpeedModel, request: DesignRequest) -> DesignResult:
-    network, delay_s = request.network, request.delay_s
-    assert network is not None
-    assert delay_s is not None
-    best = least_sampled_gain(model, network, request.feedback, request.integral_time_s)
-    sampled = analyse_sampled(model, best.K, network)
-    gain = sampled.gain_certified
-    if gain is None:
+    assert request.network is not None
+    best = least_sampled_gain(model, request.network, request.way.feedback, request.way.integral_time_s)
+    sampled = analyse_sampled(model, best.K, request.network)
+    design = replace(best, gain=_certified(sampled))
+    _demand_sampled(request, design)
+    return DesignResult(request, design, hinf_norm(model.loop(best.K, best.delay_s)), None, sampled)
+
+
+def _certified(sampled: SampledAnalysis) -> float:
+    """The gain of the loop that runs, under every sequence. Raises NoSolution."""
+    if sampled.gain_certified is None:
         raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
-    if request.gamma is not None:
-        _demand_sampled(request, SpeedDesign(best.K, delay_s, gain), sampled, request.gamma)
-    exact = hinf_norm(model.loop(best.K, delay_s))
-    return DesignResult(request, best.K, delay_s, gain, exact, None, sampled)
+    return sampled.gain_certified
 
 
-def _demand_sampled(request: DesignRequest, made: Synthesis, sampled: SampledAnalysis, gamma: float) -> None:
-    """The loop that runs must keep the gain too, under every sequence. Raises Unreachable or NoSolution."""
-    certified = sampled.gain_certified
-    if certified is None:
-        raise NoSolution("the loop that runs cannot be certified", sampled.without_certificate)
-    if certified > gamma * _KEPT:
-        raise Unreachable(request, made.delay_s, SpeedDesign(made.K, made.delay_s, certified), None)
+def _demand_sampled(request: DesignRequest, design: SpeedDesign) -> None:
+    """The loop that runs must keep the gain too, under every sequence. Raises Unreachable."""
+    if request.gamma is not None and design.gain > request.gamma * _KEPT:
+        raise Unreachable(request, design, None)
 
 
-def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> Synthesis:
-    if request.method == "exact":
-        return largest_delay(model, gamma, request.feedback, request.integral_time_s)
-    if request.method == "lmi":
-        return largest_certified_delay(model, gamma, request.feedback)
+def _largest(model: SpeedModel, request: DesignRequest, gamma: float) -> SpeedDesign:
+    if request.way.method == "exact":
+        return largest_delay(model, gamma, request.way.feedback, request.way.integral_time_s)
+    if request.way.method == "lmi":
+        return largest_certified_delay(model, gamma, request.way.feedback)
     return largest_ccl_delay(model, gamma)
 
 
-def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> Synthesis:
-    if request.method == "exact":
-        return least_gain(model, delay_s, request.feedback, request.integral_time_s)
-    certified = least_certified_gain(model, delay_s, request.feedback)
-    return certified if request.method == "lmi" else _least_by_ccl(model, delay_s, certified.gain)
+def _least(model: SpeedModel, request: DesignRequest, delay_s: float) -> SpeedDesign:
+    if request.way.method == "exact":
+        return least_gain(model, delay_s, request.way.feedback, request.way.integral_time_s)
+    certified = least_certified_gain(model, delay_s, request.way.feedback)
+    return certified if request.way.method == "lmi" else _least_by_ccl(model, delay_s, certified.gain)
 
 
 def _least_by_ccl(model: SpeedModel, delay_s: float, certified: float) -> SpeedDesign:

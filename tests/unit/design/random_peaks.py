@@ -63,10 +63,10 @@ def peaks_of(seed: int) -> tuple[float, float, float]:
         patterns = [slowest, *regular_patterns(loop)]
         gain = float(np.max(pattern_gains(loop, patterns)))
         proof = certify_decay(loop, patterns, gain)
-        if proof is None or proof.decay_per_s is None or proof.decay_per_s <= 0.0:
+        if proof is None or proof.figure <= 0.0:
             continue
-        reached = worst_peak(loop).peak
-        bound = certify_peak(loop, patterns, gain, proof.decay_per_s, reached)
+        reached = worst_peak(loop)
+        bound = certify_peak(loop, patterns, gain, proof.figure, reached)
         assert bound is not None
         periods = 6 if loop.network.losses_max else 9
         brute = max(brute_force(loop, periods, float(phase)) for phase in (1.0, draw.uniform()))

@@ -37,7 +37,7 @@ def test_order_0_is_theorem_3_3_as_printed() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.10, 0.149, 0.150, 0.165])
 def test_order_0_is_theorem_3_1_as_printed(delay_s: float) -> None:
-    loop = PUBLISHED.with_delay(delay_s)
+    loop = replace(PUBLISHED, delay_s=delay_s)
     assert certified_stable(MODEL, loop, 0) == theorem_3_1(loop, MODEL.state_scale)
 
 
@@ -49,7 +49,7 @@ def test_published_design_certified() -> None:
     gains = [each.gain for each in found]
     assert all(later <= earlier * (1.0 + 1e-6) for earlier, later in itertools.pairwise(gains))
     assert all(gain >= hinf_norm(PUBLISHED) * (1.0 - 1e-9) for gain in gains)
-    assert all(each.proof.min_margin > 0.0 for each in found)
+    assert all(each.min_margin > 0.0 for each in found)
 
 
 def test_an_asked_order_is_found() -> None:
@@ -70,8 +70,8 @@ def test_delay_up_to_which_stability_is_certified() -> None:
     limits = [certified_delay_s(MODEL, PUBLISHED, order) for order in range(3)]
     assert limits == pytest.approx([0.149206, 0.169796, 0.170361], abs=3e-6)
     assert limits[-1] <= largest_stable_delay_s(PUBLISHED)
-    assert certified_stable(MODEL, PUBLISHED.with_delay(0.149), 0)
-    assert not certified_stable(MODEL, PUBLISHED.with_delay(0.150), 0)
+    assert certified_stable(MODEL, replace(PUBLISHED, delay_s=0.149), 0)
+    assert not certified_stable(MODEL, replace(PUBLISHED, delay_s=0.150), 0)
 
 
 @pytest.mark.parametrize("motor", [LING, AZAIZ])

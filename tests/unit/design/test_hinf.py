@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.current.current_design import printed_weights, rule_weights
+from design.current.current_design import rule_weights
 from design.errors import InfeasibleDesign, SingularPlant
 from design.hinf import synthesis
 from design.hinf.feasibility import evaluated
@@ -14,7 +14,7 @@ from design.hinf.mixed_sensitivity import axis_plant, mixed_sensitivity
 from design.hinf.plant import GeneralisedPlant
 from design.hinf.riccati import NoRiccatiSolution, RiccatiSolution, stabilising_solution
 from design.hinf.synthesis import gamma_min, synthesise, verified_norm
-from design.hinf.weights import error_weight
+from design.hinf.weights import Weight, Weights, error_weight
 from design.papers.azaiz2007 import MOTOR
 from design.statespace import StateSpace, state_space, zpk
 from tests.unit.design.hinf_plants import badly_scaled, random_plant, stiff_plant, with_weak_control
@@ -42,7 +42,11 @@ def test_the_paper_s_controllers(axis: str, gain: float, poles: list[float]) -> 
 
 def test_the_paper_s_riccati_figures() -> None:
     """Section 3.3: the modes of E_x - W_x X and of E_y - W_y Y, and Y = 0."""
-    found = synthesise(mixed_sensitivity(axis_plant(0.6, 2.8e-3), printed_weights("q")), 1.0)
+    # (44) to (46), the latter's pole read as 271.35e4
+    printed = Weights(
+        Weight(1 / 1.51, 177.3493, 0.0117), Weight(25.0, 1e3, 5e4), Weight(1e4, 135.68, 271.35e4)
+    )
+    found = synthesise(mixed_sensitivity(axis_plant(0.6, 2.8e-3), printed), 1.0)
     modes = sorted(np.abs(found.state_feedback_modes))
     assert modes[-2:] == pytest.approx([2807.3204, 2.7173e6], rel=2e-4)
     assert modes[:2] == pytest.approx([abs(complex(167.4581, 65.6802))] * 2, rel=2e-3)

@@ -10,7 +10,7 @@ import pytest
 from design.delay.delay_loop import Array
 from design.sampled.analysis import SampledAnalysis
 from design.sampled.held_loop import PeriodStep, Switch
-from design.sampled.lifting import discrete_norm, lifted
+from design.sampled.lifting import lifted_gain
 from design.sampled.lossy_loop import LossyLoop
 from design.speed.hinf_design import HinfDesign, design_hinf
 from design.speed.loss_certificate import (
@@ -25,8 +25,7 @@ from design.speed.predictor_design import PredictorDesign, losses_gain
 from design.speed.predictor_gains import GainBoxes
 from design.speed.predictor_trial import AdaptiveFilter, Walks, load_step
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import MotionModel
-from hil.studies.speed.losses import loss_certificate, loss_figures
+from hil.studies.speed.dynamic import loss_certificate, loss_figures
 from tests.unit.design.test_predictor import KALMAN, NOISE_RAD_S, PERIOD_S, PLANT, REQUEST
 
 pytestmark = pytest.mark.long
@@ -71,7 +70,7 @@ def steps_of(losses: tuple[int, ...], behind: int) -> list[PeriodStep]:
 
 def gain_under(loop: LossyLoop, losses: tuple[int, ...]) -> float:
     chain = [each for step in steps_of(losses, loop.network.behind) for each in loop.chain(step)]
-    return discrete_norm(lifted(loop, chain))
+    return lifted_gain(loop, chain)
 
 
 def test_no_pattern_of_losses_exceeds_what_is_certified_of_hinf(hinf_once: SampledAnalysis) -> None:
@@ -132,7 +131,7 @@ def test_the_loop_with_losses_is_that_of_the_trials(hinf: HinfDesign) -> None:
 
 
 def test_single_losses_can_destabilise_hinf_at_4_ms_and_the_command_says_so() -> None:
-    made = design_hinf(replace(REQUEST, delay_s=3.1e-3))
+    made = design_hinf(replace(REQUEST, delay_max_s=3.1e-3))
     attempts = with_losses(partial(hinf_losses, made), 1)
     assert [each.network.losses_max for each in attempts] == [1, 0]
     assert attempts[0].refuted
@@ -161,8 +160,7 @@ def test_every_gain_of_either_filter_lies_in_its_box() -> None:
         corners = np.array(boxes.corners(lost))[:, 1:]
         axes = np.stack([corners[4] - corners[0], corners[2] - corners[0], corners[1] - corners[0]], axis=1)
         inside.append((np.linalg.inv(axes), corners[0]))
-    shaft = MotionModel(REQUEST.motor.inertia_kg_m2, REQUEST.motor.viscous_friction_nm_s, 5026.5, 3141.59265)
-    host = LoadFilter(shaft, FilterNoise(NOISE_RAD_S, 0.01, WALKS.quiet, WALKS.bold), PERIOD_S)
+    host = LoadFilter(PLANT, FilterNoise(NOISE_RAD_S, 0.01, WALKS.quiet, WALKS.bold), PERIOD_S)
     own = AdaptiveFilter(KALMAN, WALKS)
     seen = []
     for _ in range(3000):

@@ -12,6 +12,7 @@ from design.speed.predictor_design import (
     PredictorDesign,
     PredictorRequest,
     design_predictor,
+    losses_gain,
     predictor_robustness,
 )
 from design.speed.predictor_loop import Prediction, PredictorLoop, delay_margin_s
@@ -19,7 +20,6 @@ from design.speed.predictor_plant import encoder_noise_rad_s, kalman_model, plan
 from design.speed.predictor_trial import STEP_SIGMAS, AdaptiveFilter, Walks, load_step
 from hil.control import load_filter
 from hil.control.load_filter import FilterNoise, LoadFilter
-from hil.control.motion import MotionModel
 from tests.random_motors import speed_noise_rad_s
 from virtual_bus.drive.firmware import FirmwareParameters
 
@@ -30,12 +30,12 @@ KALMAN = kalman_model(PLANT, PERIOD_S, NOISE_RAD_S, 0.01)
 WALK = 1.5
 REQUEST = PredictorRequest(
     motor=MOTOR,
-    current_rate_rad_s=math.tau * 800.0,
+    current_bandwidth_hz=800.0,
     speed_filter_hz=500.0,
     speed_noise_rad_s=NOISE_RAD_S,
     torque_noise_nm=0.01,
     period_s=PERIOD_S,
-    delay_s=1.1e-3,
+    delay_max_s=1.1e-3,
     load_nm=0.6,
     command_noise_nm=0.1,
 )
@@ -57,7 +57,7 @@ def test_the_noise_of_an_encoder_is_that_of_the_simulated_drive() -> None:
 def test_the_filters_of_design_and_host_are_one() -> None:
     assert STEP_SIGMAS == load_filter.STEP_SIGMAS
     host = LoadFilter(
-        MotionModel(MOTOR.inertia_kg_m2, MOTOR.viscous_friction_nm_s, math.tau * 800.0, math.tau * 500.0),
+        PLANT,
         FilterNoise(NOISE_RAD_S, 0.01, 1.0, 8.0),
         PERIOD_S,
     )
@@ -165,14 +165,16 @@ def made() -> PredictorDesign:
 
 
 def test_the_design_keeps_what_was_asked(made: PredictorDesign) -> None:
-    found = predictor_robustness(made, 2)
+    found = predictor_robustness(made)
     assert found.delay_margin_s >= 0.5e-3
     assert found.command_noise_nm <= 0.1
-    assert found.peak_over_floor < 1.2
-    assert max(found.peak_over_floor_inertia_less, found.peak_over_floor_inertia_more) < 1.25
-    assert found.peak_over_floor_lost < 1.05
-    assert all(map(math.isfinite, (found.gain_inertia_less, found.gain_inertia_more, *found.gains_found)))
-    assert found.gain < found.gains_found[0] < found.gains_found[1]
+    own, less, more, lost = found.peaks_over_floor.values()
+    assert own < 1.2
+    assert max(less, more) < 1.25
+    assert lost < 1.05
+    losses = [losses_gain(made, [lost]) for lost in (1, 2)]
+    assert all(map(math.isfinite, (found.gains["inertia_70_percent"], found.gains["inertia_130_percent"])))
+    assert found.gain < losses[0] < losses[1] < math.inf
 
 
 def test_its_noise_with_false_steps_is_within_what_was_asked(made: PredictorDesign) -> None:

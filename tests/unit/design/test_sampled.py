@@ -17,7 +17,7 @@ from design.errors import UnsuitableNetwork
 from design.sampled.admissible_steps import Delivery, Family, families, steps_of
 from design.sampled.analysis import SampledAnalysis, analyse_sampled, regular_patterns
 from design.sampled.held_loop import HeldLoop, PeriodStep, SampledNetwork, Strategy
-from design.sampled.lifting import discrete_norm, lifted
+from design.sampled.lifting import lifted_gain
 from design.sampled.loss_patterns import (
     chain_of,
     pattern_gains,
@@ -30,7 +30,7 @@ from design.sampled.sequence_certificate import certify_gain
 from design.sampled.sequence_graph import between_deliveries, edges_of
 from design.sampled.step_maps import step_maps
 from design.sampled.value_map import ValueMap
-from design.speed.monte_carlo import Chance, Uncertainty, run_many, share
+from design.speed.monte_carlo import Chance, diverged, quantile, run_many, share
 from tests.motors import LING
 from tests.unit.design.random_loops import random_bounds
 
@@ -115,15 +115,12 @@ def test_steps_are_the_rule_of_each_strategy(
     assert xi[:2] == pytest.approx(x, rel=1e-8, abs=1e-12)
 
 
-@given(pattern=PATTERNS, delays=st.sampled_from([(0.0, 0.004), (0.002, 0.01), (0.0, 0.013), (0.011, 0.027)]))
+@given(pattern=PATTERNS, most=st.sampled_from([0.004, 0.01, 0.013, 0.027]))
 @settings(derandomize=True, deadline=None, max_examples=150)
-def test_the_graph_holds_whatever_the_network_does(
-    pattern: list[tuple[int, float]], delays: tuple[float, float]
-) -> None:
+def test_the_graph_holds_whatever_the_network_does(pattern: list[tuple[int, float]], most: float) -> None:
     """Any deliveries within the bounds are a walk: each period lies in the windows of a family."""
-    least, most = delays
-    net = SampledNetwork(Strategy.ARRIVAL, H, 3, most, delay_min_s=least)
-    deliveries = [Delivery(interval, least + (most - least) * part) for interval, part in pattern]
+    net = SampledNetwork(Strategy.ARRIVAL, H, 3, most)
+    deliveries = [Delivery(interval, most * part) for interval, part in pattern]
     known = families(net)
     for step in steps_of(net, deliveries):
         assert any(_lies_in(step, family) for family in known), step
@@ -211,20 +208,19 @@ def test_the_worst_is_no_regular_pattern(
     # by collocation, another way to the same figure
     loop = HeldLoop(speed_model(LING, integral=len(gain) == 3), np.array(gain), net)
     pattern = analysis.worst.pattern
-    gain_lifted = discrete_norm(lifted(loop, chain_of(loop, pattern)))
+    gain_lifted = lifted_gain(loop, chain_of(loop, pattern))
     assert gain_lifted == pytest.approx(analysis.gain_found, rel=1e-5)
 
 
-@pytest.mark.parametrize("delays", [(0.0, 0.004), (0.002, 0.013)])
-def test_certificates_hold_between_the_delays_of_their_grid(delays: tuple[float, float]) -> None:
+@pytest.mark.parametrize("delay_s", [0.004, 0.013])
+def test_certificates_hold_between_the_delays_of_their_grid(delay_s: float) -> None:
     """At random moments of switching, at the certified gain: no value exceeds that of the node before."""
-    net = SampledNetwork(Strategy.ARRIVAL, H, 2, delays[1], delay_min_s=delays[0])
+    net = SampledNetwork(Strategy.ARRIVAL, H, 2, delay_s)
     loop = HeldLoop(MODEL, K, net)
     worst = worst_gain(loop, regular_patterns(loop))
     patterns = [worst.pattern, *regular_patterns(loop)]
     certificate = certify_gain(loop, patterns, worst.gain, remembering=(False,))
     assert certificate is not None
-    assert certificate.gain is not None
     draw = np.random.default_rng(3)
     for edge in between_deliveries(edges_of(loop, np.eye(loop.kept), False)[1])[1]:
         family, P = edge.corners.family, certificate.P[edge.target]
@@ -232,7 +228,7 @@ def test_certificates_hold_between_the_delays_of_their_grid(delays: tuple[float,
             times = np.sort([draw.uniform(window.first_s, window.last_s) for window in family.windows])
             if any(not w.first_s <= t <= w.last_s for w, t in zip(family.windows, times, strict=True)):
                 continue
-            steps = step_maps(loop, [*edge.before, family.at(times.tolist())], certificate.gain)
+            steps = step_maps(loop, [*edge.before, family.at(times.tolist())], certificate.figure)
             value, finite = reduce(ValueMap.then, steps).of(P)
             assert finite
             left = certificate.P[edge.source] - value
@@ -246,7 +242,7 @@ def test_a_gain_is_certified_though_the_solver_stops_short() -> None:
     worst = worst_gain(loop, regular_patterns(loop))
     certificate = certify_gain(loop, [worst.pattern, *regular_patterns(loop)], worst.gain)
     assert certificate is not None
-    assert worst.gain <= (certificate.gain or math.inf) < 1.01 * worst.gain
+    assert worst.gain <= certificate.figure < 1.01 * worst.gain
 
 
 def test_certified_is_never_below_found() -> None:
@@ -311,14 +307,14 @@ def test_gain_by_lifting_is_that_of_fast_sampling() -> None:
         for angle in np.linspace(0.0, math.pi, 24)
     ]
     chain = chain_of(loop, repeated(loop, (Delivery(1, 0.004),)))
-    assert discrete_norm(lifted(loop, chain)) == pytest.approx(max(gains), rel=1e-4)
+    assert lifted_gain(loop, chain) == pytest.approx(max(gains), rel=1e-4)
 
 
 def test_fast_sampling_comes_to_the_continuous_loop() -> None:
     """History at a short period is nearly a constant delay of eta + h/2."""
     h = 0.0005
     loop = HeldLoop(MODEL, K, SampledNetwork(Strategy.HISTORY, h, 0, 0.0, 0.06))
-    gain = discrete_norm(lifted(loop, chain_of(loop, repeated(loop, (Delivery(1, 0.0),)))))
+    gain = lifted_gain(loop, chain_of(loop, repeated(loop, (Delivery(1, 0.0),))))
     assert gain == pytest.approx(hinf_norm(MODEL.loop(K, 0.06 + h / 2)), rel=1e-4)
 
 
@@ -328,7 +324,6 @@ def test_fast_sampling_comes_to_the_continuous_loop() -> None:
         ({"period_s": 0.0}, "period"),
         ({"losses_max": -1}, "losses in a row"),
         ({"delay_max_s": math.nan}, "delay"),
-        ({"delay_min_s": 0.005}, "least delay"),
         ({"strategy": Strategy.HISTORY, "agreed_delay_s": 0.05}, "at least 54 ms"),
         ({"strategy": Strategy.STAMP, "agreed_delay_s": 0.003}, "at least 4 ms"),
     ],
@@ -342,11 +337,12 @@ def test_networks_that_make_no_sense_are_refused(bad: dict[str, object], message
 class TestMonteCarlo:
     def test_without_chance_it_is_the_transition(self) -> None:
         """No loss, no delay, no uncertainty: the error comes to rest at load over stiffness."""
-        chance = Chance(runs=50, seed=1, duration_s=2.0, loss_probability=0.0, load_nm=0.6)
-        outcomes = run_many(LING, K, network(Strategy.ARRIVAL, 0, 0.0), chance)
-        static = 0.6 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * K[1])
-        assert outcomes.ends_rad_s == pytest.approx(np.full(50, static), rel=1e-6)
-        assert outcomes.diverged.value == 0.0
+        chance = Chance(runs=50, seed=1, duration_s=20.0, loss_probability=0.0, load_nm=0.6)
+        slow = 0.1 * K  # too slow to overshoot: the error is largest where it ends
+        peaks = run_many(LING, slow, network(Strategy.ARRIVAL, 0, 0.0), chance)
+        static = 0.6 / (LING.viscous_friction_nm_s - LING.torque_constant_nm_a * slow[1])
+        assert peaks == pytest.approx(np.full(50, static), rel=1e-6)
+        assert diverged(peaks).value == 0.0
 
     def test_the_peak_between_two_samples_is_not_missed(self) -> None:
         """At a long period the error turns inside it: against a simulation in small steps."""
@@ -361,27 +357,26 @@ class TestMonteCarlo:
                     peak = max(peak, abs(x[1]))
                 held = float(K @ x)
             late.append(peak)
-        peaks = run_many(LING, K, net, chance).peaks_rad_s
+        peaks = run_many(LING, K, net, chance)
         assert peaks.min() == pytest.approx(min(late), rel=2e-3)
         assert peaks.max() == pytest.approx(max(late), rel=2e-3)
 
     @pytest.mark.parametrize("strategy", list(Strategy))
     def test_same_seed_same_runs(self, strategy: Strategy) -> None:
-        spread = Uncertainty(resistance=0.2, inductance=0.2, inertia=0.3, friction=0.5, torque_constant=0.1)
-        chance = Chance(runs=300, seed=5, loss_probability=0.3, uncertainty=spread)
+        chance = Chance(runs=300, seed=5, loss_probability=0.3, uncertainty=0.3)
         first, second = (run_many(LING, K, network(strategy), chance) for _ in range(2))
-        assert np.array_equal(first.peaks_rad_s, second.peaks_rad_s)
-        other = run_many(LING, K, network(strategy), Chance(300, 6, loss_probability=0.3, uncertainty=spread))
-        assert not np.array_equal(first.peaks_rad_s, other.peaks_rad_s)
+        assert np.array_equal(first, second)
+        other = run_many(LING, K, network(strategy), Chance(300, 6, loss_probability=0.3, uncertainty=0.3))
+        assert not np.array_equal(first, other)
 
     def test_more_loss_is_worse_and_what_is_refuted_diverges(self) -> None:
         def peak(loss: float, gain: float = 1.0) -> float:
             chance = Chance(runs=2000, seed=8, loss_probability=loss)
-            return run_many(LING, gain * K, network(Strategy.STAMP), chance).peak_quantile(0.9).value
+            return quantile(run_many(LING, gain * K, network(Strategy.STAMP), chance), 0.9).value
 
         assert peak(0.0) < peak(0.3) < peak(0.6)
         chance = Chance(runs=200, seed=8, duration_s=20.0, loss_probability=1.0)
-        assert run_many(LING, 3.4 * K, network(Strategy.STAMP), chance).diverged.low > 0.9
+        assert diverged(run_many(LING, 3.4 * K, network(Strategy.STAMP), chance)).low > 0.9
 
     def test_interval_of_a_share_is_clopper_and_pearsons(self) -> None:
         """Textbook: 0 of 10 gives at most 0.3085, 5 of 10 gives 0.1871 to 0.8129."""
@@ -391,9 +386,3 @@ class TestMonteCarlo:
     def test_samples_that_overtake_one_another_are_refused(self) -> None:
         with pytest.raises(UnsuitableNetwork, match="arrive in order"):
             run_many(LING, K, network(Strategy.ARRIVAL, 1, 0.02), Chance(runs=1, seed=0))
-
-    def test_chance_out_of_range_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="loss probability"):
-            Chance(runs=1, seed=0, loss_probability=1.5)
-        with pytest.raises(ValueError, match="inertia"):
-            Uncertainty(inertia=1.0)

@@ -1,6 +1,5 @@
 """The H-infinity controller of the host against the same matrices in numpy."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +11,20 @@ from drivers.timebase import NS_PER_MS, Duration, Instant
 from hil.configuration.bench_file import load_controller
 from hil.configuration.hinf_section import HinfSection
 from hil.configuration.motor_file import LING2012
-from hil.control.hinf import HinfFeedback, HinfSettings
+from hil.control.hinf import HinfFeedback
 from hil.control.setup import Setup
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import StateEstimate
 from hil.loop.scenario import Ramp, ReferenceProfile
 
 PERIOD = Duration(NS_PER_MS)
-SETTINGS = HinfSettings(
-    A=((0.5, 0.2, 0.0), (-0.2, 0.5, 0.0), (0.0, 0.1, 0.9)),
-    B=(0.3, -0.1, 0.05),
-    L=(0.2, 0.4, 0.1),
-    C=(0.7, -0.2, 0.6),
-    D=0.8,
-    inertia_kg_m2=8e-4,
-    viscous_friction_nm_s=1.85e-3,
-    answer_periods=1.6,
-)
+A = ((0.5, 0.2, 0.0), (-0.2, 0.5, 0.0), (0.0, 0.1, 0.9))
+B, L, C, D = (0.3, -0.1, 0.05), (0.2, 0.4, 0.1), (0.7, -0.2, 0.6), 0.8
 FILE = Path("examples/controllers/ling2012-hinf.toml")
+
+
+def feedback(answer_periods: float = 1.6) -> HinfFeedback:
+    return HinfFeedback(A, B, L, C, D, 8e-4, 1.85e-3, answer_periods)
 
 
 def drive(
@@ -56,15 +51,15 @@ def drive(
 def test_it_is_the_matrices_with_the_command_that_was_sent(answer_periods: float) -> None:
     profile = ReferenceProfile([Ramp(0.0, 10.0, 0.05)])
     speeds = np.random.default_rng(15).normal(0.0, 1.0, 120)
-    controller = HinfFeedback(replace(SETTINGS, answer_periods=answer_periods))
+    controller = feedback(answer_periods)
     asked = drive(controller, speeds, 0.5, profile)
-    a, b, sent_in, c = map(np.array, (SETTINGS.A, SETTINGS.B, SETTINGS.L, SETTINGS.C))
+    a, b, sent_in, c = map(np.array, (A, B, L, C))
     x, expected = np.zeros(3), []
     for number, speed in enumerate(speeds):
         now, following = (profile.value(1e-3 * (number + ahead)) for ahead in (0, 1))
         error = profile.value(max(0.0, 1e-3 * (number - answer_periods))) - speed
         forward = 1.85e-3 * now + 8e-4 * (following - now) / 1e-3
-        u = c @ x + SETTINGS.D * error + forward
+        u = c @ x + D * error + forward
         x = a @ x + b * error + sent_in * (np.clip(u, -0.5, 0.5) - forward)
         expected.append(u)
     assert np.max(np.abs(expected)) > 0.6  # else no limit has cut anything off
@@ -72,7 +67,7 @@ def test_it_is_the_matrices_with_the_command_that_was_sent(answer_periods: float
 
 
 def test_reset_forgets_all() -> None:
-    controller, speeds = HinfFeedback(SETTINGS), np.linspace(0.0, 3.0, 20)
+    controller, speeds = feedback(), np.linspace(0.0, 3.0, 20)
     first = drive(controller, speeds, 0.5, ReferenceProfile([]))
     controller.reset()
     assert drive(controller, speeds, 0.5, ReferenceProfile([])) == first

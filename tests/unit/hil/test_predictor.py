@@ -8,10 +8,11 @@ import pytest
 import scipy.linalg
 from numpy.typing import NDArray
 
+from design.speed.predictor_plant import PredictorPlant
 from drivers.exchange import Command, Reading
 from drivers.timebase import NS_PER_MS, NS_PER_S, Duration, Instant
 from hil.control.load_filter import STEP_SIGMAS, FilterNoise
-from hil.control.motion import MotionModel, ShaftMotion
+from hil.control.motion import ShaftMotion
 from hil.control.predictor import LoadCancelling, Predictor, PredictorSettings
 from hil.loop.context import Context, TorqueSetPoint
 from hil.loop.samples import Sample, StateEstimate
@@ -19,12 +20,12 @@ from hil.loop.scenario import Ramp, ReferenceProfile
 
 Array = NDArray[np.float64]
 PERIOD = Duration(NS_PER_MS)
-MODEL = MotionModel(8e-4, 1.85e-3, math.tau * 800.0, math.tau * 500.0)
+PLANT = PredictorPlant(8e-4, 1.85e-3, math.tau * 800.0, math.tau * 500.0)
 NOISE = FilterNoise(0.076, 0.01, 1.2, 1.2)
-SETTINGS = PredictorSettings(MODEL, NOISE, 0.4, 0.2, Duration(100_000))
+SETTINGS = PredictorSettings(PLANT, NOISE, 0.4, 0.2, Duration(100_000))
 
 
-def generator(model: MotionModel = MODEL) -> Array:
+def generator(model: PredictorPlant = PLANT) -> Array:
     """Of [T, omega, w, T_L, u]."""
     lever, a, f = 1.0 / model.inertia_kg_m2, model.current_rate_rad_s, model.filter_rate_rad_s
     rates = np.zeros((5, 5))
@@ -51,7 +52,7 @@ def estimate(predictor: Predictor, acts_at: int) -> StateEstimate:
 
 @pytest.mark.parametrize("length_s", [1e-5, 3e-4, 1e-3])
 def test_motion_is_the_matrix_exponential(length_s: float) -> None:
-    motion = ShaftMotion(MODEL)
+    motion = ShaftMotion(PLANT)
     motion.torque_nm, motion.speed_rad_s, motion.filtered_rad_s = 0.4, 80.0, 78.0
     motion.advance(1.1, 0.6, length_s)
     x = scipy.linalg.expm(generator() * length_s) @ [0.4, 80.0, 78.0, 0.6, 1.1]
@@ -60,9 +61,9 @@ def test_motion_is_the_matrix_exponential(length_s: float) -> None:
 
 
 def test_motion_stands_a_filter_as_fast_as_the_current_loop() -> None:
-    motion = ShaftMotion(replace(MODEL, filter_rate_rad_s=MODEL.current_rate_rad_s))
+    motion = ShaftMotion(replace(PLANT, filter_rate_rad_s=PLANT.current_rate_rad_s))
     motion.advance(1.0, 0.0, 1e-3)
-    x = scipy.linalg.expm(generator(replace(MODEL, filter_rate_rad_s=MODEL.current_rate_rad_s)) * 1e-3)
+    x = scipy.linalg.expm(generator(replace(PLANT, filter_rate_rad_s=PLANT.current_rate_rad_s)) * 1e-3)
     assert motion.filtered_rad_s == pytest.approx(x[2, 4], rel=2e-3)
 
 

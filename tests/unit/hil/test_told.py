@@ -211,10 +211,7 @@ def reproduced() -> str:
             "reproduce ling2012 --figures one --motor {examples}/motors/ling2012.toml",
             "reproduce azaiz2007 --figures two",
         )
-    tables = "".join(
-        f"{variant.name} {paper_runs.bench_tables(variant)}\n" for variant in paper_runs.VARIANTS
-    )
-    return told + "".join(pictures) + tables
+    return told + "".join(pictures)
 
 
 RUNS: Final = (
