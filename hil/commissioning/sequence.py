@@ -21,9 +21,9 @@ class Step(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of steps that must have been done."""
     writes: ClassVar[bool] = False
-    """It changes objects of the drive."""
+    """It changes objects of a drive at rest."""
     moves: ClassVar[bool] = False
-    """The shaft may turn."""
+    """The shaft may turn; for that it writes, too."""
     essential: ClassVar[bool] = False
     """What follows is not safe without it: it cannot be skipped."""
 

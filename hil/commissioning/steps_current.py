@@ -40,7 +40,6 @@ class TorqueConstant(Step):
     title = "Torque constant against current"
     limit = "the current does not follow the torque"
     needs = ("motion_units",)
-    writes = True
     moves = True
 
     def left_out(self, session: Session) -> str | None:

@@ -165,7 +165,6 @@ class Verify(Step):
     limit = "the speed is off by more than 2 % rms on a plateau"
     needs = ("suggest",)
     moves = True
-    writes = True
 
     def plan(self, session: Session, /) -> str:
         speed = self._speed(session) / RAD_S_PER_RPM

@@ -65,7 +65,6 @@ class Response(Step):
     )
     needs = ("mechanics",)
     moves = True
-    writes = True
 
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None:
@@ -159,7 +158,6 @@ class Delays(Step):
     limit = "more than 10 % of the readings are lost, or the torque does not follow"
     needs = ("motion_units",)
     moves = True
-    writes = True
 
     def plan(self, session: Session, /) -> str:
         if session.torque_mode() is None or not tells_torque(session):

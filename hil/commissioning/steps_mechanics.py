@@ -67,7 +67,6 @@ class MechanicsStep(Step):
     )
     needs = ("motion_units",)
     moves = True
-    writes = True
 
     def left_out(self, session: Session) -> str | None:
         if session.torque_mode() is None and not tells_torque(session):

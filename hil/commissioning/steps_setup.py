@@ -228,7 +228,6 @@ class EnableAtZero(Step):
     title = "Enable at zero torque"
     limit = "the shaft turns by more than 0.01 turns"
     needs = ("watchdog",)
-    writes = True
     moves = True
     essential = True
 

@@ -153,7 +153,6 @@ class StopProof(Step):
     name = "stop_proof"
     title = "A slow stop"
     needs = ("stop", "motion_units")
-    writes = True
     moves = True
     essential = True
 

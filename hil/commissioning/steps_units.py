@@ -70,7 +70,6 @@ class Polarity(Step):
     title = "Direction and polarity"
     limit = "the shaft does not turn, or turns the same way for both signs"
     needs = ("enable",)
-    writes = True
     moves = True
     essential = True
 
@@ -202,7 +201,6 @@ class MotionUnits(Step):
     title = "Velocity against position"
     limit = "the velocity does not follow the position, or scatters by more than 10 % of it"
     needs = ("polarity",)
-    writes = True
     moves = True
     essential = True
 
@@ -265,7 +263,6 @@ class Turn(Step):
     title = "Encoder counts by a turn"
     limit = "no turn can be measured and nothing else tells it"
     needs = ("motion_units",)
-    writes = True
     moves = True
 
     def left_out(self, session: Session) -> str | None:
