@@ -32,6 +32,7 @@ from hil.loop.samples import CycleRecord, Dropout, DropoutCause, StateEstimate
 from hil.loop.scenario import Quantity, ReferenceProfile, Segment
 from hil.loop.stamp_attribution import StampAttribution
 from hil.loop.syncs import SyncLog
+from hil.reviewing.network_meter import runs_of
 
 Array = NDArray[np.float64]
 
@@ -346,19 +347,5 @@ def recording_of(records: list[CycleRecord]) -> Recording:
         sync_to_reading_us=np.array(delays_us, dtype=float),
         cycles=len(records),
         lost=lost,
-        losses_in_a_row=runs_of(missing),
+        losses_in_a_row=runs_of(np.array(missing, dtype=bool)),
     )
-
-
-def runs_of(missing: list[bool]) -> tuple[int, ...]:
-    """How often exactly 1, 2, ... were missing in a row."""
-    counts: list[int] = []
-    length = 0
-    for gone in [*missing, False]:
-        if gone:
-            length += 1
-        elif length:
-            counts += [0] * (length - len(counts))
-            counts[length - 1] += 1
-            length = 0
-    return tuple(counts)

@@ -4,14 +4,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from drivers.canopen.pdo import PdoMap
 from drivers.timebase import NS_PER_US
 from drivers.wire.frame_port import EchoBasis
 from hil.configuration.network_file import Network
 from hil.loop.axis import Axis
 from hil.measuring.bounds import CONFIDENCE, rank_above, share_within_largest
 from hil.measuring.loss_model import Losses
-from hil.measuring.request import MeasureRequest
 from hil.measuring.stages import Stage
+from hil.measuring.subject import MeasureRequest
 from hil.reviewing.network_meter import delays_of, histogram_of
 
 Json = dict[str, Any]
@@ -51,12 +52,10 @@ class MeasuredDrive:
 
     node: int
     identity: str
-    speed_cob_id: int
-    """Of the TPDO that carries the speed."""
-    speed_bytes: int
-    command_cob_id: int
-    """Of the RPDO that carries the torque."""
-    command_bytes: int
+    speed: PdoMap
+    """The TPDO that carries it."""
+    command: PdoMap
+    """The RPDO that carries the torque."""
     stages: Sequence[Stage]
     losses: dict[str, Losses]
     """By the keys of :func:`hil.measuring.stages.ways`."""

@@ -50,14 +50,14 @@ def network_of(period_us: int, rows: Sequence[Rows], ways: Sequence[dict[str, Ou
     return network.model_copy(
         update={
             "command_histogram": histogram_of(effect),
-            "reading_losses": chain_of(readings),
-            "command_losses": chain_of(commands),
+            "reading_losses": _chain_of(readings),
+            "command_losses": _chain_of(commands),
             "certainty": certainty,
         }
     )
 
 
-def chain_of(losses: Losses) -> LossChain | None:
+def _chain_of(losses: Losses) -> LossChain | None:
     """The model of these losses; None where there is none."""
     model = losses.model
     return None if model is None else LossChain(**model.parameters._asdict())
@@ -85,9 +85,7 @@ def fault_plan_text(measured: Measured) -> str:
 
 def _delays(drive: MeasuredDrive, bitrate: int) -> Iterator[Table]:
     stages = {each.key: each.times for each in drive.stages}
-    reading, command = (
-        shortest_transit(length, bitrate) for length in (drive.speed_bytes, drive.command_bytes)
-    )
+    reading, command = (shortest_transit(pdo.bits // 8, bitrate) for pdo in (drive.speed, drive.command))
     for key, transit, where in (
         ("reception", reading, _from_drive(drive, "pdo")),
         ("command_on_bus", command, _command(drive, "host")),
@@ -108,7 +106,7 @@ def _delays(drive: MeasuredDrive, bitrate: int) -> Iterator[Table]:
 
 def _bursts(drive: MeasuredDrive) -> Iterator[Table]:
     for key, where in (
-        ("reading", _from_drive(drive, drive.speed_cob_id)),
+        ("reading", _from_drive(drive, drive.speed.cob_id)),
         ("command_before_bus", _command(drive, "host")),
         ("command_behind_bus", _command(drive, "drive")),
     ):
@@ -116,9 +114,8 @@ def _bursts(drive: MeasuredDrive) -> Iterator[Table]:
 
 
 def _burst(losses: Losses, where: Table) -> Iterator[Table]:
-    chain = chain_of(losses)
-    if chain is not None:
-        yield {**where, **chain.model_dump(mode="json")}
+    if losses.model is not None:
+        yield {**where, **losses.model.parameters._asdict()}
 
 
 def _from_drive(drive: MeasuredDrive, frames: int | str) -> Table:
@@ -127,7 +124,7 @@ def _from_drive(drive: MeasuredDrive, frames: int | str) -> Table:
 
 
 def _command(drive: MeasuredDrive, side: str) -> Table:
-    where: Table = {"side": side, "direction": "host_to_drive", "frames": [drive.command_cob_id]}
+    where: Table = {"side": side, "direction": "host_to_drive", "frames": [drive.command.cob_id]}
     return where if side == "host" else {**where, "nodes": [drive.node]}
 
 
