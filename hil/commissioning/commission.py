@@ -76,10 +76,6 @@ def run_command(
         stop = EmergencyStop(signals, sys.stdin)
         with timing_conditions(world.real_time):
             result = commission(request, world, dialog, stop, sheet)
-    return _conclude(request, result)
-
-
-def _conclude(request: CommissionRequest, result: Commissioned) -> tuple[int, dict[str, Any]]:
     done = sum(record.verdict is StepVerdict.DONE for record in result.records)
     faults = sum(len(record.outcome.faults) for record in result.records)
     say(f"{done} of {len(result.records)} steps done, {faults} faults found; see {request.out / HTML_FILE}")
@@ -126,7 +122,7 @@ def commission(
             raise
     if not request.dry_run:
         write_files(session)
-    write_report(session, result)
+    write_report(request, result)
     return result
 
 

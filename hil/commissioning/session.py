@@ -216,17 +216,12 @@ class Session:
 
     def torque_mode(self) -> Mode | None:
         """A mode in which torque is commanded; None if the drive has none."""
-        return self._mode_for((Quantity.TORQUE,))
+        mode = self.motion_mode()
+        return mode if mode is not None and QUANTITY_OF_MODE[mode] is Quantity.TORQUE else None
 
     def motion_mode(self) -> Mode | None:
         """The mode for exercises: torque if there is one, else speed, else position."""
-        return self._mode_for(tuple(Quantity))
-
-    def _mode_for(self, quantities: tuple[Quantity, ...]) -> Mode | None:
-        for mode, quantity in QUANTITY_OF_MODE.items():
-            if quantity in quantities and mode in self.found.modes:
-                return mode
-        return None
+        return next((mode for mode in QUANTITY_OF_MODE if mode in self.found.modes), None)
 
     def configure(self, mode: Mode | None = None, plan: PdoPlan | None = None) -> list[str]:
         """Write set-up, limits and PDO plan; the drive must be disabled. Notes on what it did not take.
@@ -359,28 +354,6 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         self.meanwhile(draw, folder / f"{name}.png", *figures, **options)
         outcome.pictures.append(f"plots/{name}.png")
-
-
-def nameplate_wins(session: Session, key: str, plate: str, drive: str) -> bool:
-    """Whether the nameplate is right where the drive says something else by far, and nothing measured tells.
-
-    A misread plate passes for a wrong drive as easily as the other way round: somebody has to look. Raises
-    StepFailed if nobody is there, unless the nameplate is to be trusted, or if the answer is neither.
-    """
-    if session.request.trust_nameplate:
-        return True
-    contradiction = f"{key}: the nameplate says {plate}, the drive {drive}"
-    if not session.dialog.attended:
-        raise StepFailed(
-            contradiction,
-            "nothing measured tells which is right",
-            "mend the nameplate file or the drive's setting, or give --trust-nameplate",
-        )
-    question = f"    {contradiction}. Which is right? [n = nameplate, d = drive]"
-    answer = session.dialog.line(question, session.idle).lower()
-    if answer not in ("n", "d"):
-        raise StepFailed(contradiction, f"{answer!r} is no answer", "look at the motor's plate, and repeat")
-    return answer == "n"
 
 
 def held_s(session: Session) -> float | None:

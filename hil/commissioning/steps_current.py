@@ -19,13 +19,12 @@ from hil.commissioning.identify import (
     COVERAGE_FACTOR,
     slope_error,
 )
+from hil.commissioning.nameplate import compare_constant, rated_current
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
-from hil.commissioning.plate_check import rated_current
 from hil.commissioning.plots import draw_current
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps_mechanics import guide_mechanics, tells_torque
-from hil.commissioning.winding import compare_constant
 
 _CURRENT_S: Final = 1.5
 """Three swings at the slowest, of 2 Hz."""

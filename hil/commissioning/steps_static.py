@@ -14,12 +14,11 @@ from drivers.rotation import RAD_S_PER_RPM
 from drivers.sheets.identity import told_identity
 from hil.commissioning.drive_port import QUANTITY_OF_MODE
 from hil.commissioning.known_objects import differing, dump, missing
+from hil.commissioning.nameplate import compare_ratings, keeps_motor, read_motor, settle_winding
 from hil.commissioning.outcome import StepFailed, StepOutcome
-from hil.commissioning.plate_check import compare_ratings
 from hil.commissioning.request import motion_limits
 from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
-from hil.commissioning.winding import keeps_motor, read_motor, settle_winding
 from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 

@@ -20,9 +20,10 @@ from hil.commissioning.identify import (
     plain_ratio,
     ratio_of,
 )
+from hil.commissioning.nameplate import nameplate_wins
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, held_s, nameplate_wins
+from hil.commissioning.session import Session, held_s
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.loop.scenario import Quantity, Ramp, Segment
 

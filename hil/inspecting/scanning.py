@@ -91,13 +91,8 @@ def find_adapters() -> Adapters:
     """Look at this machine; no adapter is opened and nothing is sent."""
     from hil.machine.doctor_bus import detected_adapters
 
-    return Adapters(
-        tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), tuple(_running_hubs())
-    )
-
-
-def _running_hubs() -> list[str]:
-    return [name for name in known_hubs() if HubPlace(name).serving]
+    hubs = tuple(name for name in known_hubs() if HubPlace(name).serving)
+    return Adapters(tuple(can_links()), tuple(serial_adapters()), tuple(detected_adapters()), hubs)
 
 
 class OpenedBus(NamedTuple):
