@@ -36,7 +36,9 @@ from virtual_bus.hosting.faulty_device import SimulatedNode
 SAVE: bytes = b"save"
 """Signature that 1010h wants (CiA 301 7.5.2.13)."""
 _STORE_LIMIT = Duration(2 * NS_PER_S)
+"""A drive answers 1010h once its memory is written (CiA 301 7.5.2.13), long after any other download."""
 _ANSWER_LIMIT = Duration(5 * NS_PER_S)
+"""A drive that was just switched on boots in a second or two."""
 
 
 def run_command(

@@ -194,10 +194,10 @@ def _by_word(findings: Findings) -> list[str]:
     if findings.torque_constant_nm_a is None:
         words["torque constant"] = "torque_constant_nm_a"
     stated = {name: findings.stated[key] for name, key in words.items() if key in findings.stated}
-    told = {name: each.by for name, each in stated.items() if each.told}
-    named = [name for name in stated if name not in told]
+    by_drive = {name: each.by for name, each in stated.items() if each.told}
+    named = [name for name in stated if name not in by_drive]
     notes = [f"Not measurable over CiA 402, by the nameplate: {', '.join(named)}."] if named else []
-    return notes + [f"Not measured: {name}, {by}." for name, by in told.items()]
+    return notes + [f"Not measured: {name}, {by}." for name, by in by_drive.items()]
 
 
 def _bench_tables(session: Session) -> dict[str, Any]:

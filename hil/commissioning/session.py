@@ -45,7 +45,9 @@ T = TypeVar("T")
 ENABLE_LIMIT_S: Final = 3.0
 """A drive that charges its DC link or releases a brake takes a second or two."""
 STOP_LIMIT: Final = Duration(5 * NS_PER_S)
+"""More than the longest stop that is let pass, 2 s from the limit of speed."""
 PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
+"""The longer ones are for a bus that has no room for the PDOs of 1 ms."""
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
 _FRAMES_TO_ACT: Final = 5.8

@@ -113,11 +113,11 @@ class TorqueConstant(Step):
         if slope < 0.0:
             outcome.faults.append("current 6078h and torque 6077h have opposite signs")
         if rating.torque_nm and rating.current_a:
-            wanted = rating.torque_nm / rating.current_a
-            outcome.say(f"the nameplate's ratings make {wanted:.5g} N m/A")
-            outcome.figures["nameplate_nm_a"] = wanted
-            if abs(abs(slope) / wanted - 1.0) > _CONSTANT_TOLERANCE:
-                by = abs(slope) / wanted
+            plate_nm_a = rating.torque_nm / rating.current_a
+            outcome.say(f"the nameplate's ratings make {plate_nm_a:.5g} N m/A")
+            outcome.figures["nameplate_nm_a"] = plate_nm_a
+            if abs(abs(slope) / plate_nm_a - 1.0) > _CONSTANT_TOLERANCE:
+                by = abs(slope) / plate_nm_a
                 slip = likely_slip(by, TORQUE_SLIPS, tolerance=0.03)
                 outcome.faults.append(
                     f"torque and current contradict the nameplate by {by:.4g}: "

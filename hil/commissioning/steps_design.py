@@ -191,9 +191,9 @@ class Verify(Step):
         with session.exercising() as exerciser:
             recording = exerciser.run(Pid(PidGains(**gains), exerciser.period_s), time, reference)
         refuse_losses(recording.lost, recording.cycles)
-        wanted = ReferenceProfile(reference)
+        profile = ReferenceProfile(reference)
         at = recording.time
-        asked = np.array([wanted.value(float(t)) for t in at])
+        asked = np.array([profile.value(float(t)) for t in at])
         errors = asked - recording.speed
         settled = [errors[(at >= low) & (at < high)] for low, high, target in plateaus if target]
         rms = max(float(np.sqrt(np.mean(part**2))) for part in settled)

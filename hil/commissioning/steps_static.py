@@ -23,9 +23,12 @@ from hil.restoring.journal import Journal
 from hil.restoring.restore import head_of
 
 CONNECT_LIMIT_S = 5.0
+"""A drive that was just switched on boots in a second or two."""
 LISTEN_S = 0.5
 ROUND_TRIPS = 20
+"""Their median does not move where the host is busy for a moment."""
 _SHOWN = 40
+"""Of the settings that differ; parameters.txt holds them all."""
 _REMEDIES = {
     "torque": "6076h tells none: give rating.torque_nm in the nameplate (--motor)",
     "position": "608Fh, 6092h and 60A8h tell none: give encoder.counts_per_revolution, the position units in "

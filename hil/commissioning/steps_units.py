@@ -106,13 +106,13 @@ class Polarity(Step):
         held = session.objects.read_if_there(Object.POLARITY, 0, "B")
         if held is None:
             return False
-        wanted = held ^ wrong
-        if write_optional(session.objects, Object.POLARITY, "B", wanted, "polarity"):
+        turned = held ^ wrong
+        if write_optional(session.objects, Object.POLARITY, "B", turned, "polarity"):
             return False
         session.configure()
         if _signs(session, StepOutcome()) == (1, 1):
-            outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {wanted:02X}h now"
-            outcome.figures["polarity"] = wanted
+            outcome.faults[-1] += f"; 607Eh was {held:02X}h and is {turned:02X}h now"
+            outcome.figures["polarity"] = turned
             return True
         session.objects.write(Object.POLARITY, 0, "B", held)
         return False

@@ -178,17 +178,17 @@ def _path_rad(session: Session) -> float:
 
 def dc_link_v(session: Session) -> float:
     """Raises StepFailed for a voltage that cannot be."""
-    told = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
+    link_v = (session.objects.read_if_there(Object.DC_LINK_CIRCUIT_VOLTAGE) or 0) / 1000.0
     printed = session.request.nameplate.rating.dc_bus_voltage_v
     low, high = _VOLTAGE_V if printed is None else (printed / _PLATE_RATIO, printed * _PLATE_RATIO)
-    if not low <= told <= high:
+    if not low <= link_v <= high:
         raise StepFailed(
-            f"6079h tells {told:g} V of DC link",
+            f"6079h tells {link_v:g} V of DC link",
             f"{'a motor needs' if printed is None else f'the nameplate says {printed:g} V; within'} "
             f"{low:.4g} to {high:.4g} V",
             "measure the DC link: 6079h is in mV, or the nameplate's dc_bus_voltage_v is wrong",
         )
-    return told
+    return link_v
 
 
 def _ending_rad_s(recording: Recording, window_s: float) -> float:

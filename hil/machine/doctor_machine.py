@@ -18,6 +18,7 @@ MEMLOCK_MIN_BYTES = 1 << 30
 DISK_MIN_BYTES = 2 << 30
 """An hour's recording at 1 kHz with raw frames, with room to spare."""
 CPU_COUNT_MIN = 2
+"""One for the loop alone."""
 
 LIMITS_FILE = "/etc/security/limits.d/servobench.conf"
 
