@@ -27,8 +27,7 @@ from hil.commissioning.steps import all_steps
 from hil.execution.world import World, WorldPlan, open_world
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import stop_signals
-from hil.restoring.journal import DriveMark, append_restored, read_journal
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import DriveMark, JournaledNetwork, append_restored, read_journal
 from hil.restoring.restore import await_answer, restore
 from hil.rows.run_files import COMMISSIONING_RECORDING
 from virtual_bus.hosting.faulty_device import SimulatedNode

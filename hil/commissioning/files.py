@@ -18,8 +18,7 @@ from hil.commissioning.session import Session
 from hil.commissioning.steps_design import rounded, suggested_limits
 from hil.configuration.network_file import network_text
 from hil.configuration.toml_text import toml_text
-from hil.restoring.journal import ObjectKey
-from hil.restoring.journaled import SET_POINTS
+from hil.restoring.journal import SET_POINTS, ObjectKey
 from hil.restoring.restore import pdo_of
 from hil.rows.run_files import COMMISSIONED_FILE
 

@@ -37,7 +37,7 @@ from hil.execution.world import World
 from hil.loop.loop import LoopTiming
 from hil.loop.scenario import Quantity
 from hil.machine.stopping import Interrupted
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import JournaledNetwork
 
 P = ParamSpec("P")
 T = TypeVar("T")

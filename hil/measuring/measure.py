@@ -29,13 +29,11 @@ from hil.machine.progress import Progress
 from hil.machine.realtime import timing_conditions
 from hil.machine.stopping import StopRequest, stop_signals
 from hil.measuring import stages
-from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive
+from hil.measuring.figures import ClockFigures, Measured, MeasuredDrive, network_of
 from hil.measuring.loss_model import Outcomes, losses_of
-from hil.measuring.network import network_of
 from hil.measuring.probe import TimedDemandChange, acting
 from hil.measuring.subject import MeasureRequest, Subject, affordable, timing_of
-from hil.restoring.journal import Journal
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import Journal, JournaledNetwork
 from hil.restoring.restore import head_of, restore
 from hil.rows.records import Rows
 from virtual_bus.drive.servo import SimulatedServo

@@ -7,6 +7,7 @@ changes, so that what the watch over the host rests on goes last. Then the NMT s
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -186,10 +187,8 @@ def _put_back(network: CanopenNetwork, node: int, key: ObjectKey, value: bytes, 
 
 def _attempt(network: CanopenNetwork, node: int, key: ObjectKey, value: bytes) -> None:
     """Write; a refusal shows in the comparison at the end."""
-    try:
+    with suppress(TransferAborted):
         network.download(node, key.index, key.sub, value)
-    except TransferAborted:
-        return
 
 
 def _held(network: CanopenNetwork, node: int, key: ObjectKey) -> bytes | None:

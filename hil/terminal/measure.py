@@ -136,7 +136,7 @@ def _write_files(
 ) -> None:
     """Write what is asked for. Raises BadInput for a file that cannot be written."""
     from hil.configuration.network_file import network_text
-    from hil.measuring.network import fault_plan_text
+    from hil.measuring.figures import fault_plan_text
     from hil.measuring.picture import draw_stages
 
     try:

@@ -28,7 +28,7 @@ from hil.commissioning.sequence import Step
 from hil.commissioning.session import Session
 from hil.commissioning.steps import all_steps
 from hil.execution.world import World, WorldPlan, open_world
-from hil.restoring.journaled import JournaledNetwork
+from hil.restoring.journal import JournaledNetwork
 from tests.commissioning import WrappedStep
 from tests.motors import LING
 from tests.scenario.processes import hub_name, in_background

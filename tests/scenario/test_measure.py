@@ -19,9 +19,8 @@ from drivers.wire.link import BusLink, StampSource
 from hil.cli import app
 from hil.configuration.network_file import load_network
 from hil.machine.stopping import Interrupted
-from hil.measuring.figures import Measured
+from hil.measuring.figures import Measured, fault_plan_text
 from hil.measuring.loss_model import Losses
-from hil.measuring.network import fault_plan_text
 from hil.measuring.stages import NO_CLOCK, NO_DEMAND, NOT_ENABLED, Stage
 from hil.restoring.journal import read_journal
 from hil.restoring.restore import restore
