@@ -55,7 +55,7 @@ def write_files(session: Session) -> None:
         )
     journal = session.network.journal
     if journal is not None and journal.contents.changes:
-        texts[DCF_FILE] = _dcf_text(
+        texts[DCF_FILE] = dcf_text(
             findings.settings,
             {ObjectKey(*place): held for place, held in findings.dump.items()} | findings.originals,
             session.dictionary,
@@ -239,7 +239,7 @@ def _headed(text: str, tables: dict[str, Any]) -> str:
     return f"# {text}\n\n{toml_text(tables)}"
 
 
-def _dcf_text(
+def dcf_text(
     values: dict[ObjectKey, bytes],
     defaults: dict[ObjectKey, bytes],
     dictionary: ObjectDictionary | None,
