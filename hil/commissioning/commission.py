@@ -107,20 +107,15 @@ def commission(
     result = Commissioned(findings=session.found)
     chosen = list((steps or all_steps)())
     try:
-        try:
-            run_sequence(session, chosen, result.records)
-        except BenchError as error:
-            result.error = error
-            log.event("CRITICAL", str(error))
-            raise
-        finally:
-            try:
-                _finish(session, result)
-            finally:
-                _end_log(session, result)
+        run_sequence(session, chosen, result.records)
     except BenchError as error:
-        if error is not result.error:
-            raise
+        result.error = error
+        log.event("CRITICAL", str(error))
+    finally:
+        try:
+            _finish(session, result)
+        finally:
+            _end_log(session, result)
     if not request.dry_run:
         write_files(session)
     write_report(request, result)

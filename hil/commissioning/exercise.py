@@ -1,7 +1,7 @@
 """One stretch of motion: the bench's own loop around a drive, under host limits, recorded in memory."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -68,11 +68,6 @@ class Recording:
     def speed(self) -> Array:
         """Smoothed derivative of the position."""
         return smooth_speed(self.time, self.position)
-
-
-def motions(recordings: Sequence[Recording]) -> list[tuple[Array, Array, Array]]:
-    """Time, position and torque of each, as :func:`.identify_mechanics` takes them."""
-    return [(each.time, each.position, each.torque) for each in recordings]
 
 
 def smooth_speed(time: Array, position: Array, half: int = 4) -> Array:

@@ -50,8 +50,6 @@ PERIODS_US: Final = (1000, 2000, 4000, 5000, 10_000, 20_000)
 """The longer ones are for a bus that has no room for the PDOs of 1 ms."""
 SETTLE: Final = Duration(20 * NS_PER_MS)
 """Between the SYNCs by which a drive's clock is learnt: no late reading may pass for a later answer."""
-_FRAMES_TO_ACT: Final = 5.8
-"""From a SYNC until the torque of its cycle acts, in frames of a command, as long as it was not measured."""
 _SERVED_S: Final = 0.01
 """How soon the end of a fit is seen."""
 BUS_LOAD_MAX_PERCENT: Final = 70.0
@@ -356,13 +354,3 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         self.meanwhile(draw, folder / f"{name}.png", *figures, **options)
         outcome.pictures.append(f"plots/{name}.png")
-
-
-def held_s(session: Session) -> float | None:
-    """How long after a SYNC the torque of the cycle acts; None where torque is not what is commanded."""
-    if session.torque_mode() is None:
-        return None
-    findings = session.found
-    if findings.reading_delay_us is not None and findings.effect_delay_us is not None:
-        return 1e-6 * (findings.reading_delay_us + findings.effect_delay_us)
-    return _FRAMES_TO_ACT * session.timing().command_latency / NS_PER_S

@@ -15,10 +15,7 @@ from drivers.cia402.unit_factors import TORQUE_SLIPS, likely_slip
 from drivers.errors import TransferAborted
 from drivers.timebase import Instant
 from hil.commissioning.excitation import TimedTorque
-from hil.commissioning.identify import (
-    COVERAGE_FACTOR,
-    slope_error,
-)
+from hil.commissioning.identify import COVERAGE_FACTOR, slope_error
 from hil.commissioning.nameplate import compare_constant, rated_current
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.plots import draw_current

@@ -12,18 +12,13 @@ from drivers.cia402.scaling import Scaling
 from drivers.cia402.unit_factors import likely_slip
 from drivers.timebase import NS_PER_S
 from hil.commissioning.excitation import Pulse
-from hil.commissioning.exercise import Exerciser, Recording, motions
-from hil.commissioning.identify import (
-    NotIdentifiable,
-    SpeedRatio,
-    identify_mechanics,
-    plain_ratio,
-    ratio_of,
-)
+from hil.commissioning.exercise import Exerciser, Recording
+from hil.commissioning.identify import SpeedRatio, plain_ratio, ratio_of
 from hil.commissioning.nameplate import nameplate_wins
 from hil.commissioning.outcome import StepFailed, StepOutcome, refuse_losses
 from hil.commissioning.sequence import Step
-from hil.commissioning.session import Session, held_s
+from hil.commissioning.session import Session
+from hil.commissioning.steps_mechanics import identified
 from hil.commissioning.turn import can_home, hand_turn, index_turn
 from hil.loop.scenario import Quantity, Ramp, Segment
 
@@ -237,18 +232,10 @@ class MotionUnits(Step):
             self._rough(session, recordings, outcome)
 
     def _rough(self, session: Session, recordings: list[Recording], outcome: StepOutcome) -> None:
-        try:
-            window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
-            session.found.rough = rough = session.meanwhile(
-                identify_mechanics,
-                motions(recordings),
-                window_s,
-                with_viscous=False,
-                with_offset=False,
-                held_s=held_s(session),
-            )
-        except NotIdentifiable as error:
-            raise StepFailed("the pulses tell nothing of the inertia", str(error)) from error
+        window_s = max(_ROUGH_WINDOW_S, _ROUGH_PERIODS * session.found.period / NS_PER_S)
+        failure = "the pulses tell nothing of the inertia"
+        rough = identified(session, recordings, window_s, failure, with_viscous=False, with_offset=False)
+        session.found.rough = rough
         if rough.inertia_kg_m2 <= 0.0:
             raise StepFailed("the pulses give no positive inertia", f"{rough.inertia_kg_m2:.3g} kg m^2")
         outcome.say(
